@@ -1,0 +1,52 @@
+# Every target does its own set-up: a fresh clone needs Python >= 3.11 and nothing else.
+#
+#   make demo    simulated logs -> three stages -> reports/demo/
+#   make test    all tests
+#   make check   lint, format and types
+#   make format  let ruff put the format right
+#   make clean   remove everything these targets made, except reports
+
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALLED := .venv/.installed
+
+# One thread per process: the linear algebra is small, and two test workers would fight.
+export OMP_NUM_THREADS = 1
+export OPENBLAS_NUM_THREADS = 1
+
+.PHONY: demo test check format clean
+.DEFAULT_GOAL := demo
+
+demo: $(INSTALLED)
+	$(BIN)/python experiments/demo.py
+
+test: $(INSTALLED)
+	$(BIN)/pytest -n 2
+
+check: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check . || { echo "'make format' puts this right."; exit 1; }
+	$(BIN)/mypy
+
+format: $(INSTALLED)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:
+	rm -rf .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Installed once, and again only when what should be installed changes.
+$(INSTALLED): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "Installing into .venv (once; a few minutes on a slow line) ..."
+	$(BIN)/python -m pip install --disable-pip-version-check \
+		-c constraints.txt -e ".[dev]"
+	@touch $@
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+		echo "Python 3.11 or newer is needed; '$(PYTHON)' is not."; \
+		echo "Name another one: make PYTHON=python3.12 ..."; exit 1; }
+	@$(PYTHON) -m venv .venv || { rm -rf .venv; \
+		echo "No virtual environment could be made with '$(PYTHON)'."; \
+		echo "On Debian and Ubuntu: apt install python3-venv"; exit 1; }

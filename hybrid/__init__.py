@@ -1,0 +1,80 @@
+"""Identify a robot arm's drive torque and diagnose its sim-to-real gap.
+
+The torque that a joint drive reports is a sum of terms: rigid body + effects + a
+learned remainder. What is named here loads on first use: ``import hybrid`` is fast.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hybrid.effects import Effect
+    from hybrid.effects import effect_classes as effects
+    from hybrid.identify import DynamicModel, Fit, identify, predict, validate
+    from hybrid.plant import simulate
+    from hybrid.recording import Recording
+    from hybrid.recording import read_all as read_recordings
+    from hybrid.robot import Robot
+    from hybrid.signals import Motion
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "DynamicModel",
+    "Effect",
+    "Fit",
+    "Motion",
+    "Recording",
+    "Robot",
+    "__version__",
+    "effects",
+    "identify",
+    "predict",
+    "read_recordings",
+    "simulate",
+    "validate",
+]
+
+# Public name -> the module it lives in, and its name there where that is another one.
+_HOME = {
+    "DynamicModel": "hybrid.identify",
+    "Effect": "hybrid.effects",
+    "Fit": "hybrid.identify",
+    "Motion": "hybrid.signals",
+    "Recording": "hybrid.recording",
+    "Robot": "hybrid.robot",
+    "effects": "hybrid.effects:effect_classes",
+    "identify": "hybrid.identify",
+    "predict": "hybrid.identify",
+    "read_recordings": "hybrid.recording:read_all",
+    "simulate": "hybrid.plant",
+    "validate": "hybrid.identify",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'hybrid' has no attribute {name!r}")
+    module, _, original = _HOME[name].partition(":")
+    value = getattr(import_module(module), original or name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class _Package(ModuleType):
+    # The folders `identify` and `effects` share their name with a public function. The
+    # import system binds a folder to its parent when it loads it; the function stays.
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _HOME and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -1,0 +1,53 @@
+"""Learned remainders: the torque that no physical term explains."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hybrid.compensator.gmr import GaussianMixtureRegression
+
+if TYPE_CHECKING:
+    import torch
+
+__all__ = ["REMAINDERS", "GaussianMixtureRegression", "Remainder"]
+
+
+class Remainder(Protocol):
+    """What every learned remainder can do, whatever it is made of.
+
+    A class also has ``fit(x, y, ...)`` and ``from_arrays(arrays)``, the inverse of
+    ``arrays``. Each is bounded, fades to zero outside its data and refuses NaN.
+    """
+
+    kind: ClassVar[str]
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs d."""
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs m."""
+
+    def predict(self, x: ArrayLike) -> NDArray[np.float64]:
+        """Mean, shape (N, m), [N·m], at inputs x, shape (N, d)."""
+
+    def predict_distribution(
+        self, x: ArrayLike
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean, shape (N, m), [N·m], and variance, shape (N, m), [(N·m)²]."""
+
+    def arrays(self) -> dict[str, NDArray[np.float64]]:
+        """Everything to save, by name."""
+
+    def to_torch(self) -> torch.nn.Module:
+        """The same numbers as a module from x to mean and variance."""
+
+
+# Kind, as written in a model file -> the class whose ``from_arrays`` reads it.
+REMAINDERS: dict[str, type[GaussianMixtureRegression]] = {
+    GaussianMixtureRegression.kind: GaussianMixtureRegression,
+}

@@ -1,0 +1,70 @@
+"""What a learned remainder refuses, in one readable line each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hybrid.errors import HybridError
+
+if TYPE_CHECKING:
+    from hybrid.compensator.gmr import GaussianMixtureRegression
+
+Array = NDArray[np.float64]
+
+
+def check_matrix(name: str, values: ArrayLike, columns: int | None = None) -> Array:
+    """``values`` as a finite float64 matrix of ``columns`` columns.
+
+    Raises:
+        HybridError: It is not one; the message says where.
+    """
+    matrix = np.asarray(values, dtype=np.float64)
+    if matrix.ndim != 2 or columns not in (None, matrix.shape[1]):
+        wanted = "any" if columns is None else columns
+        raise HybridError(f"{name} has shape {matrix.shape}, valid is (N, {wanted})")
+    if not np.isfinite(matrix).all():
+        row, column = np.argwhere(~np.isfinite(matrix))[0]
+        raise HybridError(
+            f"{name} is {matrix[row, column]} at row {row}, column {column}; "
+            "valid are finite numbers"
+        )
+    return matrix
+
+
+def check_mixture(model: GaussianMixtureRegression) -> None:
+    """Refuse a mixture that could not predict.
+
+    Raises:
+        HybridError: Shapes disagree, a number is not valid, or a covariance is not
+            positive definite.
+    """
+    k, d, m = model.weights.size, model.input_offset.size, model.bound.size
+    shapes = {
+        "weights": (k,),
+        "means": (k, d + m),
+        "covariances": (k, d + m, d + m),
+        "input_offset": (d,),
+        "input_scale": (d,),
+        "prior_variance": (m,),
+        "bound": (m,),
+        "fade": (2,),
+    }
+    for name, shape in shapes.items():
+        values = getattr(model, name)
+        if values.shape != shape or 0 in shape:
+            raise HybridError(f"{name} has shape {values.shape}, valid is {shape}")
+        if not np.isfinite(values).all():
+            raise HybridError(f"{name} has numbers that are not finite")
+    if not (model.weights > 0).all() or abs(model.weights.sum() - 1) > 1e-6:
+        raise HybridError("weights are not positive with sum 1")
+    if not ((model.input_scale > 0).all() and (model.prior_variance > 0).all()):
+        raise HybridError("input_scale and prior_variance must be positive")
+    if not ((model.bound >= 0).all() and 0 < model.fade[0] < model.fade[1]):
+        raise HybridError("bound must not be negative, and fade must increase from > 0")
+    try:
+        _ = model.conditional
+    except np.linalg.LinAlgError as error:
+        raise HybridError("a covariance is not positive definite") from error

@@ -1,0 +1,196 @@
+"""Learning the mixture: expectation maximisation and the number of components."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hybrid.compensator.checks import check_matrix
+from hybrid.compensator.gmr import GaussianMixtureRegression
+from hybrid.errors import HybridError, IdentificationError
+
+Array = NDArray[np.float64]
+
+# The fade starts beyond this share of the training samples and ends at twice their
+# distance, that is four times its square.
+TRUSTED_SHARE = 0.995
+FADE_RATIO = 4.0
+# A channel that varies by less than this share of its size counts as constant.
+CONSTANT = 1e-12
+
+
+def fit_gmr(
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    candidates: Sequence[int],
+    validation: tuple[ArrayLike, ArrayLike] | None,
+    rng: np.random.Generator,
+    covariance_floor: float,
+    max_samples: int,
+    bound: ArrayLike | None,
+) -> GaussianMixtureRegression:
+    """Body of ``GaussianMixtureRegression.fit``, which says what the arguments are."""
+    x, y = _check_pair(x, y)
+    limit = _limit(bound, y)
+    x, y = _draw(x, y, max_samples, rng)
+    joint = np.hstack([_standardise(x), _standardise(y)])
+    usable = _usable(candidates, *joint.shape)
+    held_out = None
+    if validation is not None:
+        x_held, y_held = _check_pair(*validation, columns=(x.shape[1], y.shape[1]))
+        held_out = _draw(x_held, y_held, max_samples, rng)
+    models: dict[int, GaussianMixtureRegression] = {}
+    scores: dict[int, float] = {}
+    for count in usable:
+        mixture = _run_em(joint, count, floor=covariance_floor, rng=rng)
+        model = _build(mixture, x, y, bound=limit, floor=covariance_floor)
+        models[count] = model
+        if held_out is None:
+            scores[count] = -float(mixture.bic(joint)) / (2.0 * len(joint))
+        else:
+            scores[count] = predictive_log_likelihood(model, *held_out)
+    return models[choose_components(scores)]
+
+
+def choose_components(
+    scores: Mapping[int, float], *, indifference: float = 0.01
+) -> int:
+    """The smallest number of components that is as good as the best.
+
+    Args:
+        scores: Log-likelihood per sample by number of components, [nat].
+        indifference: Shortfall that does not count, [nat per sample]. 0.01 nat is a
+            standard deviation 1 % larger, which no torque sensor would show.
+
+    Returns:
+        Number of components.
+    """
+    best = max(scores.values())
+    return min(k for k, score in scores.items() if score >= best - indifference)
+
+
+def predictive_log_likelihood(
+    model: GaussianMixtureRegression, x: Array, y: Array
+) -> float:
+    """Mean log-likelihood of y under the predicted mean and variance.
+
+    It scores what will be used, bound and fade included, so that a few samples off the
+    training range cannot outweigh all others.
+
+    Args:
+        model: The regression to score.
+        x: Inputs, shape (N, d), [unit of the training inputs].
+        y: Remaining torque, shape (N, m), [N·m].
+
+    Returns:
+        Log-likelihood summed over outputs, mean over samples, [nat].
+    """
+    mean, variance = model.predict_distribution(x)
+    terms = np.log(2.0 * np.pi * variance) + (y - mean) ** 2 / variance
+    return float(-0.5 * terms.sum(axis=1).mean())
+
+
+def _check_pair(
+    x: ArrayLike, y: ArrayLike, *, columns: tuple[int | None, int | None] = (None, None)
+) -> tuple[Array, Array]:
+    inputs = check_matrix("x", x, columns[0])
+    outputs = check_matrix("y", y, columns[1])
+    if len(inputs) != len(outputs) or 0 in (inputs.size, outputs.size):
+        raise HybridError(
+            f"x has shape {inputs.shape} and y {outputs.shape}, "
+            "valid are equal numbers of rows and at least one column each"
+        )
+    return inputs, outputs
+
+
+def _limit(bound: ArrayLike | None, y: Array) -> Array:
+    largest: Array = np.abs(y).max(axis=0)
+    limit = largest if bound is None else np.asarray(bound, dtype=np.float64)
+    if limit.shape not in ((), y.shape[1:]):
+        raise HybridError(f"bound has shape {limit.shape}, valid is {y.shape[1:]}")
+    return np.broadcast_to(limit, y.shape[1:])
+
+
+def _usable(candidates: Sequence[int], samples: int, width: int) -> list[int]:
+    # A covariance of full rank needs one sample more than it has rows.
+    largest = samples // (width + 1)
+    usable = sorted({int(k) for k in candidates if 1 <= k <= largest})
+    if not usable:
+        raise IdentificationError(
+            f"{samples} samples cannot support {sorted(candidates)} components of "
+            f"{width} channels, valid is 1 to {largest}"
+        )
+    return usable
+
+
+def _draw(
+    x: Array, y: Array, size: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    if len(x) <= size:
+        return x, y
+    rows = np.sort(rng.choice(len(x), size, replace=False))
+    return x[rows], y[rows]
+
+
+def _offset_and_scale(values: Array) -> tuple[Array, Array]:
+    offset, scale = values.mean(axis=0), values.std(axis=0)
+    size = np.maximum(np.abs(offset), 1.0)
+    return offset, np.where(scale > CONSTANT * size, scale, size)
+
+
+def _standardise(values: Array) -> Array:
+    offset, scale = _offset_and_scale(values)
+    return (values - offset) / scale
+
+
+def _run_em(joint: Array, count: int, *, floor: float, rng: np.random.Generator) -> Any:
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.mixture import GaussianMixture
+
+    mixture = GaussianMixture(
+        count,
+        covariance_type="full",
+        init_params="k-means++",
+        reg_covar=floor,
+        tol=1e-3,
+        max_iter=200,
+        random_state=int(rng.integers(2**31)),
+    )
+    with warnings.catch_warnings():
+        # Stopping early is no error here: the held-out score judges what came of it.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        try:
+            return mixture.fit(joint)
+        except ValueError as error:
+            raise IdentificationError(
+                f"{count} components cannot be fitted to {len(joint)} samples with "
+                f"covariance_floor {floor:g}; fewer components or a larger floor "
+                "such as 1e-4 can"
+            ) from error
+
+
+def _build(
+    mixture: Any, x: Array, y: Array, *, bound: Array, floor: float
+) -> GaussianMixtureRegression:
+    input_offset, input_scale = _offset_and_scale(x)
+    output_offset, output_scale = _offset_and_scale(y)
+    offset = np.concatenate([np.zeros_like(input_offset), output_offset])
+    scale = np.concatenate([np.ones_like(input_scale), output_scale])
+    model = GaussianMixtureRegression(
+        weights=mixture.weights_,
+        means=offset + scale * mixture.means_,
+        covariances=mixture.covariances_ * np.outer(scale, scale),
+        input_offset=input_offset,
+        input_scale=input_scale,
+        prior_variance=np.maximum((y**2).mean(axis=0), floor * output_scale**2),
+        bound=bound,
+        fade=np.array([1.0, FADE_RATIO]),
+    )
+    start = max(float(np.quantile(model.distance(x), TRUSTED_SHARE)), 1.0)
+    return replace(model, fade=np.array([start, FADE_RATIO * start]))

@@ -1,0 +1,137 @@
+"""Base parameters: the combinations of parameters that a motion can reveal at all.
+
+Source: Gautier 1991, doi 10.1002/rob.4620080405 (numerical computation by QR).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from hybrid.robot.chain import INERTIAL_NAMES, INERTIAL_UNITS, Array
+
+_RANK_TOLERANCE = 1e-8
+_SMALLEST_FACTOR = 1e-6  # below this a coefficient is rounding, not a dependence
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """Independent combinations of p standard parameters, b of them.
+
+    Each base parameter is one *kept* standard parameter plus multiples of dropped ones.
+
+    Attributes:
+        labels: Names of the standard parameters, length p.
+        units: Their units, length p.
+        kept: Indices of the kept standard parameters, shape (b,).
+        mapping: Base parameters from standard ones, shape (b, p).
+        values: Values of the base parameters, shape (b,).
+    """
+
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    kept: tuple[int, ...]
+    mapping: Array
+    values: Array
+
+    @property
+    def size(self) -> int:
+        """Number of base parameters b."""
+        return len(self.kept)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Each combination in full, e.g. ``"Izz_1 + Iyy_2 − 0.2·mx_2"``, length b."""
+        return tuple(self._combination(k) for k in range(self.size))
+
+    @property
+    def kept_labels(self) -> tuple[str, ...]:
+        """Short names: the label of the parameter that was kept, length b."""
+        return tuple(self.labels[k] for k in self.kept)
+
+    def with_values(self, values: Array) -> BaseParameters:
+        """The same combinations with other values, shape (b,)."""
+        return replace(self, values=np.array(values, dtype=float))
+
+    def standard(self) -> Array:
+        """A set of standard parameters with these base values, shape (p,).
+
+        The kept ones carry everything and the rest is zero: right torque, but not a
+        physical body.
+        """
+        full = np.zeros(len(self.labels))
+        full[list(self.kept)] = self.values
+        return full
+
+    @cached_property
+    def dropped(self) -> dict[str, str]:
+        """Parameters with an effect of their own on no motion, and what they join.
+
+        Maps the label to the combinations it is part of; empty text when it never
+        moves any torque.
+        """
+        found = {}
+        for column, label in enumerate(self.labels):
+            if column not in self.kept:
+                joined = np.flatnonzero(np.abs(self.mapping[:, column]) > 0)
+                found[label] = ", ".join(self.labels[self.kept[k]] for k in joined)
+        return found
+
+    def _combination(self, k: int) -> str:
+        text = self.labels[self.kept[k]]
+        for column in np.flatnonzero(self.mapping[k]):
+            if column == self.kept[k]:
+                continue
+            factor = self.mapping[k, column]
+            size = "" if abs(abs(factor) - 1) < 1e-9 else f"{abs(factor):.4g}·"
+            text += f" {'+' if factor > 0 else '−'} {size}{self.labels[column]}"
+        return text
+
+
+def inertial_labels(n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the 10n inertial parameters, e.g. ``"mx_2"``."""
+    names = tuple(f"{x}_{k + 1}" for k in range(n) for x in INERTIAL_NAMES)
+    return names, INERTIAL_UNITS * n
+
+
+def base_parameters(
+    stacked: Array, labels: tuple[str, ...], units: tuple[str, ...]
+) -> BaseParameters:
+    """Base parameters of stacked columns (rigid body and effects together).
+
+    A column that earlier ones explain is dropped, so the order of the columns decides
+    which of several equivalent parameters is kept: put first what should stay.
+
+    Args:
+        stacked: Columns on a motion that excites everything, shape (rows, p).
+        labels: Name of each column, length p.
+        units: Unit of each column, length p.
+    """
+    norms = np.linalg.norm(stacked, axis=0)
+    silent = norms <= norms.max() * 1e-12
+    scale = np.where(silent, 1.0, norms)
+    R = np.linalg.qr(np.where(silent, 0.0, stacked / scale), mode="r")
+    kept: list[int] = []
+    # Householder QR leaves each column's part outside the span of the earlier ones on
+    # the diagonal only while those are independent; so the rank grows column by column.
+    basis = np.zeros((R.shape[0], 0))
+    for column in range(R.shape[1]):
+        rest = R[:, column] - basis @ (basis.T @ R[:, column])
+        rest -= basis @ (basis.T @ rest)
+        size = np.linalg.norm(rest)
+        if size > _RANK_TOLERANCE:
+            basis = np.column_stack([basis, rest / size])
+            kept.append(column)
+    mapping = _mapping(basis.T @ R, kept, scale)
+    return BaseParameters(labels, units, tuple(kept), mapping, np.zeros(len(kept)))
+
+
+def _mapping(R: Array, kept: list[int], scale: Array) -> Array:
+    mapping = solve_triangular(R[:, kept], R)
+    mapping = mapping * scale / scale[kept, None]
+    mapping[np.abs(mapping) < _SMALLEST_FACTOR] = 0.0
+    mapping[:, kept] = np.eye(len(kept))
+    return mapping

@@ -1,0 +1,130 @@
+"""Batched motion of every link of a chain: one pass from base to tip.
+
+Arrays are laid out component first, sample last, so that each operation streams over
+contiguous samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.robot.chain import Array, Chain
+
+
+@dataclass(frozen=True)
+class LinkMotion:
+    """Motion of one link in its own frame, and the joints that move it.
+
+    Attributes:
+        omega: Angular velocity, shape (3, N), [rad/s].
+        alpha: Angular acceleration, shape (3, N), [rad/s²].
+        accel: Acceleration of the frame origin less gravity, shape (3, N), [m/s²].
+        angular: Axis of each joint up to this one, shape (3, k+1, N); the angular
+            velocity of this link per unit of joint speed.
+        linear: Velocity of this frame's origin per unit of joint speed, (3, k+1, N).
+    """
+
+    omega: Array
+    alpha: Array
+    accel: Array
+    angular: Array
+    linear: Array
+
+
+def link_motions(chain: Chain, q: Array, v: Array, a: Array) -> Iterator[LinkMotion]:
+    """Motion of each link, base to tip.
+
+    Args:
+        chain: The arm.
+        q: Positions, shape (n, N), [rad].
+        v: Speeds, shape (n, N), [rad/s].
+        a: Accelerations, shape (n, N), [rad/s²].
+    """
+    n, samples = q.shape
+    # Rows 0..2 are ω, α and the acceleration; then the joint screws (angular, linear).
+    state = np.zeros((3, 3, samples))
+    state[:, 2] = -chain.gravity[:, None]
+    for k in range(n):
+        axis = chain.axis[k]
+        moved = np.empty((3, 5 + 2 * k, samples))
+        moved[:, : 3 + 2 * k] = _shift_and_turn(chain, k, q[k], state)
+        omega, alpha, accel = moved[:, 0], moved[:, 1], moved[:, 2]
+        turning = 1.0 if chain.revolute[k] else 0.0
+        for c in range(3):
+            moved[c, 3 + 2 * k] = turning * axis[c]
+            moved[c, 4 + 2 * k] = (1.0 - turning) * axis[c]
+        # Relative motion of the joint; ω×axis is the same with or without its own spin.
+        spin = _cross_constant(omega, axis)
+        if chain.revolute[k]:
+            alpha += spin * v[k] + axis[:, None] * a[k]
+            omega += axis[:, None] * v[k]
+        else:
+            accel += 2.0 * spin * v[k] + axis[:, None] * a[k]
+        state = moved
+        yield LinkMotion(omega, alpha, accel, state[:, 3::2], state[:, 4::2])
+
+
+def _shift_and_turn(chain: Chain, k: int, q: Array, state: Array) -> Array:
+    """Move parent quantities to the origin of frame k and express them in it."""
+    shifted = state.copy()
+    offset = chain.translation[k]
+    if chain.revolute[k]:
+        arm: list[Array | float] = list(offset)
+    else:
+        direction = chain.rotation[k] @ chain.axis[k]
+        arm = [offset[c] + direction[c] * q for c in range(3)]
+    omega, alpha = state[:, 0], state[:, 1]
+    if not chain.revolute[k] or np.any(offset):
+        lever = _cross(omega, arm)
+        shifted[:, 2] += _cross(alpha, arm) + _cross(omega, lever)
+        shifted[:, 4::2] += _cross(state[:, 3::2], arm)
+    return _turn(chain, k, q, shifted)
+
+
+def _turn(chain: Chain, k: int, q: Array, x: Array) -> Array:
+    """R(q)ᵀ x with the zeros of R left out; x has shape (3, K, N)."""
+    fixed = chain.rotation[k]
+    if chain.revolute[k]:
+        kx, ky, kz = chain.axis[k]
+        skew = np.array([[0, -kz, ky], [kz, 0, -kx], [-ky, kx, 0.0]])
+        # R = fixed (I + k² + sin q · k − cos q · k²)
+        constant, sine, cosine = (
+            _clean(fixed @ m) for m in (np.eye(3) + skew @ skew, skew, -skew @ skew)
+        )
+        sin_q, cos_q = np.sin(q), np.cos(q)
+    else:
+        constant, sine, cosine = _clean(fixed), np.zeros((3, 3)), np.zeros((3, 3))
+        sin_q = cos_q = q
+    out = np.zeros_like(x)
+    for c in range(3):
+        for r in range(3):
+            if sine[r, c] == 0 and cosine[r, c] == 0:
+                if constant[r, c] != 0:
+                    out[c] += constant[r, c] * x[r]
+                continue
+            entry = constant[r, c] + sine[r, c] * sin_q + cosine[r, c] * cos_q
+            out[c] += entry * x[r]
+    return out
+
+
+def _clean(matrix: Array) -> Array:
+    """Set entries that are zero but for rounding of the file's angles to zero."""
+    return np.where(np.abs(matrix) < 1e-15, 0.0, matrix)
+
+
+def _cross(x: Array, y: list[Array | float] | Array) -> Array:
+    """x × y over the first axis; y may hold numbers."""
+    return np.stack(
+        [
+            x[1] * y[2] - x[2] * y[1],
+            x[2] * y[0] - x[0] * y[2],
+            x[0] * y[1] - x[1] * y[0],
+        ]
+    )
+
+
+def _cross_constant(x: Array, y: Array) -> Array:
+    return _cross(x, list(y))

@@ -1,0 +1,125 @@
+"""Batched inverse dynamics and its regressor: tau = Y(q, v, a) · pi.
+
+Source: Atkeson, An and Hollerbach 1986, doi 10.1177/027836498600500306.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid.dynamics.kinematics import LinkMotion, link_motions
+from hybrid.robot.chain import Array, Chain
+
+# Samples worked on at a time: the intermediate arrays then stay in the cache.
+_CHUNK = 2048
+
+
+def regressor(chain: Chain, q: Array, v: Array, a: Array) -> Array:
+    """Torque per unit of every inertial parameter.
+
+    Args:
+        chain: The arm.
+        q: Positions, shape (N, n), [rad].
+        v: Speeds, shape (N, n), [rad/s].
+        a: Accelerations, shape (N, n), [rad/s²].
+
+    Returns:
+        Y, shape (N, n, 10n), link after link in the order of ``INERTIAL_NAMES``. In
+        memory samples come last (it is a view of an (n, 10n, N) array).
+    """
+    samples, n = q.shape
+    Y = np.zeros((n, 10 * n, samples))
+    for start in range(0, samples, _CHUNK):
+        part = slice(start, min(start + _CHUNK, samples))
+        states = (np.ascontiguousarray(x[part].T) for x in (q, v, a))
+        for k, link in enumerate(link_motions(chain, *states)):
+            _link_block(link, Y[: k + 1, 10 * k : 10 * k + 10, part])
+    return Y.transpose(2, 0, 1)
+
+
+def inverse_dynamics(
+    chain: Chain, inertial: Array, q: Array, v: Array, a: Array
+) -> Array:
+    """Rigid-body joint torque, without rotor inertia.
+
+    Args:
+        chain: The arm.
+        inertial: Link parameters, shape (n, 10).
+        q: Positions, shape (N, n), [rad].
+        v: Speeds, shape (N, n), [rad/s].
+        a: Accelerations, shape (N, n), [rad/s²].
+
+    Returns:
+        Torque, shape (N, n), [N·m].
+    """
+    samples, n = q.shape
+    tau = np.zeros((n, samples))
+    for start in range(0, samples, _CHUNK):
+        part = slice(start, min(start + _CHUNK, samples))
+        states = (np.ascontiguousarray(x[part].T) for x in (q, v, a))
+        for k, link in enumerate(link_motions(chain, *states)):
+            force, moment = _wrench(link, inertial[k])
+            for c in range(3):
+                tau[: k + 1, part] += link.linear[c] * force[c]
+                tau[: k + 1, part] += link.angular[c] * moment[c]
+    return np.ascontiguousarray(tau.T)
+
+
+def _wrench(link: LinkMotion, inertial: Array) -> tuple[Array, Array]:
+    """Force and moment about the frame origin that move the link, shape (3, N)."""
+    m, mc = inertial[0], inertial[1:4, None]
+    xx, xy, yy, xz, yz, zz = inertial[4:]
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    lever = _cross(link.omega, np.broadcast_to(mc, link.omega.shape))
+    force = m * link.accel + _cross(link.alpha, np.broadcast_to(mc, lever.shape))
+    force += _cross(link.omega, lever)
+    moment = inertia @ link.alpha + _cross(link.omega, inertia @ link.omega)
+    return force, moment + _cross(np.broadcast_to(mc, lever.shape), link.accel)
+
+
+def _cross(x: Array, y: Array) -> Array:
+    return np.stack(
+        [
+            x[1] * y[2] - x[2] * y[1],
+            x[2] * y[0] - x[0] * y[2],
+            x[0] * y[1] - x[1] * y[0],
+        ]
+    )
+
+
+def _link_block(link: LinkMotion, out: Array) -> None:
+    """Fill the ten columns of one link for the joints that move it.
+
+    With s = (linear, angular) the screw of a joint, its row is s · (force, moment) per
+    unit of each parameter; written as dot products with coefficients that depend on the
+    link's motion alone.
+
+    Args:
+        link: Motion of the link.
+        out: Destination, shape (k+1, 10, N).
+    """
+    (wx, wy, wz), (bx, by, bz), (ax, ay, az) = link.omega, link.alpha, link.accel
+    xx, yy, zz, xy, xz, yz = wx * wx, wy * wy, wz * wz, wx * wy, wx * wz, wy * wz
+    lx, ly, lz = link.linear
+    ux, uy, uz = link.angular
+    _sum(out[:, 0], (lx, ax), (ly, ay), (lz, az))
+    # First moments: (skew(α) + skew(ω)²)ᵀ l + a × u.
+    _sum(out[:, 1], (lx, -yy - zz), (ly, xy + bz), (lz, xz - by), (uz, ay), (uy, -az))
+    _sum(out[:, 2], (lx, xy - bz), (ly, -xx - zz), (lz, yz + bx), (ux, az), (uz, -ax))
+    _sum(out[:, 3], (lx, xz + by), (ly, yz - bx), (lz, -xx - yy), (uy, ax), (ux, -ay))
+    # Inertia: u · (I α) + (u × ω) · (I ω), for each independent entry of I.
+    _sum(out[:, 4], (ux, bx), (uy, xz), (uz, -xy))
+    _sum(out[:, 5], (ux, by - xz), (uy, bx + yz), (uz, xx - yy))
+    _sum(out[:, 6], (ux, -yz), (uy, by), (uz, xy))
+    _sum(out[:, 7], (ux, bz + xy), (uy, zz - xx), (uz, bx - yz))
+    _sum(out[:, 8], (ux, yy - zz), (uy, bz - xy), (uz, by + xz))
+    _sum(out[:, 9], (ux, yz), (uy, -xz), (uz, bz))
+
+
+def _sum(out: Array, *terms: tuple[Array, Array]) -> None:
+    """Sum of products into ``out``, shape (k+1, N)."""
+    (x, y), *rest = terms
+    total = x * y
+    for x, y in rest:
+        total += x * y
+    out[...] = total

@@ -1,0 +1,34 @@
+"""The vocabulary of effects: one file each, simulated and fitted from one law."""
+
+from hybrid.effects.effect import (
+    Body,
+    Effect,
+    JointEffect,
+    JointState,
+    Port,
+    Quantity,
+    Scale,
+)
+
+__all__ = [
+    "Body",
+    "Effect",
+    "JointEffect",
+    "JointState",
+    "Port",
+    "Quantity",
+    "Scale",
+    "effect_class",
+    "effect_classes",
+    "effect_from_dict",
+    "effects_from_file",
+    "effects_from_text",
+]
+
+from hybrid.effects.registry import (
+    effect_class,
+    effect_classes,
+    effect_from_dict,
+    effects_from_file,
+    effects_from_text,
+)

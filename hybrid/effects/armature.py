@@ -1,0 +1,32 @@
+"""Rotor and gear inertia seen through the reduction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+class Armature(JointEffect):
+    """Torque that accelerates the rotor: I_r·a."""
+
+    id = "armature"
+    port = Port.DRIVE
+    gains = (Quantity("inertia", "kg·m²", 0.02, 0.0, 0.5, per=(1, -1)),)
+    equation = "τ = I_r · a"
+    source = "Siciliano et al. 2009, doi 10.1007/978-1-84628-642-1, section 7.2"
+    sentence = "The rotor of {joints} is heavier or lighter than the simulator says."
+    remedy = "Set the joint's armature to rotor inertia times the gear ratio squared."
+
+    @staticmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per kg·m² of reflected rotor inertia."""
+        return (state.a,)
+
+    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+        """Add the rotor inertia to the joint's armature."""
+        spec.joint(names[self.joints[0]]).armature += self.values["inertia"]

@@ -1,0 +1,26 @@
+"""Dry friction of constant size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+
+class Coulomb(JointEffect):
+    """Dry friction: F_c·sgn v."""
+
+    id = "coulomb"
+    port = Port.DRIVE
+    dry = True
+    gains = (Quantity("level", "N·m", 0.04, 0.0, 0.3, per=(1, 0)),)
+    equation = "τ = F_c · sgn v"
+    source = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
+    sentence = "Dry friction of {joints} differs from the simulator's."
+    remedy = "Set the joint's frictionloss to the fitted level."
+
+    @staticmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per N·m of level."""
+        return (state.sign,)

@@ -1,0 +1,34 @@
+"""Torque and position stamped by different clocks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.signals import Motion
+
+
+class Delay(Effect):
+    """Reported torque is older than the reported position by T."""
+
+    id = "delay"
+    port = Port.MEASUREMENT
+    gains = (Quantity("time", "s", 0.005, -0.05, 0.05),)
+    equation = "τ_reported(t) = τ(t − T)"
+    source = "Janot et al. 2014, doi 10.1109/TCST.2013.2253321"
+    sentence = "Torque and position of {joints} are logged on shifted clocks."
+    remedy = "Shift the torque channel by the fitted time, or fix the logger's stamps."
+
+    def columns(self, motion: Motion, body: Body) -> Array:
+        """First order, −dτ_load/dt; see :meth:`Effect.columns`."""
+        slope = np.gradient(body.load[:, self.joints], motion.t, axis=0)
+        return -slope[:, :, None]
+
+    def torque(self, motion: Motion, body: Body) -> Array:
+        """Nothing: the delay acts through :meth:`report`."""
+        return np.zeros((len(motion.t), len(self.joints)))
+
+    def report(self, t: Array, torque: Array) -> Array:
+        """The torque of an earlier time; before the first sample it is held."""
+        late = t - self.values["time"]
+        return np.stack([np.interp(late, t, x) for x in torque.T], axis=1)

@@ -1,0 +1,26 @@
+"""Dry friction that grows with the transmitted torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+
+class LoadFriction(JointEffect):
+    """Load-dependent dry friction of gears: μ·|τ_load|·sgn v."""
+
+    id = "load_friction"
+    port = Port.DRIVE
+    dry = True
+    gains = (Quantity("coefficient", "", 0.1, 0.0, 0.6),)
+    equation = "τ = μ · |τ_load| · sgn v"
+    source = "Wahrburg et al. 2018; Hamon et al. 2010, doi 10.1109/IROS.2010.5649189"
+    sentence = "Friction of {joints} grows with the torque it carries."
+    remedy = "Model the gear's efficiency: friction proportional to transmitted torque."
+
+    @staticmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per unit of coefficient."""
+        return (abs(state.load) * state.sign,)

@@ -1,0 +1,28 @@
+"""Friction that bends with speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+
+class NonlinearViscous(JointEffect):
+    """Speed-dependent friction beyond the linear: c₂·v|v| + c₃·v³."""
+
+    id = "nonlinear_viscous"
+    port = Port.DRIVE
+    gains = (
+        Quantity("quadratic", "N·m·s²/rad²", 0.02, -0.5, 0.5, per=(1, -2)),
+        Quantity("cubic", "N·m·s³/rad³", 0.005, -0.5, 0.5, per=(1, -3)),
+    )
+    equation = "τ = c₂ · v|v| + c₃ · v³"
+    source = "Hauschild et al. 2004; Simoni et al. 2015, doi 10.1109/IROS.2015.7353640"
+    sentence = "Friction of {joints} grows with speed in a curve, not in a line."
+    remedy = "Give the joint a speed-dependent friction table instead of one damping."
+
+    @staticmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per unit of the quadratic and of the cubic coefficient."""
+        return state.v * abs(state.v), state.v**3

@@ -1,0 +1,79 @@
+"""Something held by the last link that the simulator does not know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.errors import EffectError
+from hybrid.signals import Motion
+
+if TYPE_CHECKING:
+    import mujoco
+
+_GAINS = (
+    Quantity("mass", "kg", 2.0, 0.0, 50.0),
+    Quantity("mx", "kg·m", 0.0, -20.0, 20.0),
+    Quantity("my", "kg·m", 0.0, -20.0, 20.0),
+    Quantity("mz", "kg·m", 0.2, -20.0, 20.0),
+    Quantity("Ixx", "kg·m²", 0.022, 0.0, 20.0),
+    Quantity("Ixy", "kg·m²", 0.0, -10.0, 10.0),
+    Quantity("Iyy", "kg·m²", 0.022, 0.0, 20.0),
+    Quantity("Ixz", "kg·m²", 0.0, -10.0, 10.0),
+    Quantity("Iyz", "kg·m²", 0.0, -10.0, 10.0),
+    Quantity("Izz", "kg·m²", 0.002, 0.0, 20.0),
+)
+
+
+class LinkInertia(Effect):
+    """Change of one link's ten inertial parameters, about the link's frame origin.
+
+    It acts on the joints up to that link; the link is the last of ``joints``.
+    """
+
+    id = "link_inertia"
+    port = Port.BODY
+    scope = "coupling"
+    gains = _GAINS
+    equation = "τ = Y_k(q, v, a) · Δπ_k"
+    source = "Atkeson et al. 1986, doi 10.1177/027836498600500306"
+    sentence = "The link behind {joints} is not as heavy as the simulator says."
+    remedy = "Correct the link's mass, centre of mass and inertia."
+
+    def columns(self, motion: Motion, body: Body) -> Array:
+        """See :meth:`Effect.columns`; shape (N, len(joints), 10)."""
+        return body.link_columns(self.joints[-1])[:, self.joints]
+
+    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+        """Weld a body with these parameters to the link.
+
+        Raises:
+            EffectError: Mass or inertia are not physical.
+        """
+        mass, *rest = self.gain_values
+        if mass <= 0:
+            raise EffectError(f"{self.id}: mass is {mass:g} kg, above 0 is valid")
+        center = np.array(rest[:3]) / mass
+        xx, xy, yy, xz, yz, zz = rest[3:]
+        about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        about -= mass * (center @ center * np.eye(3) - np.outer(center, center))
+        if np.linalg.eigvalsh(about)[0] <= 0:
+            raise EffectError(f"{self.id}: the inertia is not physical")
+        name = names[self.joints[-1]]
+        body = spec.body(name).add_body(name=f"{name}/{self.id}")
+        body.explicitinertial = True
+        body.mass, body.ipos = mass, center
+        body.fullinertia = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+class Payload(LinkInertia):
+    """Ten inertial parameters of what the last link carries."""
+
+    id = "payload"
+    scope = "arm"
+    equation = "τ = Y_n(q, v, a) · π_payload"
+    sentence = "The arm carries a payload that the simulator does not know."
+    remedy = "Add the payload's mass, centre of mass and inertia to the last link."

@@ -1,0 +1,178 @@
+"""Every known effect by id: this folder's files, entry points, and a user's file."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import pkgutil
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.metadata import entry_points
+from inspect import isabstract
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from hybrid.effects.effect import Effect, Scale
+from hybrid.errors import EffectError
+
+_ENTRY_POINT_GROUP = "hybrid.effects"
+_added: dict[str, type[Effect]] = {}
+
+
+def effect_classes() -> Mapping[str, type[Effect]]:
+    """Effect classes by id, in alphabetical order of the files that hold them."""
+    return _shipped() | _added
+
+
+@cache
+def _shipped() -> dict[str, type[Effect]]:
+    found: dict[str, type[Effect]] = {}
+    for info in pkgutil.iter_modules([str(Path(__file__).parent)]):
+        found |= _classes_in(importlib.import_module(f"{__package__}.{info.name}"))
+    for point in entry_points(group=_ENTRY_POINT_GROUP):
+        found |= _classes_in(point.load())
+    return found
+
+
+def _classes_in(module: ModuleType) -> dict[str, type[Effect]]:
+    return {
+        item.id: item
+        for item in vars(module).values()
+        if isinstance(item, type)
+        and issubclass(item, Effect)
+        and not isabstract(item)
+        and item.__module__ == module.__name__
+    }
+
+
+def effects_from_file(path: str | Path) -> tuple[str, ...]:
+    """Add the effects that a user's own Python file defines; returns their ids.
+
+    The file is code that the user chose to run; data files never name one.
+
+    Raises:
+        EffectError: The file is missing, fails, or defines no effect.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise EffectError(f"{path}: no such file of effects")
+    name = f"hybrid_user_effects_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise EffectError(f"{path}: not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise EffectError(f"{path}: {type(error).__name__}: {error}") from error
+    found = _classes_in(module)
+    if not found:
+        raise EffectError(f"{path}: defines no concrete subclass of hybrid.Effect")
+    _added.update(found)
+    return tuple(found)
+
+
+def effect_class(effect_id: str) -> type[Effect]:
+    """The class of an effect.
+
+    Raises:
+        EffectError: There is no effect of this id.
+    """
+    known = effect_classes()
+    if effect_id not in known:
+        raise EffectError(
+            f"no effect {effect_id!r}; valid are {', '.join(sorted(known))} "
+            "(effects of your own: --effects-from FILE.py)"
+        )
+    return known[effect_id]
+
+
+def effect_from_dict(content: Mapping[str, Any], names: Sequence[str]) -> Effect:
+    """The effect that :meth:`Effect.as_dict` described.
+
+    Args:
+        content: ``effect``, ``joints`` (names), ``values`` and optionally ``std``.
+        names: Joint names of the arm.
+
+    Raises:
+        EffectError: The effect, a joint or a parameter is unknown.
+    """
+    try:
+        cls = effect_class(content["effect"])
+        joints = [_index(name, names) for name in content["joints"]]
+        values = dict(content.get("values", {}))
+        return cls(tuple(joints), values, dict(content.get("std", {})))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise EffectError(f"not an effect: {content!r} ({error!r})") from error
+
+
+def effects_from_text(
+    text: str, names: Sequence[str], scales: Sequence[Scale]
+) -> list[Effect]:
+    """Effects from the command line's form, at their usual size.
+
+    ``stribeck:elbow,torque_ripple`` is Stribeck friction at the elbow and ripple at
+    every joint; ``payload(mass=3)`` sets a value, ``transmission_coupling:5+6`` names
+    two joints, ``coulomb:1,coulomb:2(level=4;…)`` several.
+
+    Args:
+        text: Comma-separated effects.
+        names: Joint names of the arm.
+        scales: Size of every joint.
+
+    Raises:
+        EffectError: The text does not parse, or names what does not exist.
+    """
+    effects: list[Effect] = []
+    for item in filter(None, (part.strip() for part in text.split(","))):
+        match = re.fullmatch(r"(\w+)(?::([^()]+))?(?:\(([^()]*)\))?", item)
+        if match is None:
+            raise EffectError(
+                f"cannot read {item!r}; valid is effect[:joint[+joint]][(name=value;…)]"
+            )
+        effect_id, joints, assignments = match.groups()
+        values = _values(assignments or "", item)
+        cls = effect_class(effect_id)
+        for group in _groups(cls, joints, names):
+            effects.append(cls.typical(group, scales, **values))
+    return effects
+
+
+def _values(text: str, item: str) -> dict[str, float]:
+    values = {}
+    for assignment in filter(None, (part.strip() for part in text.split(";"))):
+        name, _, number = assignment.partition("=")
+        try:
+            values[name.strip()] = float(number)
+        except ValueError as error:
+            raise EffectError(f"{item!r}: {assignment!r} is not name=number") from error
+    return values
+
+
+def _groups(
+    cls: type[Effect], text: str | None, names: Sequence[str]
+) -> list[tuple[int, ...]]:
+    """Joint tuples of the instances to make."""
+    everything = tuple(range(len(names)))
+    if cls.scope == "arm":
+        return [everything]
+    if text is None:
+        if cls.scope == "coupling":
+            raise EffectError(f"{cls.id} needs its joints, e.g. {cls.id}:{names[-1]}")
+        return [(j,) for j in everything]
+    joints = tuple(_index(name.strip(), names) for name in text.split("+"))
+    return [joints] if cls.scope == "coupling" else [(j,) for j in joints]
+
+
+def _index(name: str, names: Sequence[str]) -> int:
+    if name in names:
+        return list(names).index(name)
+    if str(name).isdigit() and 1 <= int(name) <= len(names):
+        return int(name) - 1
+    raise EffectError(
+        f"no joint {name!r}; valid are {', '.join(names)} or 1 to {len(names)}"
+    )

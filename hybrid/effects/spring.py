@@ -1,0 +1,28 @@
+"""A torque proportional to joint position: hose, cable or counterbalance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+
+class Spring(JointEffect):
+    """Linear spring: k·q − k·q₀, with the preload −k·q₀ as a gain of its own."""
+
+    id = "spring"
+    port = Port.ENVIRONMENT
+    gains = (
+        Quantity("stiffness", "N·m/rad", 0.05, -2.0, 2.0, per=(1, 0)),
+        Quantity("preload", "N·m", 0.0, -2.0, 2.0, per=(1, 0)),
+    )
+    equation = "τ = k · q + c"
+    source = "Hollerbach et al. 2016, doi 10.1007/978-3-319-32552-1_6"
+    sentence = "A spring, hose or counterbalance pulls on {joints}."
+    remedy = "Add a joint spring, or the counterbalance's geometry, to the simulator."
+
+    @staticmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per unit of stiffness and of preload."""
+        return state.q, 1.0 + 0.0 * state.q

@@ -1,0 +1,33 @@
+"""Friction that falls as motion sets in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+
+class Stribeck(JointEffect):
+    """Break-away friction above the Coulomb level: F_s·exp(−|v/v_s|^γ)·sgn v."""
+
+    id = "stribeck"
+    port = Port.DRIVE
+    dry = True
+    gains = (Quantity("level", "N·m", 0.03, 0.0, 0.3, per=(1, 0)),)
+    shapes = (
+        Quantity("velocity", "rad/s", 0.05, 0.001, 1.0),
+        Quantity("exponent", "", 2.0, 0.5, 3.0),
+    )
+    equation = "τ = F_s · exp(−|v/v_s|^γ) · sgn v"
+    source = "Bo and Pavelescu 1982, doi 10.1016/0043-1648(82)90156-4"
+    sentence = "{joints} needs extra torque at low speed that fades as it moves faster."
+    remedy = "Add a Stribeck term, or run the joint above its Stribeck speed."
+
+    @staticmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per N·m of level."""
+        ratio = abs(state.v) / shapes["velocity"]
+        return (np.exp(-(ratio ** shapes["exponent"])) * state.sign,)

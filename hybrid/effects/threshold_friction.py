@@ -1,0 +1,63 @@
+"""Friction with separate laws below and above a speed threshold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+
+class ThresholdFriction(JointEffect):
+    """Nonlinear friction with a velocity threshold λ, continuous everywhere.
+
+    Above λ: a dry level for each direction and a rising cubic. Below λ the level may
+    fall towards λ, in a line and in a parabola (break-away), or rise to it (a
+    rounded knee); all of these vanish or settle at λ, so that the law is continuous
+    there. Within ±``width`` it is the straight line through zero. Every coefficient is
+    non-negative: friction takes energy at every speed.
+    """
+
+    id = "threshold_friction"
+    port = Port.DRIVE
+    dry = True
+    gains = (
+        Quantity("coulomb_positive", "N·m", 0.04, 0.0, 0.5, per=(1, 0)),
+        Quantity("coulomb_negative", "N·m", 0.04, 0.0, 0.5, per=(1, 0)),
+        Quantity("falling", "N·m", 0.01, 0.0, 0.5, per=(1, 0)),
+        Quantity("falling_steep", "N·m", 0.01, 0.0, 0.5, per=(1, 0)),
+        Quantity("rising", "N·m", 0.0, 0.0, 0.5, per=(1, 0)),
+        Quantity("viscous", "N·m·s/rad", 0.05, 0.0, 1.0, per=(1, -1)),
+        Quantity("quadratic", "N·m·s²/rad²", 0.0, 0.0, 1.0, per=(1, -2)),
+        Quantity("cubic", "N·m·s³/rad³", 0.0, 0.0, 1.0, per=(1, -3)),
+    )
+    shapes = (
+        Quantity("threshold", "rad/s", 0.2, 0.001, 10.0),
+        Quantity("width", "rad/s", 0.002, 0.0, 1.0),
+    )
+    equation = (
+        "τ = k_c± σ(v) + k_f σ(v)(1 − |v|/λ)₊ + k_s σ(v)(1 − |v|/λ)₊² "
+        "+ k_r sgn v min(|v|/λ, 1) + k_v1 v + k_v2 v|v| + k_v3 v³"
+    )
+    source = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
+    sentence = "Friction of {joints} is a curve with a knee, not a level and a slope."
+    remedy = "Give the joint a friction table over speed."
+
+    @staticmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per unit of each coefficient."""
+        speed = abs(state.v)
+        sigma = state.sign * np.minimum(1.0, speed / np.maximum(shapes["width"], 1e-12))
+        below = np.clip(1.0 - speed / shapes["threshold"], 0.0, None)
+        return (
+            np.where(state.sign > 0, sigma, 0.0),
+            np.where(state.sign < 0, sigma, 0.0),
+            sigma * below,
+            sigma * below**2,
+            state.sign * (1.0 - below),
+            state.sign * speed,
+            state.sign * speed**2,
+            state.sign * speed**3,
+        )

@@ -1,0 +1,27 @@
+"""A wrong torque constant."""
+
+from __future__ import annotations
+
+
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.signals import Motion
+
+
+class TorqueGain(Effect):
+    """Reported torque is (1 + g) times the delivered one."""
+
+    id = "torque_gain"
+    port = Port.DRIVE
+    gains = (Quantity("gain", "", 0.1, -0.5, 0.5),)
+    equation = "τ_reported = (1 + g) · τ_delivered"
+    source = "Gautier and Briot 2014, doi 10.1115/1.4027506"
+    sentence = "The torque constant of {joints} is off."
+    remedy = "Calibrate the drive gain with a known payload."
+
+    def columns(self, motion: Motion, body: Body) -> Array:
+        """First order: the transmitted torque; see :meth:`Effect.columns`."""
+        return body.load[:, self.joints][:, :, None]
+
+    def deliver(self, torque: Array) -> Array:
+        """Torque delivered for a believed one."""
+        return torque / (1.0 + self.values["gain"])

@@ -1,0 +1,25 @@
+"""A constant in the reported torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+
+class TorqueOffset(JointEffect):
+    """Constant torque: current-sensor bias or a brake that drags one way."""
+
+    id = "torque_offset"
+    port = Port.DRIVE
+    gains = (Quantity("level", "N·m", 0.02, -0.3, 0.3, per=(1, 0)),)
+    equation = "τ = c"
+    source = "Swevers et al. 1997, doi 10.1109/70.631234"
+    sentence = "The torque that {joints} reports is shifted by a constant."
+    remedy = "Zero the current sensor with the drive off."
+
+    @staticmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per N·m of level."""
+        return (1.0 + 0.0 * state.q,)

@@ -1,0 +1,32 @@
+"""Torque that repeats with joint position."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+
+class TorqueRipple(JointEffect):
+    """Periodic torque of motor cogging or gear teeth: A·sin(k q + φ)."""
+
+    id = "torque_ripple"
+    port = Port.DRIVE
+    gains = (
+        Quantity("sine", "N·m", 0.02, -0.15, 0.15, per=(1, 0)),
+        Quantity("cosine", "N·m", 0.0, -0.15, 0.15, per=(1, 0)),
+    )
+    shapes = (Quantity("periods", "1/turn", 20.0, 0.5, 1000.0),)
+    equation = "τ = A_s · sin(k q) + A_c · cos(k q)"
+    source = "Holtz and Springob 1996, doi 10.1109/28.491472"
+    sentence = "{joints} has a torque that repeats with its position."
+    remedy = "Compensate the ripple from a position table, or move faster than it."
+
+    @staticmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per N·m of the sine and of the cosine amplitude."""
+        angle = shapes["periods"] * state.q
+        return np.sin(angle), np.cos(angle)

@@ -1,0 +1,25 @@
+"""Friction proportional to speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+
+class Viscous(JointEffect):
+    """Viscous friction: F_v·v."""
+
+    id = "viscous"
+    port = Port.DRIVE
+    gains = (Quantity("coefficient", "N·m·s/rad", 0.05, 0.0, 1.0, per=(1, -1)),)
+    equation = "τ = F_v · v"
+    source = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
+    sentence = "Viscous friction of {joints} differs from the simulator's."
+    remedy = "Set the joint's damping to the fitted coefficient."
+
+    @staticmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per N·m·s/rad of coefficient."""
+        return (state.v,)

@@ -1,0 +1,31 @@
+"""Errors that a user can act on: each says what is wrong and what is valid."""
+
+from __future__ import annotations
+
+
+class HybridError(Exception):
+    """Base of every error raised on purpose; its message is one readable line."""
+
+
+class RobotError(HybridError):
+    """A robot file cannot be read or is not a serial arm."""
+
+
+class RecordingError(HybridError):
+    """A recording cannot be read, or does not hold what its columns say."""
+
+
+class EffectError(HybridError):
+    """An effect is unknown, misplaced, or has a parameter out of bounds."""
+
+
+class IdentificationError(HybridError):
+    """The data cannot support the fit that was asked for."""
+
+
+class ModelFileError(HybridError):
+    """A saved model is damaged, of another version, or of another robot."""
+
+
+class HybridWarning(UserWarning):
+    """Something a user should know that does not stop the work."""

@@ -1,0 +1,208 @@
+"""The linear problem: rigid body and effects stacked, reduced to what can be told apart.
+
+``tau_i = Σ_k columns_ik · theta_k`` for every joint i, theta being the base inertial
+parameters followed by the gains of the effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.dynamics import BaseParameters, RigidBody, base_parameters, inertial_labels
+from hybrid.effects import Effect
+from hybrid.robot.chain import Array, Chain
+from hybrid.signals import Motion
+
+_STRUCTURE_SAMPLES = 600
+_WEIGHTLESS = 1e-9
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Columns of an arm with some effects, and which of them count.
+
+    Attributes:
+        chain: The arm.
+        effects: Effects whose gains are unknown; their shapes are as given.
+        base: Independent combinations over all inertial parameters and gains.
+        inertial: Link parameters that give the transmitted torque on which some
+            effects depend, shape (n, 10).
+    """
+
+    chain: Chain
+    effects: tuple[Effect, ...]
+    base: BaseParameters
+    inertial: Array
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns p."""
+        return self.base.size
+
+    @property
+    def rigid(self) -> Array:
+        """Indices of the base inertial parameters among the unknowns."""
+        n = 10 * self.chain.size
+        return np.array([k for k, c in enumerate(self.base.kept) if c < n], dtype=int)
+
+    @cached_property
+    def gains(self) -> tuple[tuple[int, int, int], ...]:
+        """(unknown, effect, gain) of every gain that was kept."""
+        where = {c: k for k, c in enumerate(self.base.kept)}
+        column, found = 10 * self.chain.size, []
+        for e, effect in enumerate(self.effects):
+            for g in range(len(effect.gains)):
+                if column in where:
+                    found.append((where[column], e, g))
+                column += 1
+        return tuple(found)
+
+    @cached_property
+    def lower(self) -> Array:
+        """Smallest physical value of each unknown, shape (p,); −inf without one."""
+        lower = np.full(self.size, -np.inf)
+        for unknown, e, g in self.gains:
+            if self.effects[e].gains[g].lower >= 0:
+                lower[unknown] = 0.0
+        return lower
+
+    @cached_property
+    def support(self) -> tuple[NDArray[np.intp], ...]:
+        """Unknowns that ever move joint i's torque, for each joint."""
+        stacked = _stacked(self.chain, self.effects, rich_motion(self.chain))
+        size = np.abs(stacked[:, :, list(self.base.kept)]).max(axis=0)
+        return tuple(np.flatnonzero(row > _WEIGHTLESS * row.max()) for row in size)
+
+    @cached_property
+    def offsets(self) -> tuple[int, ...]:
+        """First row of each joint in :meth:`rows`, and their total at the end."""
+        sizes = [len(s) + 1 for s in self.support]
+        return (0, *np.cumsum(sizes).tolist())
+
+    def rows(self, motion: Motion) -> Array:
+        """Columns of every joint with its torque last, at full rate.
+
+        Returns:
+            For joint i, rows ``offsets[i]`` on hold its columns in the order of
+            ``support[i]``, then its measured torque; shape (P, N).
+        """
+        body = RigidBody(self.chain, motion, self.inertial)
+        out = np.empty((self.offsets[-1], len(motion.t)))
+        kept = np.array(self.base.kept)
+        rigid = 10 * self.chain.size
+        effects = dict(self._effect_columns(motion, body))
+        for i, support in enumerate(self.support):
+            start = self.offsets[i]
+            columns = kept[support]
+            inertial = columns < rigid
+            count = int(inertial.sum())
+            # The regressor keeps samples last in memory: these are plain row copies.
+            np.take(
+                body.columns.transpose(1, 2, 0)[i],
+                columns[inertial],
+                axis=0,
+                out=out[start : start + count],
+            )
+            for row, column in enumerate(columns[~inertial], start + count):
+                out[row] = effects[int(column), i]
+            out[start + len(support)] = motion.tau[:, i]
+            for effect in self.effects:
+                if effect.reports and i in effect.joints:
+                    part = out[start : start + len(support)]
+                    part[...] = effect.report(motion.t, part.T).T
+        return out
+
+    def _effect_columns(
+        self, motion: Motion, body: RigidBody
+    ) -> Iterator[tuple[tuple[int, int], Array]]:
+        column = 10 * self.chain.size
+        for effect in self.effects:
+            columns = effect.columns(motion, body)
+            for g in range(len(effect.gains)):
+                for at, joint in enumerate(effect.joints):
+                    yield (column + g, joint), columns[:, at, g]
+            column += len(effect.gains)
+
+    def fitted(self, theta: Array) -> tuple[BaseParameters, tuple[Effect, ...]]:
+        """Base inertial parameters and effects with the values of a solution.
+
+        Args:
+            theta: Unknowns, shape (p,).
+        """
+        effects = list(self.effects)
+        for unknown, e, g in self.gains:
+            effect, name = effects[e], effects[e].gains[g].name
+            # What the columns of a reporting effect measure is the change still due.
+            before = effect.values[name] if effect.reports else 0.0
+            effects[e] = effect.at({name: before + theta[unknown]})
+        return self.base.with_values(theta), tuple(effects)
+
+    def rigid_inertial(self, theta: Array) -> Array:
+        """Link parameters, shape (n, 10), with the rigid torque of a solution."""
+        n = 10 * self.chain.size
+        return self.base.with_values(theta).standard()[:n].reshape(-1, 10)
+
+    def with_inertial(self, inertial: Array) -> Problem:
+        """The same unknowns with another transmitted torque."""
+        return replace(self, inertial=inertial)
+
+
+def build_problem(
+    chain: Chain, effects: Sequence[Effect], *, inertial: Array | None = None
+) -> Problem:
+    """Stack rigid body and effects and keep what any motion could tell apart.
+
+    Args:
+        chain: The arm.
+        effects: Effects whose gains are unknown.
+        inertial: Link parameters for the transmitted torque, shape (n, 10); the
+            chain's own by default.
+    """
+    labels, units = inertial_labels(chain.size)
+    for effect in effects:
+        where = "+".join(chain.joints[j] for j in effect.joints)
+        where = "arm" if effect.scope == "arm" else where
+        labels += tuple(f"{effect.id}.{g.name}[{where}]" for g in effect.gains)
+        units += tuple(g.unit for g in effect.gains)
+    stacked = _stacked(chain, effects, rich_motion(chain))
+    base = base_parameters(stacked.reshape(-1, stacked.shape[2]), labels, units)
+    own = chain.inertial if inertial is None else inertial
+    return Problem(chain, tuple(effects), base, own)
+
+
+def _stacked(chain: Chain, effects: Sequence[Effect], motion: Motion) -> Array:
+    """All columns of all joints, shape (N, n, 10n + gains)."""
+    # A robot file without inertias must not hide effects that need a load.
+    inertial = np.where(np.any(chain.inertial), chain.inertial, 1.0)
+    body = RigidBody(chain, motion, inertial)
+    blocks = [body.columns]
+    for effect in effects:
+        block = np.zeros((len(motion.t), chain.size, len(effect.gains)))
+        block[:, list(effect.joints)] = effect.columns(motion, body)
+        blocks.append(block)
+    return np.concatenate(blocks, axis=2)
+
+
+def rich_motion(chain: Chain) -> Motion:
+    """A motion on which nothing stays hidden: six incommensurate tones a joint.
+
+    Only its structure counts, so it keeps to no limits and is always the same.
+    """
+    rng = np.random.default_rng(20080523)
+    n = chain.size
+    t = np.linspace(0.0, 20.0, _STRUCTURE_SAMPLES)
+    frequency = rng.uniform(0.3, 6.0, (6, 1, n))
+    phase = rng.uniform(0, 2 * np.pi, (6, 1, n))
+    size = rng.uniform(0.2, 0.6, (6, 1, n))
+    angle = frequency * t[:, None] + phase
+    q = (size * np.sin(angle)).sum(axis=0)
+    v = (size * frequency * np.cos(angle)).sum(axis=0)
+    a = -(size * frequency**2 * np.sin(angle)).sum(axis=0)
+    mask = np.ones(len(t), dtype=bool)
+    temperature = 25 + 10 * rng.random((len(t), n)).cumsum(axis=0) / len(t)
+    return Motion(t, q, v, a, np.zeros_like(q), mask, temperature, chain.joints)

@@ -1,0 +1,159 @@
+"""Robot + effects -> compiled MuJoCo model, with dofs found by joint name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.effects import Effect, JointEffect, Port
+from hybrid.errors import EffectError, HybridError
+from hybrid.robot.chain import Array
+from hybrid.robot.robot import Robot
+
+Index = NDArray[np.intp]
+
+INTEGRATORS = {
+    "euler": "mjINT_EULER",
+    "implicit": "mjINT_IMPLICIT",
+    "implicitfast": "mjINT_IMPLICITFAST",
+    "rk4": "mjINT_RK4",
+}
+# Dry friction holds a joint as a soft constraint; this is how nearly it is hard. A
+# joint stuck under a torque creeps at (1 − impedance)·step of its free acceleration.
+_IMPEDANCE = 0.9999
+_HOOKS = ("edit_spec", "deliver", "measure")
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A compiled arm of n motor joints, some of them with a deflection behind.
+
+    Attributes:
+        model: MuJoCo model; its dofs are motor joints and deflections, in any order.
+        motor: Dof of each motor joint, shape (n,).
+        elastic: Joints that deflect, shape (m,), as indices of the arm.
+        deflection: Dof of each deflection, shape (m,).
+        armature: Rotor inertia of each motor joint, shape (n,), [kg·m²].
+    """
+
+    model: Any
+    motor: Index
+    elastic: Index
+    deflection: Index
+    armature: Array
+
+
+def build_arm(
+    robot: Robot, effects: Sequence[Effect], *, step: float, integrator: str
+) -> Arm:
+    """Compile an arm with the effects that MuJoCo simulates itself.
+
+    Args:
+        robot: The arm, with the friction and rotors its file declares.
+        effects: Effects; they edit the spec in the order of their ports, so that a
+            spring finds the rotor it needs.
+        step: Physics step, [s].
+        integrator: One of ``INTEGRATORS``.
+
+    Raises:
+        HybridError: The step or integrator is not valid, or MuJoCo refuses the model.
+        EffectError: An effect cannot be simulated.
+    """
+    import mujoco
+
+    if integrator not in INTEGRATORS:
+        raise HybridError(
+            f"no integrator {integrator!r}; valid are {', '.join(INTEGRATORS)}"
+        )
+    if not 1e-6 <= step <= 0.01:
+        raise HybridError(f"step is {step:g} s, valid is 1e-6 to 0.01 s")
+    check_simulable(effects, robot.size)
+    spec = robot.mujoco_spec()
+    for effect in sorted(effects, key=lambda e: list(Port).index(e.port)):
+        effect.edit_spec(spec, robot.joints)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        reason = str(error).replace("\n", " ")
+        raise HybridError(f"MuJoCo refuses {robot.name!r}: {reason}") from error
+    model.opt.timestep = step
+    model.opt.integrator = getattr(mujoco.mjtIntegrator, INTEGRATORS[integrator])
+    # A reset in mid-run would silently teleport the arm; Lockstep stops instead.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    model.opt.tolerance = 1e-12
+    for solref, solimp in (
+        (model.dof_solref, model.dof_solimp),
+        (model.tendon_solref_fri, model.tendon_solimp_fri),
+    ):
+        solref[:] = 2 * step, 1.0
+        solimp[:, :2] = _IMPEDANCE
+    return _indexed(model, robot.joints)
+
+
+def _indexed(model: Any, joints: Sequence[str]) -> Arm:
+    dof = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
+    twisted = [k for k, name in enumerate(joints) if f"{name}/deflection" in dof]
+    motor = np.array([dof[name] for name in joints], dtype=np.intp)
+    return Arm(
+        model=model,
+        motor=motor,
+        elastic=np.array(twisted, dtype=np.intp),
+        deflection=np.array(
+            [dof[f"{joints[k]}/deflection"] for k in twisted], dtype=np.intp
+        ),
+        armature=model.dof_armature[motor].copy(),
+    )
+
+
+def has_hook(effect: Effect) -> bool:
+    """Whether the effect's class says itself how a plant realises it."""
+    return any(
+        getattr(type(effect), name) is not getattr(Effect, name) for name in _HOOKS
+    )
+
+
+def check_simulable(effects: Sequence[Effect], size: int) -> None:
+    """Check that every effect has a realisation and joints of an arm of n joints.
+
+    Raises:
+        EffectError: It has neither a hook nor a law, or a joint out of range.
+    """
+    for effect in effects:
+        if not (has_hook(effect) or isinstance(effect, JointEffect)):
+            raise EffectError(
+                f"{effect.id} cannot be simulated: it is no JointEffect and overrides "
+                f"none of {', '.join(_HOOKS)}"
+            )
+        if not all(0 <= j < size for j in effect.joints):
+            raise EffectError(
+                f"{effect.id} acts on joints {effect.joints}, the arm has {size}"
+            )
+
+
+def inverse_dynamics(robot: Robot, q: Array, v: Array, a: Array) -> Array:
+    """Torque of rigid body and rotors along a motion, without any friction.
+
+    Args:
+        robot: The arm.
+        q: Position, shape (N, n), [rad].
+        v: Speed, shape (N, n), [rad/s].
+        a: Acceleration, shape (N, n), [rad/s²].
+
+    Returns:
+        Torque, shape (N, n), [N·m].
+    """
+    import mujoco
+
+    model = robot.mujoco_spec().compile()
+    model.dof_damping[:] = model.dof_frictionloss[:] = 0.0
+    data = mujoco.MjData(model)
+    torque = np.empty_like(q)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
+        mujoco.mj_inverse(model, data)
+        torque[k] = data.qfrc_inverse
+    return torque

@@ -1,0 +1,115 @@
+"""Laws of many joints and trajectories, evaluated together once per step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from hybrid.effects import Effect, JointEffect, JointState, Port
+from hybrid.plant.arm import Index, has_hook
+from hybrid.robot.chain import Array
+
+Side = Literal["dry", "drive", "link"]
+
+
+@dataclass(frozen=True)
+class _Group:
+    """One law at k different joints."""
+
+    law: Callable[..., Sequence[Array]]
+    side: Side
+    joints: tuple[int, ...]
+    where: slice | Index
+    gains: tuple[Array | None, ...]  # (k,) each, None where all are zero
+    shapes: dict[str, Array]  # (k,) each
+
+    def torque(self, state: JointState) -> Any:
+        """Torque at the group's joints, shape (B, k), [N·m]."""
+        terms = zip(self.gains, self.law(state, **self.shapes), strict=True)
+        return sum(gain * term for gain, term in terms if gain is not None)
+
+
+class Laws:
+    """The summed laws of an arm of n joints along B trajectories.
+
+    Attributes:
+        dry: Torque of dry friction in the direction of motion, shape (B, n), [N·m].
+        drive: Other torque of the drives, shape (B, n), [N·m].
+        link: Torque of the environment on the links, shape (B, n), [N·m].
+    """
+
+    def __init__(self, effects: Sequence[Effect], batch: int, size: int) -> None:
+        laws = [e for e in effects if isinstance(e, JointEffect) and not has_hook(e)]
+        self._groups = [_group(alike) for alike in _alike(laws)]
+        self.dry = np.zeros((batch, size))
+        self.drive = np.zeros((batch, size))
+        self.link = np.zeros((batch, size))
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    def evaluate(self, motor: JointState, link: JointState) -> None:
+        """Set the three sums from the state on either side of the transmission.
+
+        Args:
+            motor: State of the motors, arrays of shape (B, n).
+            link: State of the links, arrays of shape (B, n).
+        """
+        parts: dict[tuple[bool, tuple[int, ...]], JointState] = {}
+        for total in (self.dry, self.drive, self.link):
+            total.fill(0.0)
+        for group in self._groups:
+            key = (group.side == "link", group.joints)
+            if key not in parts:
+                parts[key] = _part(link if key[0] else motor, group.where)
+            getattr(self, group.side)[:, group.where] += group.torque(parts[key])
+
+
+def _alike(laws: Sequence[JointEffect]) -> list[list[JointEffect]]:
+    """Effects of one class, in groups in which no joint occurs twice."""
+    groups: list[list[JointEffect]] = []
+    for effect in laws:
+        for group in groups:
+            taken = {e.joints for e in group}
+            if type(group[0]) is type(effect) and effect.joints not in taken:
+                group.append(effect)
+                break
+        else:
+            groups.append([effect])
+    return groups
+
+
+def _group(effects: Sequence[JointEffect]) -> _Group:
+    effects = sorted(effects, key=lambda e: e.joints)
+    first = effects[0]
+    joints = np.array([e.joints[0] for e in effects])
+    contiguous = joints[-1] - joints[0] == len(joints) - 1
+    gains = np.array([e.gain_values for e in effects]).T  # (p, k)
+    shapes = {
+        s.name: np.array([e.values[s.name] for e in effects]) for s in first.shapes
+    }
+    if first.dry and "width" in shapes:
+        # A width smooths the sign for a fit. Here the constraint solver does the
+        # sticking, and needs the full level down to standstill.
+        shapes["width"] = np.zeros(len(effects))
+    link = first.port is Port.ENVIRONMENT
+    return _Group(
+        law=first.law,
+        side="dry" if first.dry else "link" if link else "drive",
+        joints=tuple(joints.tolist()),
+        where=slice(int(joints[0]), int(joints[-1]) + 1) if contiguous else joints,
+        gains=tuple(g if g.any() else None for g in gains),
+        shapes=shapes,
+    )
+
+
+def _part(state: JointState, where: slice | Index) -> JointState:
+    if isinstance(where, slice) and where == slice(0, state.q.shape[1]):
+        return state
+    return JointState(
+        state.t[:, where], state.q[:, where], state.v[:, where],
+        state.a[:, where], state.sign[:, where], state.load[:, where],
+    )  # fmt: skip

@@ -1,0 +1,218 @@
+"""The simulated arm that data comes from."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hybrid.effects import Effect
+from hybrid.errors import HybridError, HybridWarning
+from hybrid.plant.arm import Arm, build_arm
+from hybrid.plant.lockstep import Lockstep
+from hybrid.plant.noise import Noise
+from hybrid.plant.reference import Reference
+from hybrid.plant.servo import Servo
+from hybrid.recording.recording import Recording
+from hybrid.robot.chain import Array
+from hybrid.robot.robot import Robot
+
+# The arm waits this long at the start of a motion, so that the servo has taken up
+# gravity and friction before the record begins.
+_SETTLE = 0.5  # s
+_OFTEN_SATURATED = 0.01
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A MuJoCo arm with effects, a controller and sensors.
+
+    It is the robot file, with the friction and rotors that the file declares, plus the
+    effects. What it logs as torque is what the drives believe to deliver, at the
+    instant at which position and speed are logged.
+
+    Attributes:
+        robot: The arm as it really is.
+        effects: What the robot file does not know.
+        nominal: The arm that the controller believes in; ``robot`` by default.
+        noise: Sensors; usual ones by default.
+        servo: Controller; tuned to the arm by default, feeding the dynamics of
+            ``nominal`` forward.
+        step: Physics step, [s].
+        control_rate: Samples of the controller per second, [Hz].
+        log_rate: Samples of the recording per second, [Hz].
+        integrator: ``implicitfast``, ``implicit``, ``euler`` or ``rk4``.
+
+    Raises:
+        HybridError: The rates do not divide each other, or the arm cannot be built.
+    """
+
+    robot: Robot
+    effects: Sequence[Effect] = ()
+    nominal: Robot | None = None
+    noise: Noise | None = None
+    servo: Servo | None = None
+    step: float = 0.0005
+    control_rate: float = 1000.0
+    log_rate: float = 500.0
+    integrator: str = "implicitfast"
+    arm: Arm = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "effects", tuple(self.effects))
+        arm = build_arm(
+            self.robot, self.effects, step=self.step, integrator=self.integrator
+        )
+        set_(self, "arm", arm)
+        _ratio("control_rate", 1.0 / self.step, self.control_rate)
+        _ratio("log_rate", self.control_rate, self.log_rate)
+        if self.nominal is None:
+            set_(self, "nominal", self.robot)
+        if self.noise is None:
+            set_(self, "noise", Noise.typical(self.robot))
+        if self.servo is None:
+            period = 1.0 / self.control_rate
+            set_(self, "servo", Servo.tuned(arm, self._nominal, period=period))
+        n = self.robot.size
+        if len(self._noise.torque_covariance) != n or len(self._servo.kp) != n:
+            raise HybridError(f"noise and servo need {n} joints, as the robot has")
+
+    # Never None after construction; the fields are optional for the caller only.
+
+    @property
+    def _nominal(self) -> Robot:
+        assert self.nominal is not None
+        return self.nominal
+
+    @property
+    def _noise(self) -> Noise:
+        assert self.noise is not None
+        return self.noise
+
+    @property
+    def _servo(self) -> Servo:
+        assert self.servo is not None
+        return self.servo
+
+    def run(
+        self, references: Sequence[Reference], *, rng: np.random.Generator
+    ) -> list[Recording]:
+        """Follow references, all in lockstep, and log.
+
+        Args:
+            references: Motions to follow, B of them, of any lengths.
+            rng: Source of the noise; the motion itself is not random.
+
+        Returns:
+            One recording for each reference.
+
+        Raises:
+            HybridError: A reference has other joints, or the simulation diverges.
+
+        Warns:
+            HybridWarning: A drive was at its torque limit for a noticeable time.
+        """
+        n = self.robot.size
+        if not references or any(r.q.shape[1] != n for r in references):
+            raise HybridError(f"one reference or more of {n} joints is needed")
+        clock, signals = self._simulate(references)
+        return [
+            self._record(k, reference, clock, signals, child)
+            for k, (reference, child) in enumerate(
+                zip(references, rng.spawn(len(references)), strict=True)
+            )
+        ]
+
+    def _simulate(
+        self, references: Sequence[Reference]
+    ) -> tuple[Array, dict[str, Array]]:
+        """Clock (N,) and the true signals, shape (N, B, n), of the longest run."""
+        servo, every = self._servo, round(self.control_rate / self.log_rate)
+        substeps = round(1.0 / (self.step * self.control_rate))
+        before = round(_SETTLE * self.control_rate)
+        samples = 1 + max(_samples(r, self.log_rate) for r in references)
+        t = (np.arange((samples - 1) * every + 1 + before) - before) / self.control_rate
+        plans = [servo.plan(reference, t) for reference in references]
+        q_ref, v_ref, feed = (np.stack(x, axis=1) for x in zip(*plans, strict=True))
+        state = Lockstep(self.arm, self.effects, q_ref[0])
+        weight, lead = self._alignment(substeps)
+        log = {x: np.empty((samples, *q_ref.shape[1:])) for x in ("q", "v", "tau")}
+        torque, saturated = feed[0], np.zeros(self.robot.size)
+        for k in range(len(t)):
+            wanted = feed[k] + servo.kp * (q_ref[k] - state.q)
+            wanted += servo.kd * (v_ref[k] - state.v)
+            previous, torque = torque, np.clip(wanted, -servo.limit, servo.limit)
+            saturated += (torque != wanted).sum(axis=0)
+            sample, rest = divmod(k - before, every)
+            if sample >= 0 and rest == 0:
+                log["q"][sample] = state.q
+                log["v"][sample] = state.v + lead * state.a
+                log["tau"][sample] = weight * previous + (1 - weight) * torque
+            state.step(torque, substeps)
+        self._warn_of_saturation(saturated / (len(t) * len(references)))
+        return t[before::every], log | {"command": q_ref[before::every]}
+
+    def _alignment(self, substeps: int) -> tuple[float, float]:
+        """How to bring the logged torque and speed to the instant of the position.
+
+        The semi-implicit step relates the torque of step k to the second difference of
+        position *around* sample k. A torque held over m steps is thus centred
+        (m − 1)/2 steps after its first, and mixing in (m − 1)/2m of the previous one
+        centres the sum on the sample. Speed lags by half a step. Runge-Kutta steps
+        use the torque in between samples and know the speed at them.
+
+        Returns:
+            Weight of the previous torque, and time to advance the speed by [s].
+        """
+        if self.integrator == "rk4":
+            return 0.5, 0.0
+        return (substeps - 1) / (2 * substeps), self.step / 2
+
+    def _record(
+        self,
+        k: int,
+        reference: Reference,
+        clock: Array,
+        signals: dict[str, Array],
+        rng: np.random.Generator,
+    ) -> Recording:
+        samples = 1 + _samples(reference, self.log_rate)
+        t = clock[:samples]
+        log = {name: signals[name][:samples, k] for name in ("q", "v", "tau")}
+        for effect in self.effects:
+            log = effect.measure(t, log)
+        log = self._noise.apply(log, rate=self.log_rate, rng=rng)
+        return Recording(
+            t=t.copy(),
+            q=log["q"],
+            tau=log["tau"],
+            v=log["v"],
+            command=signals["command"][:samples, k].copy(),
+            joints=self.robot.joints,
+            source=f"simulated {self.robot.name}, trajectory {k + 1}",
+        )
+
+    def _warn_of_saturation(self, share: Array) -> None:
+        for name, part in zip(self.robot.joints, share, strict=True):
+            if part > _OFTEN_SATURATED:
+                warnings.warn(
+                    f"the drive of {name!r} was at its torque limit for {part:.0%} of "
+                    "the time; use a slower reference",
+                    HybridWarning,
+                    stacklevel=4,
+                )
+
+
+def _samples(reference: Reference, rate: float) -> int:
+    return round(float(reference.t[-1]) * rate)
+
+
+def _ratio(name: str, faster: float, slower: float) -> None:
+    ratio = faster / slower if slower > 0 else 0.0
+    if not (ratio >= 0.999 and np.isclose(ratio, round(ratio), rtol=1e-6)):
+        raise HybridError(
+            f"{name} is {slower:g} Hz, {faster:g} Hz divided by a whole number is valid"
+        )

@@ -1,0 +1,169 @@
+"""Reference motions: what the controller is asked to follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.errors import HybridError
+from hybrid.robot.chain import Array
+from hybrid.robot.robot import Robot
+
+# What stands in for a limit that a robot file does not state.
+DEFAULT_POSITION = np.pi
+DEFAULT_SPEED = 2.0
+DEFAULT_ACCELERATION = 10.0
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A desired motion on a uniform clock.
+
+    Attributes:
+        t: Time from 0, uniform, shape (N,), [s].
+        q: Position, shape (N, n), [rad].
+        v: Speed, shape (N, n), [rad/s].
+        a: Acceleration, shape (N, n), [rad/s²].
+
+    Raises:
+        HybridError: Shapes disagree, a sample is not finite, or the clock is not
+            uniform from 0.
+    """
+
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+
+    def __post_init__(self) -> None:
+        shape = (len(self.t), *self.q.shape[1:])
+        if self.t.ndim != 1 or len(shape) != 2 or len(self.t) < 2:
+            raise HybridError("a reference needs t of shape (N,) and q of shape (N, n)")
+        for name in ("q", "v", "a"):
+            x = getattr(self, name)
+            if x.shape != shape or not np.isfinite(x).all():
+                raise HybridError(
+                    f"reference {name} needs finite samples of shape {shape}"
+                )
+        clock = np.linspace(0.0, self.t[-1], len(self.t))
+        if not (self.t[-1] > 0 and np.allclose(self.t, clock, atol=1e-9)):
+            raise HybridError("the clock of a reference must be uniform from t = 0")
+
+    @property
+    def rate(self) -> float:
+        """Samples per second, [Hz]."""
+        return float((len(self.t) - 1) / self.t[-1])
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Position and speed at other times; outside the clock the arm stands still.
+
+        Args:
+            t: Times, shape (M,), [s].
+
+        Returns:
+            Position [rad] and speed [rad/s], each of shape (M, n).
+        """
+        from scipy.interpolate import CubicHermiteSpline
+
+        spline = CubicHermiteSpline(self.t, self.q, self.v)
+        inside = np.clip(t, 0.0, self.t[-1])
+        moving = (inside == t)[:, None]
+        return spline(inside), np.where(moving, spline(inside, 1), 0.0)
+
+
+def random_fourier(
+    robot: Robot,
+    *,
+    duration: float,
+    rate: float,
+    rng: np.random.Generator,
+    order: int = 5,
+    fundamental: float | None = None,
+    fill: float = 0.7,
+) -> Reference:
+    """A random Fourier-series motion within the limits of an arm.
+
+    Every joint moves as a sum of ``order`` harmonics, so that slow motion, reversals
+    and fast motion occur in one record. The coefficients are drawn at random, then
+    projected on those that start at rest: since the series is periodic and the
+    duration a whole number of periods, the motion starts *and* ends with zero speed
+    and acceleration, and holds no frequency above the last harmonic. Each joint is
+    scaled until it fills the stated fraction of its tightest limit, and centred at
+    random in what is left of its range. See Swevers et al. 1997,
+    doi 10.1109/70.631234.
+
+    Args:
+        robot: The arm; a limit it does not state is taken as ±π rad, 2 rad/s and
+            10 rad/s².
+        duration: Length of the motion, [s].
+        rate: Samples per second, [Hz].
+        rng: Source of the coefficients.
+        order: Number of harmonics, at least 3.
+        fundamental: Lowest frequency, [Hz]; rounded to a whole number of periods in
+            the duration. By default 0.1 Hz, or one period if the motion is shorter.
+        fill: Fraction of the limits to use, above 0 up to 1.
+
+    Raises:
+        HybridError: An argument is out of range.
+    """
+    _check(duration=duration, rate=rate, order=order, fill=fill)
+    lowest = max(0.1, 1.0 / duration) if fundamental is None else fundamental
+    periods = max(1, round(duration * lowest))
+    omega = 2 * np.pi * periods / duration * np.arange(1.0, order + 1)  # (order,)
+    t = np.linspace(0.0, duration, round(duration * rate) + 1)
+    sine, cosine = _coefficients(omega, robot.size, rng)
+    s, c = np.sin(np.outer(t, omega)), np.cos(np.outer(t, omega))  # (N, order)
+    v = s @ sine + c @ cosine
+    a = (c * omega) @ sine - (s * omega) @ cosine
+    q = (s / omega) @ cosine - (c / omega) @ sine
+    q -= (q.max(axis=0) + q.min(axis=0)) / 2
+    low, high, fastest, strongest = limits(robot)
+    room = fill * (high - low) / 2
+    ratios = (
+        room / np.abs(q).max(axis=0),
+        fill * fastest / np.abs(v).max(axis=0),
+        fill * strongest / np.abs(a).max(axis=0),
+    )
+    scale = np.minimum.reduce(ratios)
+    q, v, a = q * scale, v * scale, a * scale
+    spare = room - np.abs(q).max(axis=0)
+    center = (low + high) / 2 + spare * rng.uniform(-1.0, 1.0, robot.size)
+    return Reference(t, center + q, v, a)
+
+
+def limits(robot: Robot) -> tuple[Array, Array, Array, Array]:
+    """Position (low, high), speed and acceleration limits, defaults filled in.
+
+    Returns:
+        Four arrays of shape (n,), in [rad], [rad], [rad/s] and [rad/s²].
+    """
+    low = np.where(np.isfinite(robot.q_min), robot.q_min, -DEFAULT_POSITION)
+    high = np.where(np.isfinite(robot.q_max), robot.q_max, DEFAULT_POSITION)
+    # One limit only: the default range lies beside it.
+    high = np.maximum(high, np.where(np.isfinite(robot.q_max), high, low + np.pi))
+    low = np.minimum(low, np.where(np.isfinite(robot.q_min), low, high - np.pi))
+    fastest = np.where(np.isfinite(robot.v_max), robot.v_max, DEFAULT_SPEED)
+    strongest = np.where(np.isfinite(robot.a_max), robot.a_max, DEFAULT_ACCELERATION)
+    return low, high, fastest, strongest
+
+
+def _coefficients(
+    omega: Array, size: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Random speed amplitudes of sine and cosine with v(0) = a(0) = 0."""
+    sine, cosine = rng.standard_normal((2, len(omega), size))
+    sine -= np.outer(omega, omega @ sine) / (omega @ omega)  # a(0) = Σ ω s
+    cosine -= cosine.mean(axis=0)  # v(0) = Σ c
+    return sine, cosine
+
+
+def _check(*, duration: float, rate: float, order: int, fill: float) -> None:
+    if not (np.isfinite(duration) and duration > 0):
+        raise HybridError(f"duration is {duration:g} s, above 0 is valid")
+    if not (np.isfinite(rate) and rate * duration >= 10):
+        raise HybridError(f"rate is {rate:g} Hz, at least 10 samples are needed")
+    if order < 3:
+        raise HybridError(f"order is {order}, 3 harmonics or more are valid")
+    if not 0 < fill <= 1:
+        raise HybridError(f"fill is {fill:g}, above 0 up to 1 is valid")

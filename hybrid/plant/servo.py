@@ -1,0 +1,129 @@
+"""The controller: feed-forward of the nominal arm and PD on the motors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hybrid.errors import HybridError
+from hybrid.plant.arm import Arm, inverse_dynamics
+from hybrid.plant.noise import rated_torque
+from hybrid.plant.reference import Reference
+from hybrid.robot.chain import Array
+from hybrid.robot.robot import Robot
+
+# Damping times period over rotor inertia: a sampled servo is unstable at 2.
+_LARGEST_STEP = 1.0
+# The servo is at least so stiff that usual friction, this part of the rated torque,
+# moves a joint by no more than this angle; gains from inertia alone leave the wrists
+# of files without rotors stuck.
+_FRICTION, _DROOP = 0.05, 0.02  # 1, rad
+_POSTURES = 20
+
+
+@dataclass(frozen=True)
+class Servo:
+    """Feed-forward and PD controller of n joints, saturated, held between samples.
+
+    It reads the motors' own encoders, which are finer than what is logged.
+
+    Attributes:
+        kp: Stiffness, shape (n,), [N·m/rad].
+        kd: Damping, shape (n,), [N·m·s/rad].
+        limit: Largest torque, shape (n,), [N·m]; inf for none.
+        feedforward: Arm whose inverse dynamics along the reference is added, or None.
+    """
+
+    kp: Array
+    kd: Array
+    limit: Array
+    feedforward: Robot | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("kp", "kd", "limit"):
+            x = np.asarray(getattr(self, name), dtype=float)
+            if x.shape != np.shape(self.kp) or x.ndim != 1 or not (x >= 0).all():
+                raise HybridError(f"servo {name} needs one value, 0 or above, a joint")
+            object.__setattr__(self, name, x)
+
+    @classmethod
+    def tuned(
+        cls,
+        arm: Arm,
+        robot: Robot,
+        *,
+        period: float,
+        frequency: float = 8.0,
+        damping: float = 1.0,
+    ) -> Servo:
+        """Gains for a natural frequency at each joint's largest inertia, or higher.
+
+        They are raised where usual friction would stop the joint, and stay low enough
+        for the rotor alone: behind an elastic joint the motor moves without its link.
+
+        Args:
+            arm: The arm to control.
+            robot: The arm that the controller believes in.
+            period: Time between control samples, [s].
+            frequency: Natural frequency, [Hz].
+            damping: Damping ratio.
+        """
+        asked = 2 * np.pi * frequency
+        whole, alone = _inertia(arm)
+        stable = _LARGEST_STEP * alone / (2 * damping * period)  # omega · inertia
+        inertia = np.minimum(whole, stable / asked)
+        stiff = _FRICTION / _DROOP * rated_torque(robot)
+        omega = np.maximum(asked, np.sqrt(stiff / inertia))
+        omega = np.minimum(omega, stable / inertia)
+        return cls(
+            kp=omega**2 * inertia,
+            kd=2 * damping * omega * inertia,
+            limit=robot.tau_max,
+            feedforward=robot,
+        )
+
+    def without_feedforward(self) -> Servo:
+        """The same gains, PD only."""
+        return replace(self, feedforward=None)
+
+    def plan(self, reference: Reference, t: Array) -> tuple[Array, Array, Array]:
+        """Position, speed and feed-forward torque at the control samples.
+
+        Args:
+            reference: The motion to follow; the arm waits at its ends.
+            t: Times of the control samples, shape (M,), [s].
+
+        Returns:
+            Three arrays of shape (M, n): [rad], [rad/s], [N·m].
+        """
+        q, v = reference.at(t)
+        if self.feedforward is None:
+            return q, v, np.zeros_like(q)
+        torque = inverse_dynamics(
+            self.feedforward, reference.q, reference.v, reference.a
+        )
+        columns = [np.interp(t, reference.t, column) for column in torque.T]
+        return q, v, np.stack(columns, axis=1)
+
+
+def _inertia(arm: Arm) -> tuple[Array, Array]:
+    """Each motor's largest inertia with all other joints held, and smallest with none.
+
+    Both over a few postures, shape (n,), [kg·m²].
+    """
+    import mujoco
+
+    model: Any = arm.model
+    data = mujoco.MjData(model)
+    full = np.zeros((model.nv, model.nv))
+    rng = np.random.default_rng(0)
+    held, free = [], []
+    for _ in range(_POSTURES):
+        data.qpos[arm.motor] = rng.uniform(-np.pi, np.pi, len(arm.motor))
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        held.append(full.diagonal()[arm.motor].copy())
+        free.append(1.0 / np.linalg.inv(full).diagonal()[arm.motor])
+    return np.max(held, axis=0), np.min(free, axis=0)

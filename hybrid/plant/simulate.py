@@ -1,0 +1,66 @@
+"""The public verb: motions of a simulated arm, as recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hybrid.effects import Effect
+from hybrid.errors import HybridError
+from hybrid.plant.noise import Noise
+from hybrid.plant.plant import Plant
+from hybrid.plant.reference import random_fourier
+from hybrid.recording.recording import Recording
+from hybrid.robot.robot import Robot
+
+
+def simulate(
+    robot: Robot | Plant,
+    effects: Sequence[Effect] = (),
+    *,
+    trajectories: int = 4,
+    duration: float = 10.0,
+    seed: int = 0,
+    noise: Noise | None = None,
+    fill: float = 0.7,
+    log_rate: float = 500.0,
+) -> list[Recording]:
+    """Simulate random motions of an arm with effects that its file does not know.
+
+    Args:
+        robot: The arm; or a plant, which has its effects, noise and rates already.
+        effects: Effects to add.
+        trajectories: Number of motions.
+        duration: Length of each, [s].
+        seed: Seed of motions and noise; the same seed gives the same arrays.
+        noise: Sensors; usual ones by default (see :meth:`Noise.typical`).
+        fill: Fraction of the arm's position, speed and acceleration limits to use.
+        log_rate: Samples per second of the recordings, [Hz].
+
+    Returns:
+        One recording a trajectory.
+
+    Raises:
+        HybridError: An argument is out of range, or an effect cannot be simulated.
+    """
+    if trajectories < 1:
+        raise HybridError(f"trajectories is {trajectories}, 1 or more is valid")
+    if isinstance(robot, Plant):
+        if effects or noise is not None:
+            raise HybridError("a plant has its own effects and noise; pass a robot")
+        plant = robot
+    else:
+        plant = Plant(robot, effects, noise=noise, log_rate=log_rate)
+    motion_rng, noise_rng = np.random.default_rng(seed).spawn(2)
+    references = [
+        random_fourier(
+            plant.nominal or plant.robot,
+            duration=duration,
+            rate=plant.log_rate,
+            rng=child,
+            fill=fill,
+        )
+        for child in motion_rng.spawn(trajectories)
+    ]
+    return plant.run(references, rng=noise_rng)

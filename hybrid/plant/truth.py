@@ -1,0 +1,132 @@
+"""A documented truth: the plant that a YAML file describes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hybrid.effects import effect_from_dict
+from hybrid.errors import HybridError
+from hybrid.plant.noise import Noise
+from hybrid.plant.plant import Plant
+from hybrid.robot.chain import Array
+from hybrid.robot.robot import Robot
+from hybrid.robot.spatial import central_inertia, inertial_about
+
+_KEYS = ("robot", "inertial", "effects", "noise", "plant")
+_MULTIPLIERS = ("mass", "first_moment", "inertia")
+_NOISE = (
+    "torque_std", "torque_correlation", "position_resolution", "position_std",
+    "speed_std", "correlation_time",
+)  # fmt: skip
+_PLANT = ("step", "control_rate", "log_rate", "integrator")
+
+
+def load_truth(path: str | Path) -> tuple[Robot, Plant]:
+    """Read a nominal robot and the plant that differs from it.
+
+    The file names the ``robot`` (relative to itself), multipliers of its links'
+    ``inertial`` parameters (``joint``, and any of ``mass``, ``first_moment`` and
+    ``inertia``, the last about the centre of mass), its ``effects`` (as in
+    :meth:`Effect.as_dict`), the ``noise`` (``torque_std`` [N·m],
+    ``torque_correlation``, ``position_resolution`` and ``position_std`` [rad],
+    ``speed_std`` [rad/s], ``correlation_time`` [s]; one value for each joint, or one
+    for all) and rates of the ``plant``. Only ``robot`` is needed.
+
+    Args:
+        path: YAML file.
+
+    Returns:
+        The nominal robot, and the plant. Its controller knows the nominal robot only.
+
+    Raises:
+        HybridError: The file cannot be read, or says something that is not valid.
+    """
+    path = Path(path)
+    content = _mapping(_read(path), _KEYS, str(path))
+    if "robot" not in content:
+        raise HybridError(f"{path}: no robot")
+    nominal = Robot.load(path.parent / str(content["robot"]))
+    try:
+        real = _perturbed(nominal, content.get("inertial") or ())
+        effects = [
+            effect_from_dict(_mapping(item, None, "an effect"), nominal.joints)
+            for item in content.get("effects") or ()
+        ]
+        noise = _noise(content.get("noise"), nominal)
+        options = _mapping(content.get("plant") or {}, _PLANT, "plant")
+        plant = Plant(real, effects, nominal=nominal, noise=noise, **options)
+    except HybridError as error:
+        raise type(error)(f"{path}: {error}") from error
+    except (TypeError, ValueError) as error:
+        raise HybridError(f"{path}: {error}") from error
+    return nominal, plant
+
+
+def _read(path: Path) -> Any:
+    import yaml
+
+    try:
+        return yaml.safe_load(path.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        raise HybridError(f"{path}: not a readable YAML file ({reason})") from error
+
+
+def _mapping(content: Any, keys: Sequence[str] | None, where: str) -> dict[str, Any]:
+    if not isinstance(content, Mapping):
+        raise HybridError(f"{where} needs names with values, not {content!r:.40}")
+    strange = [str(key) for key in content if keys is not None and key not in keys]
+    if strange:
+        raise HybridError(
+            f"{where}: unknown {', '.join(strange)}; valid are {', '.join(keys or ())}"
+        )
+    return dict(content)
+
+
+def _perturbed(robot: Robot, items: Any) -> Robot:
+    """The arm with multiplied link parameters."""
+    inertial = robot.chain.inertial.copy()
+    if not isinstance(items, Sequence):
+        raise HybridError("inertial needs a list of joints with multipliers")
+    for entry in items:
+        item = _mapping(entry, ("joint", *_MULTIPLIERS), "inertial")
+        k = robot.joint_index(str(item.get("joint")))
+        mass_by, moment_by, inertia_by = (
+            float(item.get(key, 1.0)) for key in _MULTIPLIERS
+        )
+        if not min(mass_by, moment_by, inertia_by) > 0:
+            raise HybridError("multipliers of inertial parameters must be above 0")
+        mass, center, inertia = central_inertia(inertial[k])
+        inertial[k] = inertial_about(
+            mass * mass_by, center * moment_by / mass_by, inertia * inertia_by
+        )
+    return robot.with_inertial(inertial)
+
+
+def _noise(content: Any, robot: Robot) -> Noise:
+    if content is None:
+        return Noise.typical(robot)
+    item = _mapping(content, _NOISE, "noise")
+    n = robot.size
+
+    def each(key: str) -> Array:
+        value = np.asarray(item.get(key, 0.0), dtype=float)
+        if value.shape not in ((), (n,)):
+            raise HybridError(f"noise: {key} needs one value, or one for each joint")
+        return np.broadcast_to(value, (n,)).copy()
+
+    std = each("torque_std")
+    correlation = np.asarray(item.get("torque_correlation", np.eye(n)), dtype=float)
+    if correlation.shape != (n, n):
+        raise HybridError(f"noise: torque_correlation needs {n} rows of {n} values")
+    return Noise(
+        torque_covariance=np.outer(std, std) * correlation,
+        position_resolution=each("position_resolution"),
+        position_std=each("position_std"),
+        speed_std=each("speed_std"),
+        correlation_time=float(item.get("correlation_time", Noise.correlation_time)),
+    )

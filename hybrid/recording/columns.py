@@ -1,0 +1,207 @@
+"""The names that columns of a log may have, and where each column belongs."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hybrid.errors import HybridWarning, RecordingError
+from hybrid.recording.recording import (
+    CHANNELS,
+    joint_mismatch,
+    numbered_joints,
+)
+
+TIME = ("t", "time", "timestamp", "time_s", "t_s")
+WORDS = {
+    "q": ("q", "pos", "position"),
+    "tau": ("tau", "torque", "effort"),
+    "v": ("v", "dq", "qd", "vel", "velocity", "speed"),
+    "command": ("command", "cmd", "qref", "q_ref", "qcmd", "q_cmd", "reference"),
+    "temperature": ("temperature", "temp"),
+}
+_CHANNEL = {word: channel for channel, words in WORDS.items() for word in words}
+_LONGEST_FIRST = "|".join(sorted(map(re.escape, _CHANNEL), key=len, reverse=True))
+_NUMBERED = re.compile(rf"({_LONGEST_FIRST})[_. ]?\[?(\d+)\]?", re.IGNORECASE)
+_NAMED = re.compile(rf"({_LONGEST_FIRST})(?:[_. ](.+?)|\[(.+?)\])", re.IGNORECASE)
+_UNIT = re.compile(r"\s*[\[(]([^\[\]()\d]+)[\])]$")
+_WRONG_UNIT = re.compile(r"([Dd]eg|[Dd]egrees?|°|mm)(/.*)?|[mµun]s|m?A|mN[.·*]?m")
+_TIME_UNIT = re.compile(r"(?:t|time|timestamp)_([mun]s)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which column of a table holds what.
+
+    Attributes:
+        time: Index of the column of time.
+        channels: Indices of the columns of each channel, in the order of the joints.
+        joints: Joint names.
+    """
+
+    time: int
+    channels: dict[str, tuple[int, ...]]
+    joints: tuple[str, ...]
+
+    @property
+    def used(self) -> tuple[int, ...]:
+        """Indices of all columns that are read."""
+        return (self.time, *(k for column in self.channels.values() for k in column))
+
+
+@dataclass(frozen=True)
+class _Column:
+    index: int
+    label: str
+    channel: str
+    number: int | None  # from the name: 1 is the first, unless the file counts from 0
+    joint: str | None
+
+
+def match_columns(
+    labels: Sequence[str], *, joints: tuple[str, ...] | None, source: str
+) -> Layout:
+    """Find time and the joint channels among the labels of a table.
+
+    A label is a word of ``WORDS`` followed by a joint number (``q1``, ``q_1``) or
+    a joint name (``q_elbow``; the ending ``_joint`` of a name may be left out).
+    Numbers are taken in order, from 1 or from 0; names are put in the order of
+    ``joints``. Without it, names keep the order of their first channel.
+
+    Args:
+        labels: Column labels.
+        joints: Joint names of the robot, base to tip; None if not known.
+        source: File name for messages.
+
+    Raises:
+        RecordingError: Time, positions or torques are missing, a label is repeated, a
+            unit is not SI, or the joints are not those of the robot.
+
+    Warns:
+        HybridWarning: Columns were ignored; they are listed.
+    """
+    labels = [_without_unit(label.strip(), source) for label in labels]
+    time = [k for k, label in enumerate(labels) if label.lower() in TIME]
+    if len(time) != 1:
+        what = "no column of time" if not time else "more than one column of time"
+        raise RecordingError(
+            f"{source}: {what} among {_listed(labels)}; valid is one of "
+            f"{', '.join(TIME)}, in seconds"
+        )
+    columns = _joint_columns(labels)
+    for channel in ("q", "tau"):
+        if not any(column.channel == channel for column in columns):
+            word = "positions" if channel == "q" else "torques"
+            raise RecordingError(
+                f"{source}: no {word} among the columns {_listed(labels)}; valid are "
+                f"{', '.join(f'{w}1 or {w}_<joint>' for w in WORDS[channel])}"
+            )
+    if joints is None:
+        joints = _joints_of(columns)
+    channels = {
+        channel: _placed([c for c in columns if c.channel == channel], joints, source)
+        for channel in CHANNELS
+        if any(c.channel == channel for c in columns)
+    }
+    layout = Layout(time=time[0], channels=channels, joints=joints)
+    ignored = [x for k, x in enumerate(labels) if x and k not in layout.used]
+    if ignored:
+        warnings.warn(
+            f"{source}: ignored columns: {', '.join(ignored)}",
+            HybridWarning,
+            stacklevel=2,
+        )
+    return layout
+
+
+def word_channel(label: str) -> str | None:
+    """The channel that a bare word such as ``effort`` stands for, or None."""
+    return _CHANNEL.get(label.lower())
+
+
+def _without_unit(label: str, source: str) -> str:
+    unit = _UNIT.search(label) if not label.startswith("[") else None
+    text = unit.group(1).strip() if unit else ""
+    in_name = _TIME_UNIT.fullmatch(label) or re.fullmatch(r".+_(deg)", label)
+    if in_name:
+        text = in_name.group(1)
+    if _WRONG_UNIT.fullmatch(text):
+        raise RecordingError(
+            f"{source}: column {label!r} is in {text}; valid are s, rad, rad/s and N·m "
+            "(m, m/s and N for a linear joint)"
+        )
+    return label[: unit.start()] if unit else label
+
+
+def _joint_columns(labels: Sequence[str]) -> list[_Column]:
+    found = []
+    # Of an arm with one joint, columns may be called just q and tau.
+    single = any(word_channel(label) == "q" for label in labels)
+    for index, label in enumerate(labels):
+        if single and (channel := word_channel(label)):
+            found.append(_Column(index, label, channel, 1, None))
+            continue
+        if match := _NUMBERED.fullmatch(label):
+            number, joint = int(match.group(2)), None
+        elif match := _NAMED.fullmatch(label):
+            number, joint = None, match.group(2) or match.group(3)
+        else:
+            continue
+        channel = _CHANNEL[match.group(1).lower()]
+        found.append(_Column(index, label, channel, number, joint))
+    numbered = {column.channel for column in found if column.number is not None}
+    # q1..q6 beside q_motor1..q_motor6: the numbered ones are the joints
+    return [c for c in found if c.joint is None or c.channel not in numbered]
+
+
+def _joints_of(columns: list[_Column]) -> tuple[str, ...]:
+    for channel in CHANNELS:
+        names = [c.joint for c in columns if c.channel == channel and c.joint]
+        if names:
+            return tuple(dict.fromkeys(names))
+    return numbered_joints(sum(column.channel == "q" for column in columns))
+
+
+def _placed(
+    columns: list[_Column], joints: tuple[str, ...], source: str
+) -> tuple[int, ...]:
+    """Indices of the columns of one channel in the order of the joints."""
+    start = min((c.number for c in columns if c.number is not None), default=1)
+    places: dict[str, _Column] = {}
+    for column in columns:
+        joint = _joint_of(column, joints, start=min(start, 1))
+        if joint in places:
+            raise RecordingError(
+                f"{source}: columns {places[joint].label!r} and {column.label!r} are "
+                f"both {column.channel} of {joint}; valid is one column for each joint"
+            )
+        places[joint] = column
+    if places.keys() != set(joints):
+        raise RecordingError(
+            f"{source}: columns of {columns[0].channel} "
+            f"({_listed([c.label for c in columns])}): "
+            f"{joint_mismatch(tuple(places), joints)}"
+        )
+    return tuple(places[joint].index for joint in joints)
+
+
+def _joint_of(column: _Column, joints: tuple[str, ...], *, start: int) -> str:
+    if column.joint is None:
+        assert column.number is not None
+        if str(column.number) in joints:
+            return str(column.number)
+        place = column.number - start
+        return joints[place] if place < len(joints) else f"number {column.number}"
+    name = column.joint.lower()
+    for joint in joints:
+        if joint.lower() == name:
+            return joint
+    short = [joint for joint in joints if joint.lower().removesuffix("_joint") == name]
+    return short[0] if len(short) == 1 else column.joint
+
+
+def _listed(labels: Sequence[str]) -> str:
+    shown = ", ".join(labels[:12])
+    return shown if len(labels) <= 12 else f"{shown} and {len(labels) - 12} more"

@@ -1,0 +1,78 @@
+"""Figures and JSON on disk: whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybrid.errors import HybridError
+from hybrid.files import atomic_path, write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Pixels per inch of PNG files and of point clouds inside SVG files.
+RESOLUTION = 200
+
+
+def figure_bytes(figure: Figure, kind: str = "svg") -> bytes:
+    """A figure as a file's content; the same figure gives the same bytes.
+
+    Args:
+        figure: Any figure.
+        kind: ``svg``, ``png`` or ``pdf``.
+
+    Raises:
+        HybridError: There is no such kind.
+    """
+    # Without a date and with a fixed salt for its ids, a file depends on its data only.
+    timeless = {"svg": {"Date": None}, "png": {}, "pdf": {"CreationDate": None}}
+    if kind not in timeless:
+        raise HybridError(
+            f"no figure of kind {kind!r}; valid are {', '.join(timeless)}"
+        )
+    from matplotlib import rc_context
+
+    target = BytesIO()
+    with rc_context({"svg.hashsalt": "hybrid"}):
+        figure.savefig(target, format=kind, dpi=RESOLUTION, metadata=timeless[kind])
+    return target.getvalue()
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure; the suffix, ``.svg``, ``.png`` or ``.pdf``, says which kind.
+
+    Raises:
+        HybridError: There is no such kind.
+    """
+    path = Path(path)
+    content = figure_bytes(figure, path.suffix.lstrip(".").lower())
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_results(path: str | Path, content: Mapping[str, Any]) -> None:
+    """Write results for other programs; arrays become lists, NaN becomes null.
+
+    Args:
+        path: JSON file.
+        content: Nested mappings and sequences of numbers, strings and arrays.
+    """
+    write_json(path, _plain(content))
+
+
+def _plain(x: Any) -> Any:
+    """The same in types that JSON knows."""
+    if isinstance(x, Mapping):
+        return {str(key): _plain(value) for key, value in x.items()}
+    if isinstance(x, (np.ndarray, np.generic)):
+        return _plain(x.tolist())
+    if isinstance(x, (list, tuple)):
+        return [_plain(value) for value in x]
+    if isinstance(x, float) and not np.isfinite(x):
+        return None
+    return x

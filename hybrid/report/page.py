@@ -1,0 +1,115 @@
+"""One self-contained HTML page: it opens anywhere, without a network, and prints."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hybrid.files import atomic_path
+from hybrid.report.output import figure_bytes
+from hybrid.report.table import Table
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+    from matplotlib.figure import Figure
+
+_TEMPLATES = Path(__file__).parent
+
+
+@dataclass(frozen=True)
+class Section:
+    """One finding and its evidence; every part but the title may be left out.
+
+    Attributes:
+        title: Heading.
+        text: Paragraphs, with an empty line between two; not markup.
+        table: Numbers.
+        figure: A drawing.
+        caption: What the figure shows; also read out to those who cannot see it.
+        html: Markup made elsewhere, which must load nothing.
+        command: What to type to get this section's numbers again.
+    """
+
+    title: str
+    text: str = ""
+    table: Table | None = None
+    figure: Figure | None = None
+    caption: str = ""
+    html: Markup | None = None
+    command: str = ""
+
+    @property
+    def paragraphs(self) -> list[str]:
+        """The text, cut at empty lines."""
+        return [part.strip() for part in self.text.split("\n\n") if part.strip()]
+
+    @property
+    def image(self) -> str:
+        """The figure as an SVG data URI, or nothing."""
+        if self.figure is None:
+            return ""
+        # An image of its own, not inline SVG: ids of two figures cannot collide.
+        content = b64encode(figure_bytes(self.figure)).decode("ascii")
+        return f"data:image/svg+xml;base64,{content}"
+
+
+def write_page(
+    path: str | Path,
+    title: str,
+    sections: Sequence[Section],
+    *,
+    lead: str = "",
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a page; where anything fails, a page that was there before stays.
+
+    Args:
+        path: HTML file.
+        title: Heading, and title of the window.
+        sections: What the page says, in order.
+        lead: The result in a sentence or two, under the heading.
+        provenance: With what it was made, for the foot of the page; see
+            :func:`hybrid.report.provenance`.
+    """
+    content = render_page(title, sections, lead=lead, provenance=provenance)
+    with atomic_path(Path(path)) as temporary:
+        temporary.write_text(content, encoding="utf-8")
+
+
+def render_page(
+    title: str,
+    sections: Sequence[Section],
+    *,
+    lead: str = "",
+    provenance: Mapping[str, Any] | None = None,
+) -> str:
+    """The page that :func:`write_page` writes."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html").render(
+        title=title,
+        lead=lead,
+        sections=sections,
+        provenance=list(_flat(provenance or {})),
+    )
+
+
+def _flat(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Names and values for the foot; a mapping inside becomes one line."""
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            yield name, ", ".join(f"{k} {x}" for k, x in value.items())
+        elif isinstance(value, (list, tuple)):
+            yield name, ", ".join(map(str, value))
+        else:
+            yield name, str(value)

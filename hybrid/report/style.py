@@ -1,0 +1,116 @@
+"""How figures look: few inks, small type, no box around the data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.errors import HybridError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+BLACK = "#1a1a1a"
+GREY = "#8c8c8c"
+PALE = "#bdbdbd"
+BLUE = "#0072b2"
+RED = "#d55e00"
+
+# From light to dark as the model grows: greys for the rigid body alone, then blues.
+STAGES = ("#d9d9d9", "#b8b8b8", "#8c8c8c", "#4a97c9", "#08519c")
+# On top of a broad grey line; the last prediction, the best one, is dark blue.
+BEST = "#08519c"
+OTHERS = ("#e69f00", "#56b4e9")
+
+WIDTH = 7.2  # inches: the text width of a page
+
+
+def new_figure(height: float) -> Figure:
+    """An empty figure of the page's width.
+
+    Args:
+        height: Height, in [inch].
+    """
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(WIDTH, height), layout="constrained")
+
+
+def panels(
+    count: int, height: float, ratios: tuple[float, ...] = (1.0,)
+) -> tuple[Figure, list[list[Axes]]]:
+    """A figure of panels in two columns, one panel per joint.
+
+    Args:
+        count: Number of panels.
+        height: Height of one panel, in [inch].
+        ratios: Heights of the axes of which a panel is made, from top to bottom.
+
+    Returns:
+        The figure, and per panel its axes.
+    """
+    columns = min(2, count)
+    rows = -(-count // columns)
+    figure = new_figure(0.3 + height * rows)
+    # One grid for all axes, so that their left edges are in line.
+    ratio = ratios * rows
+    grid = figure.add_gridspec(len(ratio), columns, height_ratios=ratio)
+    cells: list[list[Axes]] = []
+    for k in range(count):
+        row, column = len(ratios) * (k // columns), k % columns
+        cells.append([])
+        for i in range(len(ratios)):
+            shared = cells[k][0] if i else None
+            axes = figure.add_subplot(grid[row + i, column], sharex=shared)
+            axes.tick_params(labelbottom=i == len(ratios) - 1)
+            cells[k].append(axes)
+    return figure, cells
+
+
+def clean(axes: Axes, grid: Literal["x", "y", "both"]) -> None:
+    """Take away the box and the ticks, and lay a faint grid behind the data."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(GREY)
+    axes.tick_params(labelsize=8, length=0, colors=BLACK)
+    axes.grid(axis=grid, color="#e3e3e3", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.xaxis.label.set_fontsize(8)
+    axes.yaxis.label.set_fontsize(8)
+
+
+def finish(figure: Figure, bottom: Sequence[Axes], label: str) -> None:
+    """Name the horizontal axis once per column, and put vertical names in line."""
+    for axes in bottom[-2:]:
+        axes.set_xlabel(label)
+    figure.align_ylabels()
+
+
+def legend(figure: Figure, handles: Sequence[Any]) -> None:
+    """One line of names above all axes."""
+    figure.legend(
+        handles=handles,
+        loc="outside upper left",
+        ncols=len(handles),
+        frameon=False,
+        fontsize=8,
+        markerscale=3,
+        handlelength=1.4,
+        columnspacing=1.4,
+        borderaxespad=0.2,
+    )
+
+
+def check_shape(name: str, values: Array, shape: tuple[int, ...]) -> None:
+    """Refuse an array of another shape before anything is drawn.
+
+    Raises:
+        HybridError: The shape is another one.
+    """
+    if values.shape != shape:
+        raise HybridError(f"{name} has shape {values.shape}, valid is {shape}")

@@ -1,0 +1,120 @@
+"""The validation table: one row per stage, one column per joint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+    from hybrid.identify import Validation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table as text; the first column holds names, the others numbers.
+
+    Attributes:
+        header: Column titles.
+        rows: Cells, as many per row as there are titles.
+        caption: What the numbers are, with unit.
+    """
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    caption: str = ""
+
+
+def table_from_validation(validation: Validation) -> Table:
+    """RMS torque error [N·m] of every stage: per joint, mean, and against the first.
+
+    The noise floor, where it is known, is the last row.
+    """
+    names = [row.name for row in validation.rows]
+    rms = [np.append(row.rms, row.mean) for row in validation.rows]
+    if validation.noise_floor is not None:
+        names.append("noise floor")
+        rms.append(np.append(validation.noise_floor, np.mean(validation.noise_floor)))
+    values = np.array(rms)  # (stages, n + 1)
+    first = values[0, -1]
+    columns = [_cells(column) for column in values.T]
+    # The first row is what the others are compared with; the floor is no model.
+    change = ["–", *(_change(mean, first) for mean in values[1:, -1])]
+    if validation.noise_floor is not None:
+        change[-1] = ""
+    return Table(
+        header=("", *validation.joints, "mean", f"vs {names[0]}"),
+        rows=tuple(zip(names, *columns, change, strict=True)),
+        caption=f"RMS torque error on {validation.robot}, N·m, "
+        f"{validation.samples:,} samples over {validation.seconds:.0f} s",
+    )
+
+
+def validation_table(validation: Validation) -> RichTable:
+    """The table for a terminal.
+
+    Args:
+        validation: Errors of every stage on motions that no fit has seen.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    table = table_from_validation(validation)
+    rich = RichTable(
+        box=SIMPLE_HEAD,
+        title=Text(table.caption),
+        title_justify="left",
+        title_style="bold",
+        pad_edge=False,
+    )
+    for k, title in enumerate(table.header):
+        rich.add_column(
+            Text(title),
+            justify="right" if k else "left",
+            no_wrap=True,
+            style="bold" if title == "mean" else None,
+        )
+    for row in table.rows:
+        is_model = bool(row[-1])
+        # As Text, so that a bracket in a joint's name is not taken for markup.
+        rich.add_row(*map(Text, row), style=None if is_model else "dim")
+    return rich
+
+
+def validation_markdown(validation: Validation) -> str:
+    """The table for a README.
+
+    Args:
+        validation: Errors of every stage on motions that no fit has seen.
+    """
+    table = table_from_validation(validation)
+    rule = ["---", *["---:"] * (len(table.header) - 1)]
+    lines = [table.header, rule, *table.rows]
+    rows = [
+        "| " + " | ".join(x.replace("|", r"\|") for x in line) + " |" for line in lines
+    ]
+    return "\n".join(rows) + "\n"
+
+
+def _cells(column: Array) -> list[str]:
+    """Numbers with as many decimals as show three digits of the smallest."""
+    sizes = np.abs(column[np.isfinite(column) & (column != 0)])
+    smallest = float(np.min(sizes, initial=np.inf))
+    decimals = 2
+    if np.isfinite(smallest):
+        decimals = int(np.clip(2 - np.floor(np.log10(smallest)), 0, 4))
+    return [f"{x:.{decimals}f}" if np.isfinite(x) else "–" for x in column]
+
+
+def _change(mean: float, first: float) -> str:
+    percent = 100 * (mean / first - 1) if first > 0 else 0.0
+    if abs(percent) < 0.05:
+        return "±0 %"
+    return f"{percent:+.1f} %".replace("-", "−")

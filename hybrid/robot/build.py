@@ -1,0 +1,89 @@
+"""Chain -> pinocchio model and MuJoCo spec."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybrid.errors import RobotError
+from hybrid.robot.spatial import central_inertia
+
+if TYPE_CHECKING:
+    import mujoco
+    import pinocchio
+
+    from hybrid.robot.robot import Robot
+
+# MuJoCo asks for positive mass and inertia; far below anything that matters.
+_SMALLEST_MASS, _SMALLEST_INERTIA = 1e-9, 1e-12
+
+
+def pinocchio_model(robot: Robot) -> pinocchio.Model:
+    """See :meth:`hybrid.robot.robot.Robot.pinocchio`."""
+    import pinocchio as pin
+
+    chain = robot.chain
+    model = pin.Model()
+    model.name = robot.name
+    model.gravity.linear = chain.gravity
+    parent = 0
+    for k, name in enumerate(chain.joints):
+        kind = (
+            pin.JointModelRevoluteUnaligned
+            if chain.revolute[k]
+            else pin.JointModelPrismaticUnaligned
+        )
+        placement = pin.SE3(chain.rotation[k], chain.translation[k])
+        parent = model.addJoint(parent, kind(*chain.axis[k]), placement, name)
+        inertia = pin.Inertia.FromDynamicParameters(chain.inertial[k])
+        if chain.inertial[k, 0] == 0:  # the centre of a massless link is undefined
+            mass, center, about = central_inertia(chain.inertial[k])
+            inertia = pin.Inertia(mass, center, about)
+        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+    model.armature = chain.armature.copy()
+    return model
+
+
+def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
+    """See :meth:`hybrid.robot.robot.Robot.mujoco_spec`."""
+    import mujoco
+    from scipy.spatial.transform import Rotation
+
+    chain = robot.chain
+    spec = mujoco.MjSpec()
+    spec.modelname = robot.name
+    spec.option.gravity = chain.gravity
+    spec.compiler.degree = False
+    spec.compiler.balanceinertia = False
+    parent = spec.worldbody
+    for k, name in enumerate(chain.joints):
+        body = parent.add_body(name=name, pos=chain.translation[k])
+        body.quat = Rotation.from_matrix(chain.rotation[k]).as_quat(scalar_first=True)
+        _set_inertia(body, chain.inertial[k], name)
+        kind = (
+            mujoco.mjtJoint.mjJNT_HINGE
+            if chain.revolute[k]
+            else mujoco.mjtJoint.mjJNT_SLIDE
+        )
+        joint = body.add_joint(name=name, type=kind, axis=chain.axis[k])
+        joint.armature = chain.armature[k]
+        joint.damping = np.array([robot.damping[k], 0, 0])
+        joint.frictionloss = robot.frictionloss[k]
+        parent = body
+    return spec
+
+
+def _set_inertia(body: mujoco.MjsBody, inertial: np.ndarray, name: str) -> None:
+    mass, center, inertia = central_inertia(inertial)
+    if mass < 0 or np.linalg.eigvalsh(inertia)[0] < -1e-6 * max(1.0, mass):
+        raise RobotError(
+            f"link {name!r} has no physical inertia (mass {mass:g} kg); "
+            "MuJoCo cannot simulate it"
+        )
+    xx, xy, xz, yy, yz, zz = inertia[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    body.explicitinertial = True
+    body.mass = max(mass, _SMALLEST_MASS)
+    body.ipos = center
+    floor = _SMALLEST_INERTIA
+    body.fullinertia = [max(xx, floor), max(yy, floor), max(zz, floor), xy, xz, yz]

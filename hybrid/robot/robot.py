@@ -1,0 +1,186 @@
+"""A serial arm: its chain, limits and the friction its file declares."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybrid.errors import RobotError
+from hybrid.robot.chain import Array, Chain
+from hybrid.robot.mjcf import read_mjcf
+from hybrid.robot.urdf import read_urdf
+
+if TYPE_CHECKING:
+    import mujoco
+    import pinocchio
+
+_READERS = {".urdf": read_urdf, ".xml": read_mjcf, ".mjcf": read_mjcf}
+_VECTORS = ("q_min", "q_max", "v_max", "a_max", "tau_max", "damping", "frictionloss")
+
+
+@dataclass(frozen=True)
+class Robot:
+    """The nominal simulator of a serial arm of n joints.
+
+    Attributes:
+        name: Name in the file.
+        chain: Kinematics and inertial parameters.
+        q_min: Lower position limits, shape (n,), [rad or m]; −inf without one.
+        q_max: Upper position limits, shape (n,), [rad or m]; inf without one.
+        v_max: Speed limits, shape (n,), [rad/s or m/s]; inf without one.
+        tau_max: Rated torques, shape (n,), [N·m or N]; inf without one.
+        a_max: Acceleration limits, shape (n,), [rad/s² or m/s²]; inf without one.
+        damping: Declared viscous friction, shape (n,), [N·m·s/rad].
+        frictionloss: Declared dry friction, shape (n,), [N·m].
+        path: File it was read from.
+    """
+
+    name: str
+    chain: Chain
+    q_min: Array
+    q_max: Array
+    v_max: Array
+    tau_max: Array
+    damping: Array
+    frictionloss: Array
+    a_max: Array = field(default_factory=lambda: np.zeros(0))
+    path: str = ""
+
+    def __post_init__(self) -> None:
+        if self.a_max.size == 0:
+            object.__setattr__(self, "a_max", np.full(self.chain.size, np.inf))
+        for name in _VECTORS:
+            if getattr(self, name).shape != (self.chain.size,):
+                raise RobotError(f"{name} needs one value for each of {self.joints}")
+
+    @classmethod
+    def load(cls, path: str | Path, *, joints: tuple[str, ...] | None = None) -> Robot:
+        """Read a serial arm from a URDF or MJCF file.
+
+        Args:
+            path: ``.urdf``, ``.xml`` or ``.mjcf`` file. Meshes are not needed for URDF.
+            joints: Joints to keep; the others are frozen at zero. By default the
+                longest chain, ending where a gripper forks.
+
+        Raises:
+            RobotError: The file is missing, unreadable, or holds no serial arm.
+
+        Warns:
+            HybridWarning: Joints off the arm were frozen.
+        """
+        path = Path(path)
+        if path.suffix.lower() not in _READERS:
+            raise RobotError(
+                f"{path}: unknown kind of robot file; valid are {', '.join(_READERS)}"
+            )
+        if not path.is_file():
+            raise RobotError(f"{path}: no such robot file")
+        reader = _READERS[path.suffix.lower()]
+        return cls(**reader(path, joints), path=str(path))
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joint names, base to tip."""
+        return self.chain.joints
+
+    @property
+    def size(self) -> int:
+        """Number of joints n."""
+        return self.chain.size
+
+    def joint_index(self, joint: str | int) -> int:
+        """Index of a joint given by name, or by number from 1 as text.
+
+        Raises:
+            RobotError: There is no such joint.
+        """
+        if joint in self.joints:
+            return self.joints.index(str(joint))
+        text = str(joint)
+        if text.isdigit() and 1 <= int(text) <= self.size:
+            return int(text) - 1
+        raise RobotError(
+            f"no joint {joint!r}; valid are {', '.join(self.joints)}, "
+            f"or 1 to {self.size}"
+        )
+
+    def with_inertial(self, inertial: Array) -> Robot:
+        """This arm with other link parameters, shape (n, 10)."""
+        return replace(self, chain=replace(self.chain, inertial=np.array(inertial)))
+
+    def pinocchio(self) -> pinocchio.Model:
+        """The arm as a pinocchio model (every joint has one coordinate)."""
+        from hybrid.robot.build import pinocchio_model
+
+        return pinocchio_model(self)
+
+    def mujoco_spec(self) -> mujoco.MjSpec:
+        """The arm as a MuJoCo spec: bodies named by joint, no geometry, no actuators.
+
+        It is built from the chain, so that URDF and MJCF arms simulate alike and no
+        mesh is needed.
+        """
+        from hybrid.robot.build import mujoco_spec
+
+        return mujoco_spec(self)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready content; infinite limits become ``None``."""
+        content: dict[str, Any] = {"name": self.name, "path": Path(self.path).name}
+        content["chain"] = {
+            f.name: _plain(getattr(self.chain, f.name)) for f in fields(Chain)
+        }
+        return content | {name: _plain(getattr(self, name)) for name in _VECTORS}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Robot:
+        """The arm that :meth:`as_dict` described, equal to the last bit.
+
+        Raises:
+            RobotError: A field is missing or has the wrong shape.
+        """
+        try:
+            chain = dict(content["chain"])
+            arrays = {
+                key: np.array(value, dtype=bool if key == "revolute" else float)
+                for key, value in chain.items()
+                if key != "joints"
+            }
+            limits = {
+                name: np.array(
+                    [_infinite(name) if x is None else x for x in content[name]]
+                )
+                for name in _VECTORS
+            }
+            return cls(
+                name=content["name"],
+                path=content["path"],
+                chain=Chain(joints=tuple(chain["joints"]), **arrays),
+                **limits,
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise RobotError(f"not a saved robot: {error}") from error
+
+    def fingerprint(self) -> str:
+        """Short hash of kinematics and joint order, to tell one arm from another."""
+        digest = hashlib.sha256("|".join(self.joints).encode())
+        for values in (self.chain.rotation, self.chain.translation, self.chain.axis):
+            digest.update(np.round(values, 9).tobytes())
+        return digest.hexdigest()[:16]
+
+
+def _plain(values: Any) -> Any:
+    if isinstance(values, np.ndarray):
+        finite = values.astype(object)
+        if values.dtype == float:
+            finite[~np.isfinite(values)] = None
+        return finite.tolist()
+    return list(values)
+
+
+def _infinite(name: str) -> float:
+    return -np.inf if name == "q_min" else np.inf

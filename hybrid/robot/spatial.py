@@ -1,0 +1,59 @@
+"""Small rigid-body geometry shared by the readers and writers of robot files."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def skew(x: Array) -> Array:
+    """Matrix of the cross product, ``skew(x) @ y == cross(x, y)``; shape (3, 3)."""
+    return np.array(
+        [[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]], dtype=np.float64
+    )
+
+
+def rotation_from_axis_angle(axis: Array, angle: float) -> Array:
+    """Rotation by ``angle`` [rad] about the unit ``axis``; shape (3, 3)."""
+    k = skew(axis)
+    turn: Array = np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+    return turn
+
+
+def inertial_about(mass: float, center: Array, inertia: Array) -> Array:
+    """Ten inertial parameters of a body about the frame origin.
+
+    Args:
+        mass: Mass, [kg].
+        center: Centre of mass in the frame, shape (3,), [m].
+        inertia: Inertia about the centre of mass, frame axes, shape (3, 3), [kg·m²].
+
+    Returns:
+        (m, m·c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz), shape (10,).
+    """
+    k = skew(center)
+    about = inertia - mass * (k @ k)
+    six = about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    return np.array([mass, *(mass * center), *six])
+
+
+def inertia_matrix(inertial: Array) -> Array:
+    """Inertia about the frame origin from ten parameters; shape (3, 3), [kg·m²]."""
+    xx, xy, yy, xz, yz, zz = inertial[4:]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def central_inertia(inertial: Array) -> tuple[float, Array, Array]:
+    """Mass, centre of mass and central inertia from ten parameters.
+
+    A massless link has its centre at the frame origin.
+
+    Returns:
+        Mass [kg], centre shape (3,) [m], inertia about it shape (3, 3) [kg·m²].
+    """
+    mass = float(inertial[0])
+    center = inertial[1:4] / mass if mass > 0 else np.zeros(3)
+    k = skew(center)
+    return mass, center, inertia_matrix(inertial) + mass * (k @ k)

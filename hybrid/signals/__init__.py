@@ -1,0 +1,28 @@
+"""Recording -> motion: filter, differentiate, decimate, average periods.
+
+Columns of a model are evaluated at full rate from a :class:`Motion`; columns and
+measured torque then pass through the same :class:`Sampler`.
+"""
+
+from hybrid.signals.cutoff import choose_cutoff
+from hybrid.signals.filters import (
+    Sampler,
+    butterworth,
+    central_difference,
+    filter_reach,
+)
+from hybrid.signals.motion import Motion, motion_from_recording
+from hybrid.signals.periodic import FourierMotion, average_periods, fourier_fit
+
+__all__ = [
+    "FourierMotion",
+    "Motion",
+    "Sampler",
+    "average_periods",
+    "butterworth",
+    "central_difference",
+    "choose_cutoff",
+    "filter_reach",
+    "fourier_fit",
+    "motion_from_recording",
+]

@@ -1,0 +1,48 @@
+"""Where motion ends and noise begins, from the spectrum of positions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid.recording.recording import Recording
+
+
+def choose_cutoff(recording: Recording) -> float:
+    """Cut-off above which positions hold more noise than motion.
+
+    The noise floor of a joint is the median of its position spectrum (Welch, segments
+    of 4 s, linear trend removed, Blackman-Harris window, whose leakage is below encoder
+    noise) between 0.3 and 0.45 of the rate. Its motion ends where the spectrum comes
+    within 30 times (15 dB) of that floor for the first time. The cut-off is 1.5 times
+    the median end over the joints that move.
+
+    Args:
+        recording: Joint log on a uniform clock.
+
+    Returns:
+        Cut-off within 5 Hz and 0.4 of the rate, [Hz].
+    """
+    from scipy.signal import welch
+
+    rate = recording.rate
+    q = recording.q[:, np.ptp(recording.q, axis=0) > 0]
+    highest = 0.4 * rate
+    if q.size == 0 or highest <= 5.0:
+        return float(highest)
+    f, power = welch(  # type: ignore[call-overload]
+        q,
+        rate,
+        window="blackmanharris",
+        nperseg=min(len(q), int(4 * rate)),
+        detrend="linear",
+        axis=0,
+    )
+    noise = np.median(power[(f > 0.3 * rate) & (f < 0.45 * rate)], axis=0)
+    # A simulated log has no noise: then encoder resolution, 1e-14 of the peak, counts.
+    above = power > 30 * np.maximum(noise, 1e-14 * power.max(axis=0))
+    # Single bins above or below the floor by chance do not count: majority over 2 Hz.
+    width = max(1, int(np.searchsorted(f, 2.0)))
+    window = np.ones((width, 1)) / width
+    share = np.apply_along_axis(np.convolve, 0, above, window[:, 0], mode="same")
+    ends = f[np.argmax((share < 0.5) & (f > 0.5)[:, None], axis=0)]
+    return float(np.clip(1.5 * np.median(ends), 5.0, highest))

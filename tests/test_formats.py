@@ -1,0 +1,226 @@
+"""Every format gives back what was written, whatever its columns are called."""
+
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from pyarrow import parquet
+
+from hybrid.errors import HybridWarning, RecordingError
+from hybrid.recording import Recording, read, read_all, write
+
+# import_module, because the package exports the function of the same name
+WRITERS = import_module("hybrid.recording.write").WRITERS
+SUFFIXES = (".csv", ".parquet", ".npz")
+ARM = ("shoulder", "elbow", "wrist")
+FOLDER = settings(
+    max_examples=25,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+
+
+def log(joints: tuple[str, ...] = (), **more) -> Recording:
+    rng = np.random.default_rng(1)
+    t = np.arange(50) / 100
+    q, tau = rng.standard_normal((2, 50, 3))
+    return Recording(t=t, q=q, tau=tau, joints=joints, **more)
+
+
+def text(path: Path, labels: list[str], columns: np.ndarray) -> Path:
+    lines = [",".join(labels), *(",".join(map(repr, row)) for row in columns.tolist())]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("joints", [(), ARM, ("a,b", 'c "d"', "é"), ("1", "2", "3")])
+def test_what_is_written_reads_back_equal(tmp_path, suffix, joints):
+    extra = np.random.default_rng(2).standard_normal((3, 50, 3))
+    recording = log(joints, v=extra[0], command=extra[1], temperature=extra[2])
+    write(recording, tmp_path / f"log{suffix}")
+    again = read(tmp_path / f"log{suffix}", joints=joints or None)
+    assert again == recording
+    assert again.source.endswith(f"log{suffix}")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@FOLDER
+@given(
+    x=arrays(
+        np.float64,
+        (3, 2),
+        elements=st.floats(allow_nan=False, allow_infinity=False),
+    )
+)
+def test_any_finite_number_reads_back_to_the_last_bit(tmp_path, suffix, x):
+    recording = Recording(t=np.array([0.1, 0.2, 0.30000000000000004]), q=x, tau=-x)
+    write(recording, tmp_path / f"log{suffix}")
+    again = read(tmp_path / f"log{suffix}")
+    assert again.q.tobytes() == recording.q.tobytes()
+    assert again.tau.tobytes() == recording.tau.tobytes()
+    assert again.t.tobytes() == recording.t.tobytes()
+
+
+@FOLDER
+@given(order=st.permutations(range(7)))
+def test_columns_by_name_come_in_the_order_of_the_robot(tmp_path, order):
+    recording = log(ARM)
+    labels = ["time", *(f"q_{j}" for j in ARM), *(f"tau_{j}" for j in ARM)]
+    columns = np.column_stack([recording.t, recording.q, recording.tau])
+    path = text(
+        tmp_path / "log.csv", [labels[k] for k in order], columns[:, list(order)]
+    )
+    assert read(path, joints=ARM) == recording
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_names_in_another_order_are_put_right_in_every_format(tmp_path, suffix):
+    recording = log(ARM)
+    write(recording, tmp_path / f"log{suffix}")
+    turned = ("wrist", "shoulder", "elbow")
+    again = read(tmp_path / f"log{suffix}", joints=turned)
+    assert again == recording.in_order(turned)
+
+
+@pytest.mark.parametrize(
+    ("time", "q", "tau", "extra", "channel"),
+    [
+        ("time", "q{}", "tau{}", "dq{}", "v"),
+        ("t", "q_{}", "tau_{}", "v_{}", "v"),
+        ("Time", "Q{}", "Torque{}", "qd{}", "v"),
+        ("time_s", "position_{}", "effort_{}", "velocity_{}", "v"),
+        ("time [s]", "q{} [rad]", "tau{} [N·m]", "dq{} (rad/s)", "v"),
+        ("timestamp", "pos{}", "effort{}", "qref{}", "command"),
+        ("t", "q[{}]", "tau[{}]", "q_ref[{}]", "command"),
+        ("t", "q.{}", "tau.{}", "cmd.{}", "command"),
+        ("t", "q{}", "tau{}", "command_{}", "command"),
+        (" t", " q{}", " tau{} ", "temp{}", "temperature"),
+        ("t", "q{}", "tau{}", "temperature_{} [°C]", "temperature"),
+    ],
+)
+@pytest.mark.parametrize("number", [lambda k: k + 1, lambda k: k])
+def test_numbered_columns_are_known_by_many_names(
+    tmp_path, time, q, tau, extra, channel, number
+):
+    recording = log()
+    labels = [time]
+    labels += [word.format(number(k)) for word in (q, tau, extra) for k in range(3)]
+    columns = np.column_stack([recording.t, recording.q, recording.tau, recording.q])
+    again = read(text(tmp_path / "log.csv", labels, columns))
+    assert np.array_equal(again.tau, recording.tau)
+    assert np.array_equal(getattr(again, channel), recording.q)
+    assert again.joints == ("joint_1", "joint_2", "joint_3")
+
+
+def test_the_ending_joint_of_a_name_may_be_left_out(tmp_path):
+    labels = ["t", "q_elbow", "q_wrist_1", "tau_wrist_1", "tau_elbow"]
+    path = text(tmp_path / "log.csv", labels, np.arange(10.0).reshape(2, 5))
+    recording = read(path, joints=("wrist_1_joint", "elbow_joint"))
+    assert recording.q[0].tolist() == [2.0, 1.0]
+    assert recording.tau[0].tolist() == [3.0, 4.0]
+
+
+def test_the_only_joint_needs_no_number(tmp_path):
+    path = text(tmp_path / "log.csv", ["t", "q", "tau"], np.arange(6.0).reshape(2, 3))
+    assert read(path, joints=("hinge",)).tau.tolist() == [[2.0], [5.0]]
+    np.savez(tmp_path / "log.npz", t=[0.0, 0.1], q=[1.0, 2.0], effort=[3.0, 4.0])
+    assert read(tmp_path / "log.npz").tau.tolist() == [[3.0], [4.0]]
+
+
+def test_unknown_columns_are_ignored_in_one_warning_that_lists_them(tmp_path):
+    labels = ["t", "q1", "tau1", "qmot1", "note", "q_motor1"]
+    path = text(tmp_path / "log.csv", labels, np.arange(12.0).reshape(2, 6))
+    with pytest.warns(
+        HybridWarning, match="log.csv: ignored columns: qmot1, note, q_motor1$"
+    ) as warned:
+        recording = read(path)
+    assert len(warned) == 1
+    assert recording.size == 1
+
+
+def test_text_in_an_ignored_column_does_no_harm(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,q1,tau1,note\n0,1,2,start\n0.1,2,3,\n")
+    with pytest.warns(HybridWarning, match="ignored columns: note"):
+        assert read(path).q.tolist() == [[1.0], [2.0]]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "t,q1,tau1\n0,1.5,2\n0.1,2,3\n",
+        "t,q1,tau1\r\n0,1.5,2\r\n0.1,2,3\r\n",
+        "t,q1,tau1\n0,1.5,2\n0.1,2,3",
+        "\ufefft,q1,tau1\n0,1.5,2\n0.1,2,3\n\n",
+        "t;q1;tau1\n0;1.5;2\n0.1;2;3\n",
+        "t;q1;tau1\n0;1,5;2\n0,1;2;3\n",
+        "t\tq1\ttau1\n0\t1.5\t2\n0.1\t2\t3\n",
+        '"t", "q1", "tau1"\n0, 1.5, 2\n0.1, 2, 3\n',
+        "t,q1,tau1\n0,1.5e0,+2\n1E-1,2.,3\n",
+    ],
+)
+def test_sane_dialects_of_csv_mean_the_same(tmp_path, content):
+    path = tmp_path / "log.csv"
+    path.write_bytes(content.encode())
+    recording = read(path)
+    assert recording.t.tolist() == [0.0, 0.1]
+    assert recording.q.tolist() == [[1.5], [2.0]]
+    assert recording.tau.tolist() == [[2.0], [3.0]]
+
+
+def test_npz_holds_arrays_or_columns(tmp_path):
+    recording = log(ARM)
+    np.savez(
+        tmp_path / "arrays.npz",
+        time=recording.t,
+        position=recording.q,
+        torque=recording.tau,
+        joints=ARM,
+    )
+    assert read(tmp_path / "arrays.npz") == recording
+    columns = {f"q{k + 1}": recording.q[:, k] for k in range(3)}
+    columns |= {f"tau{k + 1}": recording.tau[:, k] for k in range(3)}
+    np.savez(tmp_path / "columns.npz", t=recording.t, **columns)
+    assert read(tmp_path / "columns.npz", joints=ARM) == recording
+
+
+def test_parquet_of_any_kind_of_number_is_read(tmp_path):
+    table = {
+        "t": pa.array([0.0, 0.5], pa.float32()),
+        "q1": pa.array([1, 2], pa.int16()),
+        "tau1": pa.array([0.5, 1.5]),
+    }
+    parquet.write_table(pa.table(table), tmp_path / "log.parquet")
+    assert read(tmp_path / "log.parquet").q.tolist() == [[1.0], [2.0]]
+
+
+def test_folders_globs_and_files_are_lists_of_recordings(tmp_path):
+    for name in ("b.csv", "a.parquet", "c.npz"):
+        write(log(), tmp_path / name)
+    (tmp_path / "README.txt").write_text("not a recording")
+    names = [Path(r.source).name for r in read_all(tmp_path)]
+    assert names == ["a.parquet", "b.csv", "c.npz"]
+    assert len(read_all([tmp_path / "*.csv", str(tmp_path / "c.npz")])) == 2
+    assert len(read_all([tmp_path, tmp_path / "b.csv"])) == 3  # not read twice
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_write_that_fails_leaves_the_old_recording(tmp_path, monkeypatch, suffix):
+    path = tmp_path / f"log{suffix}"
+    write(log(), path)
+
+    def fail(recording: Recording, temporary: Path) -> None:
+        temporary.write_text("half")
+        raise OSError("disk full")
+
+    monkeypatch.setitem(WRITERS, suffix, fail)
+    with pytest.raises(RecordingError, match="cannot be written: disk full"):
+        write(log(ARM), path)
+    assert read(path) == log()
+    assert list(tmp_path.iterdir()) == [path]

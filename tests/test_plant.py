@@ -1,0 +1,660 @@
+"""The plant obeys mechanics, realises every effect, and logs what it says."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hybrid.effects import Effect, Port, effect_class
+from hybrid.errors import EffectError, HybridError, HybridWarning, RobotError
+from hybrid.plant import (
+    Noise,
+    Plant,
+    Reference,
+    Servo,
+    load_truth,
+    random_fourier,
+    simulate,
+)
+from hybrid.plant.arm import build_arm, inverse_dynamics
+from hybrid.plant.lockstep import Lockstep
+from hybrid.plant.reference import limits
+from hybrid.robot import Robot
+
+HINGE = """<mujoco><compiler angle="radian"/><worldbody><body>
+  <joint name="turn" axis="{axis}" armature="0.3" range="-2 2" limited="true"/>
+  <inertial pos="0.5 0 0" mass="2" diaginertia=".01 .02 .02"/>
+</body></worldbody></mujoco>"""
+TWO_LINKS = """<mujoco><compiler angle="radian"/><worldbody><body>
+  <joint name="shoulder" axis="0 1 0" armature="0.2"/>
+  <inertial pos="0.2 0 0.05" mass="3" diaginertia=".01 .05 .05"/>
+  <body pos="0.4 0 0"><joint name="elbow" axis="0 1 0" armature="0.1"/>
+    <inertial pos="0.15 0.02 0" mass="1.5" diaginertia=".004 .02 .02"/></body>
+</body></worldbody></mujoco>"""
+HINGE_INERTIA = 0.3 + 0.02 + 2 * 0.5**2  # rotor and link, kg·m²
+WEIGHT = 2 * 9.81 * 0.5  # N·m with the hinge's link horizontal
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load(text: str) -> Robot:
+        path = tmp_path / "arm.xml"
+        path.write_text(text)
+        return Robot.load(path)
+
+    return load
+
+
+@pytest.fixture
+def pendulum(load):
+    return load(HINGE.format(axis="0 -1 0"))
+
+
+@pytest.fixture
+def turntable(load):
+    return load(HINGE.format(axis="0 0 1"))
+
+
+@pytest.fixture
+def two_links(load):
+    return load(TWO_LINKS)
+
+
+def effect(name: str, *joints: int, **values: float) -> Effect:
+    return effect_class(name)(joints or (0,), values)
+
+
+def motions(robot: Robot, count: int = 1, duration: float = 4.0) -> list[Reference]:
+    children = np.random.default_rng(5).spawn(count)
+    return [
+        random_fourier(robot, duration=duration, rate=500, rng=rng) for rng in children
+    ]
+
+
+def hold(q: list[float], duration: float = 1.0) -> Reference:
+    t = np.linspace(0, duration, 11)
+    zero = np.zeros((11, len(q)))
+    return Reference(t, zero + np.array(q), zero, zero)
+
+
+def run(robot, effects=(), references=None, **options):
+    options.setdefault("noise", Noise.none(robot.size))
+    plant = Plant(robot, effects, **options)
+    return plant.run(references or motions(robot), rng=np.random.default_rng(0))
+
+
+def residual(robot, recording):
+    """Logged torque less rigid body and rotors; two samples lost at each end."""
+    q, dt = recording.q, recording.t[1] - recording.t[0]
+    v = (q[2:] - q[:-2]) / (2 * dt)
+    a = (q[2:] - 2 * q[1:-1] + q[:-2]) / dt**2
+    return recording.tau[1:-1] - inverse_dynamics(robot, q[1:-1], v, a), v, q[1:-1]
+
+
+def rms(x):
+    return np.sqrt(np.mean(np.square(x), axis=0))
+
+
+# Mechanics
+
+
+@pytest.mark.parametrize(
+    ("integrator", "step", "tolerance"),
+    [("rk4", 0.0005, 1e-6), ("implicitfast", 0.0001, 1e-3), ("euler", 0.0001, 1e-3)],
+)
+def test_a_free_arm_keeps_its_energy(two_links, integrator, step, tolerance):
+    free = Servo(kp=np.zeros(2), kd=np.zeros(2), limit=np.full(2, np.inf))
+    (log,) = run(
+        two_links,
+        references=[hold([0.3, -0.5], 2.0)],
+        servo=free,
+        integrator=integrator,
+        step=step,
+    )
+    energy = energies(two_links, log)
+    swing = two_links.chain.inertial[:, 0].sum() * 9.81 * 0.4
+    assert np.abs(log.v).max() > 3
+    assert np.ptp(energy) < tolerance * swing
+
+
+def energies(robot, log):
+    import mujoco
+
+    model = robot.mujoco_spec().compile()
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    data = mujoco.MjData(model)
+    total = []
+    for q, v in zip(log.q, log.v, strict=True):
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(model, data)
+        total.append(data.energy.sum())
+    return np.array(total)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"step": 0.001},
+        {"step": 0.00025, "control_rate": 500.0},
+        {"control_rate": 2000.0, "log_rate": 1000.0},
+        {"integrator": "rk4"},
+        {"integrator": "implicit"},
+    ],
+    ids=str,
+)
+def test_without_effects_inverse_dynamics_is_the_logged_torque(two_links, options):
+    (log,) = run(two_links, **options)
+    rest, _, _ = residual(two_links, log)
+    assert (rms(rest) < 1e-3 * rms(log.tau)).all()
+
+
+def test_declared_friction_stays_in_the_plant(two_links):
+    lossy = replace(two_links, damping=np.array([2.0, 1.0]))
+    (log,) = run(lossy)
+    rest, v, _ = residual(lossy, log)
+    np.testing.assert_allclose(rest, v * lossy.damping, atol=1e-3 * rms(log.tau).max())
+
+
+def test_logged_speed_belongs_to_the_logged_position(two_links):
+    (log,) = run(two_links)
+    _, v, _ = residual(two_links, log)
+    np.testing.assert_allclose(log.v[1:-1], v, atol=1e-4 * np.abs(v).max())
+
+
+def test_the_arm_follows_its_command(two_links):
+    (log,) = run(two_links, [effect("coulomb", 0, level=2.0)])
+    assert np.abs(log.q - log.command).max() < 0.02
+
+
+# Determinism
+
+
+def test_the_same_seed_gives_identical_arrays(two_links):
+    effects = [effect("coulomb", 1, level=0.5), effect("torque_ripple", 0, sine=0.3)]
+    options = {"trajectories": 2, "duration": 1.5}
+    first = simulate(two_links, effects, seed=3, **options)
+    again = simulate(two_links, effects, seed=3, **options)
+    other = simulate(two_links, effects, seed=4, **options)
+    for one, two, three in zip(first, again, other, strict=True):
+        for name in ("t", "q", "v", "tau", "command"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+        assert np.abs(one.q - three.q).max() > 0.1
+
+
+def test_a_trajectory_does_not_depend_on_its_companions(two_links):
+    effects = [effect("stribeck", 0, level=2.0), effect("load_friction", 1)]
+    long, short = motions(two_links)[0], motions(two_links, 2, 1.0)[1]
+    together = run(two_links, effects, [long, short], noise=Noise.typical(two_links))
+    alone = run(two_links, effects, [long], noise=Noise.typical(two_links))
+    np.testing.assert_array_equal(together[0].tau, alone[0].tau)
+    assert len(together[1].t) == 501 and len(together[0].t) == 2001
+
+
+# Dry friction
+
+
+def ramp(slope: float, duration: float = 2.0) -> Reference:
+    t = np.linspace(0, duration, 1001)
+    q = slope * t[:, None]
+    return Reference(t, q, np.zeros_like(q), np.zeros_like(q))
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize(
+    ("effects", "level"),
+    [
+        ({"coulomb": {"level": 5.0}}, lambda s: 5.0),
+        ({"coulomb": {"level": 4.0}, "stribeck": {"level": 2.0}}, lambda s: 6.0),
+        (
+            {"coulomb": {"level": 5.0}, "asymmetric_friction": {"level": 1.0}},
+            lambda s: 5.0 + s,
+        ),
+        (
+            {
+                "threshold_friction": {
+                    "coulomb_positive": 4.0,
+                    "coulomb_negative": 4.0,
+                    "falling": 2.0,
+                }
+            },
+            lambda s: 6.0,
+        ),
+    ],
+    ids=["coulomb", "stribeck", "asymmetric_friction", "threshold_friction"],
+)
+def test_a_joint_sticks_below_the_level_and_breaks_away_at_it(
+    turntable, effects, level, direction
+):
+    soft = Servo(kp=np.full(1, 10.0), kd=np.zeros(1), limit=np.full(1, np.inf))
+    friction = [effect(name, **values) for name, values in effects.items()]
+    (log,) = run(turntable, friction, [ramp(0.5 * direction)], servo=soft)
+    expected = level(direction)
+    torque = direction * log.tau[:, 0]
+    stuck = (torque < 0.98 * expected) & (log.t < 1.2)
+    assert np.abs(log.q[stuck]).max() < 1e-4
+    away = np.argmax(np.abs(log.v[:, 0]) > 0.0005)
+    assert torque[away] == pytest.approx(expected, rel=0.02)
+
+
+def test_a_stuck_joint_carries_its_weight_without_creeping(pendulum):
+    loose = Servo(kp=np.zeros(1), kd=np.zeros(1), limit=np.full(1, np.inf))
+    level = effect("coulomb", level=1.05 * WEIGHT)
+    (log,) = run(pendulum, [level], [hold([0.0], 5.0)], servo=loose)
+    assert np.abs(log.q).max() < 2e-4
+
+
+def test_coulomb_friction_is_a_level_against_motion(two_links):
+    (log,) = run(two_links, [effect("coulomb", 1, level=1.5)])
+    rest, v, _ = residual(two_links, log)
+    moving = np.abs(v[:, 1]) > 0.05
+    np.testing.assert_allclose(
+        rest[moving, 1], 1.5 * np.sign(v[moving, 1]), rtol=0.02
+    )
+    assert rms(rest[:, 0]) < 2e-3 * rms(log.tau[:, 0])
+
+
+def test_load_friction_grows_with_the_transmitted_torque(two_links):
+    (log,) = run(two_links, [effect("load_friction", coefficient=0.1)])
+    rest, v, q = residual(two_links, log)
+    bare = two_links.chain.armature * 0
+    rigid = replace(two_links, chain=replace(two_links.chain, armature=bare))
+    a = np.gradient(v, log.t[1:-1], axis=0)
+    load = inverse_dynamics(rigid, q, v, a)[:, 0]
+    moving = np.abs(v[:, 0]) > 0.05
+    expected = 0.1 * np.abs(load) * np.sign(v[:, 0])
+    error = (rest[:, 0] - expected)[moving]
+    assert rms(error) < 0.02 * rms(expected)
+
+
+# Other effects
+
+
+def test_viscous_friction_is_proportional_to_speed(two_links):
+    (log,) = run(two_links, [effect("viscous", 0, coefficient=3.0)])
+    rest, v, _ = residual(two_links, log)
+    assert rms(rest[:, 0] - 3.0 * v[:, 0]) < 0.005 * rms(3.0 * v[:, 0])
+
+
+def test_ripple_appears_at_its_spatial_frequency(turntable):
+    (log,) = run(turntable, [effect("torque_ripple", sine=0.4, cosine=0.3, periods=12)])
+    rest, _, q = residual(turntable, log)
+    fits = {
+        k: np.linalg.lstsq(np.hstack([np.sin(k * q), np.cos(k * q)]), rest[:, 0])
+        for k in range(1, 30)
+    }
+    assert min(fits, key=lambda k: fits[k][1][0]) == 12
+    np.testing.assert_allclose(fits[12][0], [0.4, 0.3], atol=0.005)
+
+
+def test_two_ripples_at_one_joint_add_up(turntable):
+    one, two = (effect("torque_ripple", sine=0.4, periods=k) for k in (3, 8))
+    (log,) = run(turntable, [one, two])
+    rest, _, q = residual(turntable, log)
+    np.testing.assert_allclose(rest, 0.4 * (np.sin(3 * q) + np.sin(8 * q)), atol=0.01)
+
+
+def test_offset_is_added_to_the_reported_torque(two_links):
+    (log,) = run(two_links, [effect("torque_offset", 1, level=-0.8)])
+    rest, _, _ = residual(two_links, log)
+    np.testing.assert_allclose(rest[:, 1], -0.8, atol=0.01)
+
+
+def test_gain_multiplies_the_reported_torque(two_links):
+    (log,) = run(two_links, [effect("torque_gain", 0, gain=0.2)])
+    rest, _, _ = residual(two_links, log)
+    rigid = log.tau[1:-1] - rest
+    assert rms(log.tau[1:-1, 0] - 1.2 * rigid[:, 0]) < 2e-3 * rms(rigid[:, 0])
+    assert rms(rest[:, 1]) < 2e-3 * rms(rigid[:, 1])
+
+
+def test_delay_reports_an_older_torque(two_links):
+    (late,) = run(two_links, [effect("delay", 1, time=0.02)])
+    (prompt,) = run(two_links)
+    np.testing.assert_array_equal(late.q, prompt.q)
+    np.testing.assert_array_equal(late.tau[:, 0], prompt.tau[:, 0])
+    np.testing.assert_allclose(late.tau[10:, 1], prompt.tau[:-10, 1], atol=1e-12)
+
+
+def test_armature_adds_inertia_to_its_joint_only(two_links):
+    (log,) = run(two_links, [effect("armature", 1, inertia=0.25)])
+    rest, v, _ = residual(two_links, log)
+    a = np.gradient(v[:, 1], log.t[1:-1])
+    assert rms(rest[:, 1] - 0.25 * a) < 0.01 * rms(0.25 * a)
+    assert rms(rest[:, 0]) < 2e-3 * rms(log.tau[:, 0])
+
+
+def test_payload_raises_the_holding_torque(pendulum):
+    grip = effect("payload", mass=1.5, mx=1.2, Ixx=0.1, Iyy=1.1, Izz=1.1)
+    (log,) = run(pendulum, [grip], [hold([0.0])])
+    expected = WEIGHT + 9.81 * 1.2
+    stiffness = Plant(pendulum, [grip]).servo.kp[0]
+    sag = log.q[-1, 0]
+    assert sag == pytest.approx(-9.81 * 1.2 / stiffness, rel=0.01)
+    assert log.tau[-1, 0] == pytest.approx(expected * np.cos(sag), rel=1e-3)
+
+
+def test_a_spring_pulls_in_proportion_to_position(turntable):
+    (log,) = run(turntable, [effect("spring", stiffness=20.0, preload=3.0)])
+    rest, _, q = residual(turntable, log)
+    np.testing.assert_allclose(rest, 20.0 * q + 3.0, atol=0.03)
+
+
+# Elasticity
+
+
+def test_an_elastic_joint_rings_at_its_resonance(turntable):
+    stiffness, link, rotor = 800.0, HINGE_INERTIA - 0.3, 0.3
+    twist = effect("elasticity", compliance=1 / stiffness, damping=0.0)
+    arm = build_arm(turntable, [twist], step=0.0005, integrator="implicitfast")
+    state = Lockstep(arm, [twist], np.zeros((1, 1)))
+    state.step(np.full((1, 1), 5.0), 20)
+    q = []
+    for _ in range(4000):
+        state.step(np.zeros((1, 1)))
+        q.append(state.q[0, 0])
+    t = 0.0005 * np.arange(4000)
+    ringing = np.array(q) - np.polyval(np.polyfit(t, q, 1), t)
+    rising = t[1:][(ringing[:-1] < 0) & (ringing[1:] >= 0)]
+    measured = (len(rising) - 1) / (rising[-1] - rising[0])
+    expected = np.sqrt(stiffness * (1 / rotor + 1 / link)) / (2 * np.pi)
+    assert measured == pytest.approx(expected, rel=0.01)
+
+
+def test_the_encoder_of_an_elastic_joint_sits_on_the_motor(pendulum):
+    twist = effect("elasticity", compliance=0.002, damping=1.0)
+    (log,) = run(pendulum, [twist], [hold([0.0])])
+    sag = 0.002 * log.tau[-1, 0]
+    assert abs(log.q[-1, 0]) < 0.1 * sag
+    assert log.tau[-1, 0] == pytest.approx(WEIGHT * np.cos(sag), rel=1e-3)
+
+
+def test_elastic_joints_start_in_equilibrium(pendulum):
+    twist = effect("elasticity", compliance=0.002, damping=0.0)
+    (log,) = run(pendulum, [twist], [hold([0.0])])
+    assert np.ptp(log.tau) < 0.02 * WEIGHT
+
+
+def test_friction_and_environment_act_on_their_sides_of_the_spring(pendulum):
+    effects = [
+        effect("elasticity", compliance=0.002, damping=1.0),
+        effect("spring", stiffness=30.0, preload=4.0),
+        effect("load_friction", coefficient=0.1),
+    ]
+    (log,) = run(pendulum, effects, [hold([0.0], 2.0)])
+    load = log.tau[-1, 0]  # at rest friction takes anything up to its level
+    link = log.q[-1, 0] - 0.002 * load
+    weight = WEIGHT * np.cos(link) + 30.0 * link + 4.0
+    assert load == pytest.approx(weight, rel=0.11)
+    assert abs(log.v[-1, 0]) < 1e-5
+
+
+def test_elasticity_without_a_rotor_is_refused(load):
+    massless = load(HINGE.format(axis="0 0 1").replace('armature="0.3"', ""))
+    with pytest.raises(EffectError, match="rotor"):
+        Plant(massless, [effect("elasticity", compliance=0.001)])
+    Plant(
+        massless,
+        [effect("elasticity", compliance=0.001), effect("armature", inertia=0.1)],
+    )
+
+
+# Noise
+
+
+def test_torque_noise_has_the_covariance_asked_for():
+    covariance = np.array([[4.0, 1.2, 0.0], [1.2, 1.0, -0.2], [0.0, -0.2, 0.25]])
+    noise = replace(Noise.none(3), torque_covariance=covariance, correlation_time=0.002)
+    zero = np.zeros((200_000, 3))
+    signals = {"q": zero, "v": zero, "tau": zero}
+    out = noise.apply(signals, rate=500, rng=np.random.default_rng(1))
+    np.testing.assert_allclose(np.cov(out["tau"].T), covariance, atol=0.04)
+    np.testing.assert_array_equal(out["q"], 0)
+    x = out["tau"][:, 0]
+    assert np.corrcoef(x[1:], x[:-1])[0, 1] == pytest.approx(np.exp(-1), abs=0.01)
+
+
+def test_the_encoder_rounds_to_its_steps():
+    step = np.array([0.01, 0.0])
+    noise = replace(Noise.none(2), position_resolution=step)
+    q = np.random.default_rng(0).uniform(-1, 1, (1000, 2))
+    out = noise.apply({"q": q, "v": q, "tau": q}, rate=500, rng=np.random.default_rng())
+    counts = out["q"][:, 0] / 0.01
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
+    assert np.abs(out["q"] - q).max() <= 0.005 + 1e-12
+    np.testing.assert_array_equal(out["q"][:, 1], q[:, 1])
+
+
+def test_usual_noise_follows_rated_torque(two_links):
+    rated = replace(two_links, tau_max=np.array([100.0, 20.0]))
+    noise = Noise.typical(rated)
+    np.testing.assert_allclose(
+        noise.torque_covariance, [[0.25, 0.4 * 0.05], [0.4 * 0.05, 0.01]]
+    )
+    unrated = Noise.typical(two_links)
+    assert (np.diag(unrated.torque_covariance) > 0).all()
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"torque_covariance": np.array([[1.0, 2.0], [2.0, 1.0]])},
+        {"torque_covariance": np.array([[1.0, 0.5], [0.0, 1.0]])},
+        {"torque_covariance": np.eye(3)},
+        {"position_resolution": np.array([-1.0, 0.0])},
+        {"correlation_time": -1.0},
+    ],
+    ids=str,
+)
+def test_impossible_noise_is_refused(bad):
+    with pytest.raises(HybridError):
+        replace(Noise.none(2), **bad)
+
+
+# References
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    duration=st.floats(1.0, 25.0),
+    fill=st.floats(0.1, 1.0),
+    order=st.integers(3, 8),
+)
+def test_a_random_motion_fills_its_limits_and_rests_at_both_ends(
+    seed, duration, fill, order
+):
+    robot = bounded()
+    x = random_fourier(
+        robot, duration=duration, rate=200, rng=np.random.default_rng(seed),
+        fill=fill, order=order,
+    )  # fmt: skip
+    low, high, fastest, strongest = limits(robot)
+    middle, half = (low + high) / 2, (high - low) / 2
+    room = np.abs(x.q - middle).max(axis=0) / half
+    used = np.stack([
+        np.ptp(x.q, axis=0) / (2 * half),
+        np.abs(x.v).max(axis=0) / fastest,
+        np.abs(x.a).max(axis=0) / strongest,
+    ])  # fmt: skip
+    assert (room <= fill + 1e-9).all() and (used <= fill + 1e-9).all()
+    np.testing.assert_allclose(used.max(axis=0), fill, rtol=1e-6)
+    ends = [0, -1]
+    np.testing.assert_allclose(x.v[ends] / fastest, 0, atol=1e-9)
+    np.testing.assert_allclose(x.a[ends] / strongest, 0, atol=1e-9)
+
+
+def bounded() -> Robot:
+    from hybrid.robot.chain import Chain
+
+    chain = Chain(
+        joints=("a", "b"),
+        rotation=np.stack([np.eye(3)] * 2),
+        translation=np.zeros((2, 3)),
+        axis=np.tile([0.0, 0, 1], (2, 1)),
+        revolute=np.ones(2, dtype=bool),
+        inertial=np.tile([1.0, 0, 0, 0, 1, 0, 1, 0, 0, 1], (2, 1)),
+        gravity=np.array([0, 0, -9.81]),
+        armature=np.zeros(2),
+    )
+    inf, zero = np.full(2, np.inf), np.zeros(2)
+    return Robot(
+        "bounded", chain, np.array([-1.0, -np.inf]), np.array([2.5, np.inf]),
+        np.array([3.0, np.inf]), inf, zero, zero,
+    )  # fmt: skip
+
+
+def test_a_motion_is_slow_fast_and_reverses(two_links):
+    (x,) = motions(two_links, duration=10.0)
+    share = np.abs(x.v) / np.abs(x.v).max(axis=0)
+    assert ((share < 0.2).mean(axis=0) > 0.08).all()
+    assert ((share > 0.6).mean(axis=0) > 0.08).all()
+    assert (np.count_nonzero(np.diff(np.sign(x.v[1:-1]), axis=0), axis=0) >= 2).all()
+
+
+def test_position_speed_and_acceleration_of_a_motion_agree(two_links):
+    (x,) = motions(two_links)
+    dt = 1 / x.rate
+    np.testing.assert_allclose(np.gradient(x.q, dt, axis=0)[1:-1], x.v[1:-1], atol=1e-3)
+    np.testing.assert_allclose(np.gradient(x.v, dt, axis=0)[1:-1], x.a[1:-1], atol=1e-2)
+    q, v = x.at(x.t[3:-3] + 0.4 * dt)
+    np.testing.assert_allclose(q[1:] - q[:-1], dt * (v[1:] + v[:-1]) / 2, atol=1e-5)
+    _, outside = x.at(np.array([-1.0, x.t[-1] + 1]))
+    np.testing.assert_array_equal(outside, 0)
+
+
+# Clear refusals
+
+
+class Wish(Effect):
+    id: ClassVar[str] = "wish"
+    port: ClassVar[Port] = Port.DRIVE
+    gains: ClassVar[tuple] = ()
+
+    def columns(self, motion, body):
+        return np.zeros((len(motion.t), 1, 0))
+
+
+def test_an_effect_that_no_plant_realises_is_refused(two_links):
+    with pytest.raises(EffectError, match="wish cannot be simulated"):
+        simulate(two_links, [Wish((0,))])
+    with pytest.raises(EffectError, match="the arm has 2"):
+        simulate(two_links, [effect("coulomb", 5, level=1.0)])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"integrator": "magic"}, "valid are euler"),
+        ({"step": 1.0}, "step is 1 s"),
+        ({"control_rate": 3000.0}, "control_rate is 3000 Hz"),
+        ({"log_rate": 700.0}, "log_rate is 700 Hz"),
+        ({"noise": Noise.none(3)}, "2 joints"),
+    ],
+)
+def test_a_plant_refuses_what_it_cannot_be(two_links, options, message):
+    with pytest.raises(HybridError, match=message):
+        Plant(two_links, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"trajectories": 0}, "trajectories is 0"),
+        ({"duration": -1.0}, "duration is -1 s"),
+        ({"duration": float("nan")}, "duration is nan"),
+        ({"fill": 2.0}, "fill is 2"),
+    ],
+)
+def test_simulate_refuses_arguments_out_of_range(two_links, options, message):
+    with pytest.raises(HybridError, match=message):
+        simulate(two_links, **options)
+
+
+def test_a_plant_refuses_motions_of_another_arm(two_links):
+    with pytest.raises(HybridError, match="2 joints"):
+        run(two_links, references=[hold([0.0])])
+    with pytest.raises(HybridError, match="uniform"):
+        Reference(np.array([0.0, 1.0, 3.0]), *np.zeros((3, 3, 2)))
+
+
+def test_a_diverging_simulation_stops_with_a_reason(turntable):
+    mad = Servo(kp=np.zeros(1), kd=np.full(1, 1e6), limit=np.full(1, np.inf))
+    with pytest.raises(HybridError, match="diverges at"):
+        run(turntable, servo=mad)
+
+
+def test_saturation_is_reported(pendulum):
+    weak = replace(pendulum, tau_max=np.full(1, 0.5 * WEIGHT))
+    with pytest.warns(HybridWarning, match="'turn' was at its torque limit"):
+        (log,) = run(weak, references=[hold([0.0])])
+    assert np.abs(log.tau).max() <= 0.5 * WEIGHT
+
+
+# Truths
+
+TRUTH = """
+robot: arm.xml
+inertial:
+  - {joint: elbow, mass: 1.1, first_moment: 1.2, inertia: 0.9}
+effects:
+  - {effect: coulomb, joints: [elbow], values: {level: 0.5}}
+noise:
+  torque_std: [0.2, 0.1]
+  torque_correlation: [[1, 0.5], [0.5, 1]]
+  position_resolution: 1.0e-5
+plant: {log_rate: 250}
+"""
+
+
+def test_a_truth_is_a_nominal_robot_and_a_plant_that_differs(two_links, tmp_path):
+    path = tmp_path / "truth.yaml"
+    path.write_text(TRUTH)
+    nominal, plant = load_truth(path)
+    before, after = nominal.chain.inertial, plant.robot.chain.inertial
+    np.testing.assert_array_equal(before[0], after[0])
+    np.testing.assert_allclose(after[1, :4], before[1, :4] * [1.1, 1.2, 1.2, 1.2])
+    np.testing.assert_allclose(
+        plant.noise.torque_covariance, [[0.04, 0.01], [0.01, 0.01]]
+    )
+    assert plant.servo.feedforward is nominal
+    (log,) = simulate(plant, trajectories=1, duration=1.0)
+    assert len(log.t) == 251 and log.joints == ("shoulder", "elbow")
+    with pytest.raises(HybridError, match="own effects"):
+        simulate(plant, [effect("coulomb")])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("robot: arm.xml", "", "no robot"),
+        ("robot: arm.xml", "robot: none.xml", "no such robot"),
+        ("inertial:", "inertia:", "unknown inertia; valid are robot"),
+        ("joint: elbow", "joint: knee", "no joint 'knee'"),
+        ("mass: 1.1", "mass: -1", "above 0"),
+        ("mass: 1.1", "weight: 1.1", "unknown weight"),
+        ("effect: coulomb", "effect: magic", "no effect 'magic'"),
+        ("{level: 0.5}", "{height: 0.5}", "no parameter height"),
+        ("torque_std: [0.2, 0.1]", "torque_std: [1, 2, 3]", "torque_std"),
+        ("torque_std: [0.2, 0.1]", "torque_std: loud", "truth.yaml"),
+        ("log_rate: 250", "rate: 250", "unknown rate"),
+        ("log_rate: 250", "log_rate: [", "not a readable YAML"),
+    ],
+)
+def test_a_truth_with_a_mistake_is_refused_by_name(
+    two_links, tmp_path, old, new, message
+):
+    path = tmp_path / "truth.yaml"
+    path.write_text(TRUTH.replace(old, new))
+    with pytest.raises(HybridError, match=message) as error:
+        load_truth(path)
+    assert "\n" not in str(error.value)
+    assert isinstance(error.value, RobotError | EffectError | HybridError)
+
+
+def test_a_missing_truth_is_refused(tmp_path):
+    with pytest.raises(HybridError, match="not a readable YAML"):
+        load_truth(tmp_path / "none.yaml")
