@@ -190,8 +190,8 @@ def urdf(name: str, arm: dict[str, Any]) -> str:
     ET.SubElement(fixed, "child", link="flange")
     for joint in arm["joints"]:
         drive = ET.SubElement(root, "transmission", name=f"{joint['name']}_drive")
-        kind = ET.SubElement(drive, "type")
-        kind.text = "transmission_interface/SimpleTransmission"
+        form = ET.SubElement(drive, "type")
+        form.text = "transmission_interface/SimpleTransmission"
         ET.SubElement(drive, "joint", name=joint["name"])
         actuator = ET.SubElement(drive, "actuator", name=joint["name"])
         ET.SubElement(actuator, "drake:rotor_inertia", value=text_of(joint["rotor"]))

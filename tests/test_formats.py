@@ -120,22 +120,33 @@ def test_numbered_columns_are_known_by_many_names(
 
 def test_the_ending_joint_of_a_name_may_be_left_out(tmp_path):
     labels = ["t", "q_elbow", "q_wrist_1", "tau_wrist_1", "tau_elbow"]
-    path = text(tmp_path / "log.csv", labels, np.arange(10.0).reshape(2, 5))
+    path = text(tmp_path / "log.csv", labels, np.arange(10.0).reshape(2, 5) / 10)
     recording = read(path, joints=("wrist_1_joint", "elbow_joint"))
-    assert recording.q[0].tolist() == [2.0, 1.0]
-    assert recording.tau[0].tolist() == [3.0, 4.0]
+    assert recording.q[0].tolist() == [0.2, 0.1]
+    assert recording.tau[0].tolist() == [0.3, 0.4]
+
+
+def test_brackets_hold_a_unit_or_a_joint(tmp_path):
+    labels = ["t [s]", "q[elbow] [rad]", "tau[elbow] (N m)", "current_1 [mA]"]
+    path = text(tmp_path / "log.csv", labels, np.arange(8.0).reshape(2, 4) / 10)
+    with pytest.warns(HybridWarning, match=r"ignored columns: current_1 \[mA\]$"):
+        recording = read(path)
+    assert recording.joints == ("elbow",)
+    assert recording.q[0, 0] == 0.1
 
 
 def test_the_only_joint_needs_no_number(tmp_path):
-    path = text(tmp_path / "log.csv", ["t", "q", "tau"], np.arange(6.0).reshape(2, 3))
-    assert read(path, joints=("hinge",)).tau.tolist() == [[2.0], [5.0]]
+    path = text(
+        tmp_path / "log.csv", ["t", "q", "tau"], np.arange(6.0).reshape(2, 3) / 10
+    )
+    assert read(path, joints=("hinge",)).tau.tolist() == [[0.2], [0.5]]
     np.savez(tmp_path / "log.npz", t=[0.0, 0.1], q=[1.0, 2.0], effort=[3.0, 4.0])
     assert read(tmp_path / "log.npz").tau.tolist() == [[3.0], [4.0]]
 
 
 def test_unknown_columns_are_ignored_in_one_warning_that_lists_them(tmp_path):
     labels = ["t", "q1", "tau1", "qmot1", "note", "q_motor1"]
-    path = text(tmp_path / "log.csv", labels, np.arange(12.0).reshape(2, 6))
+    path = text(tmp_path / "log.csv", labels, np.arange(12.0).reshape(2, 6) / 10)
     with pytest.warns(
         HybridWarning, match="log.csv: ignored columns: qmot1, note, q_motor1$"
     ) as warned:

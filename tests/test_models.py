@@ -99,9 +99,7 @@ def test_mjcf_and_urdf_have_one_flange_and_one_jacobian(both):
         linear, angular = np.zeros((3, mjcf.nv)), np.zeros((3, mjcf.nv))
         body = mjcf.site_bodyid[site.id]
         mujoco.mj_jac(mjcf, mine, linear, angular, mine.site(site.id).xpos, body)
-        theirs = pin.computeFrameJacobian(
-            urdf, data, q, frame, pin.LOCAL_WORLD_ALIGNED
-        )
+        theirs = pin.computeFrameJacobian(urdf, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
         np.testing.assert_allclose([*linear, *angular], theirs, rtol=0, atol=1e-9)
         pin.updateFramePlacements(urdf, data)
         place = data.oMf[frame].translation
@@ -212,9 +210,7 @@ def truth():
 def test_the_truth_names_effects_that_exist(truth):
     robot = Robot.load(MODELS / truth["robot"])
     effects = [effect_from_dict(item, robot.joints) for item in truth["effects"]]
-    mixes = [
-        {e.id for e in effects if e.joints == (j,)} for j in range(robot.size)
-    ]
+    mixes = [{e.id for e in effects if e.joints == (j,)} for j in range(robot.size)]
     assert all(len(mix) >= 4 for mix in mixes)
     assert len({frozenset(mix) for mix in mixes}) == robot.size  # each its own
 

@@ -1,6 +1,7 @@
 """The plant obeys mechanics, realises every effect, and logs what it says."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -251,10 +252,17 @@ def test_coulomb_friction_is_a_level_against_motion(two_links):
     (log,) = run(two_links, [effect("coulomb", 1, level=1.5)])
     rest, v, _ = residual(two_links, log)
     moving = np.abs(v[:, 1]) > 0.05
-    np.testing.assert_allclose(
-        rest[moving, 1], 1.5 * np.sign(v[moving, 1]), rtol=0.02
-    )
+    np.testing.assert_allclose(rest[moving, 1], 1.5 * np.sign(v[moving, 1]), rtol=0.02)
     assert rms(rest[:, 0]) < 2e-3 * rms(log.tau[:, 0])
+
+
+def test_asymmetry_takes_away_from_declared_friction(two_links):
+    dry = replace(two_links, frictionloss=np.array([2.0, 1.0]))
+    (log,) = run(dry, [effect("asymmetric_friction", 0, level=0.5)])
+    rest, v, _ = residual(dry, log)
+    v, rest = v[:, 0], rest[:, 0]
+    np.testing.assert_allclose(rest[v > 0.05], 2.5, rtol=0.02)
+    np.testing.assert_allclose(rest[v < -0.05], -1.5, rtol=0.02)
 
 
 def test_load_friction_grows_with_the_transmitted_torque(two_links):
@@ -658,3 +666,12 @@ def test_a_truth_with_a_mistake_is_refused_by_name(
 def test_a_missing_truth_is_refused(tmp_path):
     with pytest.raises(HybridError, match="not a readable YAML"):
         load_truth(tmp_path / "none.yaml")
+
+
+def test_the_shipped_truth_moves_within_its_limits():
+    models = Path(__file__).parents[1] / "models"
+    nominal, plant = load_truth(models / "coman_truth.yaml")
+    (log,) = simulate(plant, trajectories=1, duration=2.0)
+    assert log.joints == nominal.joints
+    assert (np.abs(log.tau).max(axis=0) < nominal.tau_max).all()
+    assert np.abs(log.q - log.command).max() < 0.05

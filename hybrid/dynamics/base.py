@@ -13,8 +13,11 @@ from scipy.linalg import solve_triangular
 
 from hybrid.robot.chain import INERTIAL_NAMES, INERTIAL_UNITS, Array
 
-_RANK_TOLERANCE = 1e-8
-_SMALLEST_FACTOR = 1e-6  # below this a coefficient is rounding, not a dependence
+# A column of which less than this part is its own would need data that much better than
+# the rest: axes that a file turns by 1.5708 instead of π/2 make such columns.
+_RANK_TOLERANCE = 1e-5
+_ROUNDING = 1e-10  # a coefficient below, of columns of unit length, is no dependence
+_UNNAMED = 1e-5  # a coefficient below counts, but does not belong into a name
 
 
 @dataclass(frozen=True)
@@ -70,23 +73,24 @@ class BaseParameters:
     def dropped(self) -> dict[str, str]:
         """Parameters with an effect of their own on no motion, and what they join.
 
-        Maps the label to the combinations it is part of; empty text when it never
-        moves any torque.
+        Maps the label to the kept parameters whose combinations it is part of; empty
+        text when it never moves any torque.
         """
         found = {}
         for column, label in enumerate(self.labels):
             if column not in self.kept:
-                joined = np.flatnonzero(np.abs(self.mapping[:, column]) > 0)
+                size = np.abs(self.mapping[:, column])
+                joined = np.flatnonzero(size > _UNNAMED * size.max(initial=0.0))
                 found[label] = ", ".join(self.labels[self.kept[k]] for k in joined)
         return found
 
     def _combination(self, k: int) -> str:
         text = self.labels[self.kept[k]]
-        for column in np.flatnonzero(self.mapping[k]):
+        for column in np.flatnonzero(np.abs(self.mapping[k]) > _UNNAMED):
             if column == self.kept[k]:
                 continue
             factor = self.mapping[k, column]
-            size = "" if abs(abs(factor) - 1) < 1e-9 else f"{abs(factor):.4g}·"
+            size = f"{abs(factor):.4g}·".removeprefix("1·")
             text += f" {'+' if factor > 0 else '−'} {size}{self.labels[column]}"
         return text
 
@@ -130,8 +134,9 @@ def base_parameters(
 
 
 def _mapping(R: Array, kept: list[int], scale: Array) -> Array:
+    # Rounding is judged between columns of unit length: in SI units 1e-6 may be a true
+    # m·d² of links a millimetre apart.
     mapping = solve_triangular(R[:, kept], R)
-    mapping = mapping * scale / scale[kept, None]
-    mapping[np.abs(mapping) < _SMALLEST_FACTOR] = 0.0
+    mapping[np.abs(mapping) < _ROUNDING] = 0.0
     mapping[:, kept] = np.eye(len(kept))
-    return mapping
+    return mapping * scale / scale[kept, None]

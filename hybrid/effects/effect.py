@@ -131,7 +131,7 @@ class Effect(ABC):
 
     Raises:
         EffectError: A value has no such parameter, is not finite, or a shape is out of
-            bounds.
+            bounds; or the number of joints does not fit the scope.
     """
 
     id: ClassVar[str]
@@ -168,6 +168,16 @@ class Effect(ABC):
                 )
         object.__setattr__(self, "joints", tuple(int(j) for j in self.joints))
         object.__setattr__(self, "values", values)
+        self._check_joints()
+
+    def _check_joints(self) -> None:
+        if not self.joints or (self.scope == "joint" and len(self.joints) != 1):
+            wanted = "one joint" if self.scope == "joint" else "at least one joint"
+            raise EffectError(f"{self.id} acts on {wanted}, not {len(self.joints)}")
+        if len(set(self.joints)) < len(self.joints) or min(self.joints) < 0:
+            raise EffectError(
+                f"{self.id}: joints are {self.joints}, different ones from 0 are valid"
+            )
 
     @classmethod
     def typical(

@@ -31,7 +31,8 @@ _GAINS = (
 class LinkInertia(Effect):
     """Change of one link's ten inertial parameters, about the link's frame origin.
 
-    It acts on the joints up to that link; the link is the last of ``joints``.
+    The link is the one that the outermost of ``joints`` moves. It loads every joint up to
+    there, so that ``joints`` is always filled up from the base.
     """
 
     id = "link_inertia"
@@ -40,8 +41,12 @@ class LinkInertia(Effect):
     gains = _GAINS
     equation = "τ = Y_k(q, v, a) · Δπ_k"
     source = "Atkeson et al. 1986, doi 10.1177/027836498600500306"
-    sentence = "The link behind {joints} is not as heavy as the simulator says."
+    sentence = "The last link that {joints} move is not as the simulator says."
     remedy = "Correct the link's mass, centre of mass and inertia."
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "joints", tuple(range(max(self.joints) + 1)))
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """See :meth:`Effect.columns`; shape (N, len(joints), 10)."""

@@ -19,6 +19,7 @@ from hybrid.effects.effect import Effect, Scale
 from hybrid.errors import EffectError
 
 _ENTRY_POINT_GROUP = "hybrid.effects"
+_STATED = ("id", "port", "gains", "equation", "source", "sentence", "remedy")
 _added: dict[str, type[Effect]] = {}
 
 
@@ -38,14 +39,19 @@ def _shipped() -> dict[str, type[Effect]]:
 
 
 def _classes_in(module: ModuleType) -> dict[str, type[Effect]]:
-    return {
-        item.id: item
+    found = [
+        item
         for item in vars(module).values()
         if isinstance(item, type)
         and issubclass(item, Effect)
         and not isabstract(item)
         and item.__module__ == module.__name__
-    }
+    ]
+    for cls in found:
+        missing = [name for name in _STATED if not hasattr(cls, name)]
+        if missing:
+            raise EffectError(f"{cls.__name__} does not state {', '.join(missing)}")
+    return {cls.id: cls for cls in found}
 
 
 def effects_from_file(path: str | Path) -> tuple[str, ...]:
@@ -54,7 +60,8 @@ def effects_from_file(path: str | Path) -> tuple[str, ...]:
     The file is code that the user chose to run; data files never name one.
 
     Raises:
-        EffectError: The file is missing, fails, or defines no effect.
+        EffectError: The file is missing, fails, or defines no effect, an incomplete
+            one, or one that exists already.
     """
     path = Path(path)
     if not path.is_file():
@@ -67,11 +74,17 @@ def effects_from_file(path: str | Path) -> tuple[str, ...]:
     sys.modules[name] = module  # dataclasses look their module up
     try:
         spec.loader.exec_module(module)
+        found = _classes_in(module)
+    except EffectError as error:
+        raise EffectError(f"{path}: {error}") from error
     except Exception as error:
         raise EffectError(f"{path}: {type(error).__name__}: {error}") from error
-    found = _classes_in(module)
     if not found:
         raise EffectError(f"{path}: defines no concrete subclass of hybrid.Effect")
+    shipped = [effect_id for effect_id in found if effect_id in _shipped()]
+    if shipped:
+        # Saved models name effects by id: what an id means must not change.
+        raise EffectError(f"{path}: {', '.join(shipped)} exists already; rename it")
     _added.update(found)
     return tuple(found)
 
@@ -106,7 +119,7 @@ def effect_from_dict(content: Mapping[str, Any], names: Sequence[str]) -> Effect
         joints = [_index(name, names) for name in content["joints"]]
         values = dict(content.get("values", {}))
         return cls(tuple(joints), values, dict(content.get("std", {})))
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise EffectError(f"not an effect: {content!r} ({error!r})") from error
 
 
@@ -159,10 +172,13 @@ def _groups(
     """Joint tuples of the instances to make."""
     everything = tuple(range(len(names)))
     if cls.scope == "arm":
+        if text is not None:
+            raise EffectError(f"{cls.id} is of the whole arm; leave out ':{text}'")
         return [everything]
     if text is None:
         if cls.scope == "coupling":
-            raise EffectError(f"{cls.id} needs its joints, e.g. {cls.id}:{names[-1]}")
+            pair = "+".join(names[-2:])
+            raise EffectError(f"{cls.id} needs its joints, e.g. {cls.id}:{pair}")
         return [(j,) for j in everything]
     joints = tuple(_index(name.strip(), names) for name in text.split("+"))
     return [joints] if cls.scope == "coupling" else [(j,) for j in joints]

@@ -34,8 +34,8 @@ class ThresholdFriction(JointEffect):
         Quantity("cubic", "N·m·s³/rad³", 0.0, 0.0, 1.0, per=(1, -3)),
     )
     shapes = (
-        Quantity("threshold", "rad/s", 0.2, 0.001, 10.0),
-        Quantity("width", "rad/s", 0.002, 0.0, 1.0),
+        Quantity("threshold", "rad/s", 0.2, 0.0001, 100.0),
+        Quantity("width", "rad/s", 0.002, 0.0, 10.0),
     )
     equation = (
         "τ = k_c± σ(v) + k_f σ(v)(1 − |v|/λ)₊ + k_s σ(v)(1 − |v|/λ)₊² "

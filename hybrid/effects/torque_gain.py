@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 

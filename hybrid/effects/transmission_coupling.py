@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.errors import EffectError
 from hybrid.signals import Motion
+
+if TYPE_CHECKING:
+    import mujoco
 
 
 class TransmissionCoupling(Effect):
-    """One motor feels the other joint's motion through a shared wrist gear.
+    """One rotor turns with the sum of two joints, as in many wrists.
 
-    The coupled rotor turns with the sum of both joints, so that each feels the other's
-    acceleration and speed, and both feel dry friction of the sum.
+    Its inertia and friction act on both joints alike. What a rotor adds to its own
+    joint is the sum of this and of that joint's armature and friction.
     """
 
     id = "transmission_coupling"
@@ -24,17 +30,31 @@ class TransmissionCoupling(Effect):
         Quantity("viscous", "N·m·s/rad", 0.02, 0.0, 1.0, per=(1, -1)),
         Quantity("coulomb", "N·m", 0.02, 0.0, 0.3, per=(1, 0)),
     )
-    equation = "τ_i = I a_j + F_v v_j + F_c sgn(v_i + v_j), and likewise for τ_j"
+    equation = "τ_i = τ_j = I (a_i + a_j) + F_v (v_i + v_j) + F_c sgn(v_i + v_j)"
     source = "Gautier and Janot, TX40 wrist; doi 10.1109/TCST.2013.2253321"
     sentence = "{joints} are coupled through their gears."
     remedy = "Add the coupled rotor to the transmission model."
 
+    def _check_joints(self) -> None:
+        super()._check_joints()
+        if len(self.joints) != 2:
+            raise EffectError(
+                f"{self.id} acts on two joints, not {len(self.joints)}: "
+                f"{self.id}:first+second"
+            )
+
     def columns(self, motion: Motion, body: Body) -> Array:
         """See :meth:`Effect.columns`; shape (N, 2, 3)."""
-        i, j = self.joints
-        other = [j, i]
-        both = np.sign(motion.v[:, i] + motion.v[:, j])
-        return np.stack(
-            [motion.a[:, other], motion.v[:, other], np.stack([both, both], axis=1)],
-            axis=-1,
-        )
+        joints = list(self.joints)
+        v, a = motion.v[:, joints].sum(axis=1), motion.a[:, joints].sum(axis=1)
+        return np.stack([np.stack([a, v, np.sign(v)], axis=1)] * 2, axis=1)
+
+    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+        """Add a tendon whose length is the sum of both joints."""
+        pair = [names[j] for j in self.joints]
+        rotor = spec.add_tendon(name=f"{'+'.join(pair)}/{self.id}")
+        for name in pair:
+            rotor.wrap_joint(name, 1.0)
+        rotor.armature = self.values["inertia"]
+        rotor.damping = np.array([self.values["viscous"], 0.0, 0.0])
+        rotor.frictionloss = self.values["coulomb"]

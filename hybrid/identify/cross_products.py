@@ -6,12 +6,15 @@ then never touch a sample again, and memory does not grow with the length of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hybrid.errors import IdentificationError
 from hybrid.identify.problem import Problem
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
@@ -31,14 +34,16 @@ class CrossProducts:
     Attributes:
         problem: Unknowns and layout of the rows.
         blocks: Rows times rows transposed, per block in time, shape (B, P, P).
-        counts: Samples of each block, shape (B,).
+        counts: Samples of each block in which both joints moved, shape (B, n, n).
         recording: Which recording each block is from, shape (B,).
+        fold: Part of the data each block belongs to, for cross-validation, shape (B,).
     """
 
     problem: Problem
     blocks: Array
     counts: Array
-    recording: Array
+    recording: NDArray[np.intp]
+    fold: NDArray[np.intp]
 
     @cached_property
     def total(self) -> Array:
@@ -47,20 +52,24 @@ class CrossProducts:
 
     @property
     def samples(self) -> int:
-        """Samples per joint in all blocks."""
-        return int(self.counts.sum())
+        """Samples of the joint that moved most."""
+        return int(np.diag(self.counts.sum(axis=0)).max())
 
-    def some(self, chosen: Array) -> CrossProducts:
+    def some(self, chosen: NDArray[np.bool_]) -> CrossProducts:
         """Only some blocks, by index or mask."""
         return replace(
             self,
             blocks=self.blocks[chosen],
             counts=self.counts[chosen],
             recording=self.recording[chosen],
+            fold=self.fold[chosen],
         )
 
     def merged(self, factor: int) -> CrossProducts:
-        """Blocks of one recording merged, ``factor`` neighbours at a time."""
+        """Blocks of one recording merged, ``factor`` neighbours at a time.
+
+        Folds are given up.
+        """
         if factor == 1:
             return self
         label, last, seen = np.zeros(len(self.counts), dtype=int), -1, {}
@@ -75,6 +84,7 @@ class CrossProducts:
             blocks=np.add.reduceat(self.blocks, starts),
             counts=np.add.reduceat(self.counts, starts),
             recording=self.recording[starts],
+            fold=self.fold[starts],
         )
 
     def normal(self, weight: Array, sums: Array | None = None) -> tuple[Array, Array]:
@@ -117,10 +127,14 @@ class CrossProducts:
             C[start + len(support), i] = 1.0
         return np.asarray(C.T @ sums @ C)
 
-    def rms(self, theta: Array) -> Array:
-        """Residual RMS of each joint, shape (n,), [N·m]."""
-        squares = np.diag(self.residual_products(theta)) / self.samples
-        return np.sqrt(np.clip(squares, 0.0, None))
+    def squares(self, theta: Array) -> Array:
+        """Sum of each joint's squared residuals, shape (n,), [N²·m²]."""
+        return np.clip(np.diag(self.residual_products(theta)), 0.0, None)
+
+    @property
+    def moving(self) -> Array:
+        """Samples at which each joint moved, shape (n,)."""
+        return np.maximum(np.diag(self.counts.sum(axis=0)), 1.0)
 
 
 def accumulate(
@@ -128,57 +142,91 @@ def accumulate(
     motions: Sequence[Motion],
     *,
     cutoff: float,
+    standing: Array,
+    folds: Sequence[NDArray[np.intp]] | None = None,
     known: Sequence[Array] | None = None,
 ) -> CrossProducts:
     """Cross-products over motions, columns and torque filtered alike.
+
+    A joint that stands still may be held by any friction below break-away, so its torque
+    says nothing: its rows are left out while it stands.
 
     Args:
         problem: Unknowns and layout.
         motions: Motions at full rate.
         cutoff: Cut-off of the filter of columns and torque, [Hz]; inf for none.
-        known: Torque already explained, to subtract, shape (N, n) for each motion.
+        standing: Speed of each joint below which it stands, shape (n,), [rad/s].
+        folds: Fold of every sample, shape (N,) for each motion.
+        known: Filtered torque already explained, to subtract, shape (M, n) for the
+            decimated samples of each motion, [N·m].
 
     Returns:
-        Cross-products in at most 256 blocks.
+        Cross-products in some 256 blocks at most.
     """
     seconds = sum(m.t[-1] - m.t[0] for m in motions)
     block_seconds = max(_BLOCK_SECONDS, seconds / _MOST_BLOCKS * 1.2)
-    blocks: list[Array] = []
-    counts: list[int] = []
-    recording: list[int] = []
+    found: list[tuple[int, int, Array, Array]] = []
     for r, motion in enumerate(motions):
-        if known is not None:
-            motion = replace(motion, tau=motion.tau - known[r])
-        sums, count = _one_motion(problem.rows, motion, cutoff, block_seconds)
-        blocks += sums
-        counts += count
-        recording += [r] * len(count)
+        fold = folds[r] if folds is not None else np.zeros(len(motion.t), dtype=int)
+        explained = None if known is None else known[r]
+        blocks = _one_motion(
+            problem, motion, fold, explained, cutoff, standing, block_seconds
+        )
+        found += [(r, key[1], *sums) for key, sums in sorted(blocks.items())]
+    if not found:
+        raise IdentificationError(
+            "no usable sample: every one is masked, or no joint moves"
+        )
+    of, fold_of, sums, counts = zip(*found, strict=True)
     return CrossProducts(
-        problem, np.array(blocks), np.array(counts), np.array(recording)
+        problem, np.array(sums), np.array(counts), np.array(of), np.array(fold_of)
     )
 
 
 def _one_motion(
-    rows: Rows, motion: Motion, cutoff: float, block_seconds: float
-) -> tuple[list[Array], list[int]]:
+    problem: Problem,
+    motion: Motion,
+    fold: NDArray[np.intp],
+    known: Array | None,
+    cutoff: float,
+    standing: Array,
+    block_seconds: float,
+) -> dict[tuple[int, int], tuple[Array, Array]]:
+    """Sums and counts by block in time and fold."""
     sampler = Sampler.for_rate(motion.rate, cutoff)
     length = max(1, round(block_seconds * motion.rate / sampler.factor))
-    blocks: dict[int, Array] = {}
-    counts: dict[int, int] = {}
-    for first, D in sampled_chunks(rows, motion, sampler):
-        mask = motion.mask[:: sampler.factor][first : first + D.shape[1]]
-        index = (first + np.arange(D.shape[1])) // length
-        for block in np.unique(index):
-            part = D[:, (index == block) & mask]
-            if part.shape[1] == 0:
+    sizes = np.diff(problem.offsets)
+    found: dict[tuple[int, int], tuple[Array, Array]] = {}
+    for first, D in sampled_chunks(problem.rows, motion, sampler):
+        samples = slice(first, first + D.shape[1])
+        moving = moving_samples(motion, sampler, standing)[samples].T.astype(float)
+        if known is not None:
+            D[np.array(problem.offsets[1:]) - 1] -= known[samples].T
+        D *= np.repeat(moving, sizes, axis=0)
+        block = (first + np.arange(D.shape[1])) // length
+        own = fold[:: sampler.factor][samples]
+        starts = np.flatnonzero(np.diff(block, prepend=-1) | np.diff(own, prepend=-1))
+        for start, stop in pairwise([*starts, D.shape[1]]):
+            part, both = D[:, start:stop], moving[:, start:stop]
+            if not both.any():
                 continue
-            blocks[block] = blocks.get(block, 0.0) + part @ part.T
-            counts[block] = counts.get(block, 0) + part.shape[1]
-    order = sorted(blocks)
-    return [blocks[b] for b in order], [counts[b] for b in order]
+            key = int(block[start]), int(own[start])
+            before = found.get(key, (0.0, 0.0))
+            found[key] = (before[0] + part @ part.T, before[1] + both @ both.T)
+    return found
 
 
-def sampled_chunks(rows: Rows, motion: Motion, sampler: Sampler):  # type: ignore[no-untyped-def]
+def moving_samples(
+    motion: Motion, sampler: Sampler, standing: Array
+) -> NDArray[np.bool_]:
+    """Decimated samples at which each joint moves and the mask allows, (M, n)."""
+    moving = np.abs(motion.v[:: sampler.factor]) > standing
+    return np.asarray(moving & sampler.keep(motion.mask)[:, None])
+
+
+def sampled_chunks(
+    rows: Rows, motion: Motion, sampler: Sampler
+) -> Iterator[tuple[int, Array]]:
     """Rows evaluated at full rate, filtered and decimated, a chunk at a time.
 
     Chunks overlap by as much as the filter reaches, so the result is that of one piece.

@@ -23,11 +23,31 @@ Estimator = Literal["ls", "wls", "irls"]
 ESTIMATORS: tuple[Estimator, ...] = ("ls", "wls", "irls")
 
 _RANK = 1e-13  # smallest eigenvalue of the scaled normal matrix that still counts
-_TOLERANCE = 1e-8
+_TOLERANCE = 1e-6
 _MOST_ITERATIONS = 60
 _FEWEST_BLOCKS = 24
 _UNCORRELATED = 0.05
 _OUTLYING = 3.0  # times the median block misfit
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """Solutions that each leave one fold out, and their error on it.
+
+    Attributes:
+        theta: Unknowns without each fold, shape (F, p).
+        squares: Sum of each joint's squared residuals on the fold, shape (F, n).
+        moving: Samples of each joint in the fold, shape (F, n).
+    """
+
+    theta: Array
+    squares: Array
+    moving: Array
+
+    @property
+    def rms(self) -> Array:
+        """RMS of each joint over all folds, shape (n,), [N·m]."""
+        return np.asarray(np.sqrt(self.squares.sum(axis=0) / self.moving.sum(axis=0)))
 
 
 @dataclass(frozen=True)
@@ -38,6 +58,7 @@ class Estimate:
         theta: Unknowns, shape (p,).
         covariance: Their covariance, honest under correlated residuals, shape (p, p).
         sigma: Residual covariance across joints, shape (n, n), [N²·m²].
+        weight: Weight across joints of the last step, shape (n, n).
         condition: Condition number of the whitened, column-scaled columns.
         iterations: Reweightings done.
         converged: False if the iteration limit came first.
@@ -48,6 +69,7 @@ class Estimate:
     theta: Array
     covariance: Array
     sigma: Array
+    weight: Array
     condition: float
     iterations: int
     converged: bool
@@ -111,6 +133,7 @@ def solve(
         theta=theta,
         covariance=covariance,
         sigma=_sigma(products, theta, np.ones(len(products.counts)), True),
+        weight=weight,
         condition=condition,
         iterations=iterations,
         converged=converged,
@@ -119,12 +142,38 @@ def solve(
     )
 
 
+def cross_validate(
+    products: CrossProducts, estimate: Estimate, *, bounded: bool = False
+) -> CrossValidation:
+    """Solve without each fold in turn, at the estimate's weight, and score on it.
+
+    Args:
+        products: Accumulated data with folds.
+        estimate: Solution on all of it.
+        bounded: Whether that kept gains at their physical side.
+    """
+    folds = np.unique(products.fold)
+    A, b = products.normal(estimate.weight)
+    theta, squares, moving = [], [], []
+    for fold in folds:
+        part = products.some(products.fold == fold)
+        A_k, b_k = part.normal(estimate.weight)
+        found = _optimum(A - A_k, b - b_k, products.problem.lower if bounded else None)
+        theta.append(found)
+        squares.append(part.squares(found))
+        moving.append(part.moving)
+    return CrossValidation(np.array(theta), np.array(squares), np.array(moving))
+
+
 def _step(products: CrossProducts, weight: Array, share: Array, bounded: bool) -> Array:
     sums = np.tensordot(share, products.blocks, axes=1) if share.min() < 1 else None
     A, b = products.normal(weight, sums)
+    return _optimum(A, b, products.problem.lower if bounded else None)
+
+
+def _optimum(A: Array, b: Array, lower: Array | None) -> Array:
     theta = _pseudo_solve(A, b)
-    lower = products.problem.lower
-    if bounded and np.any(theta < lower):
+    if lower is not None and np.any(theta < lower):
         theta = _bounded_solve(A, b, lower)
     return theta
 
@@ -165,17 +214,23 @@ def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> A
     """Residual covariance; a floor keeps a joint without residual invertible."""
     sums = np.tensordot(share, products.blocks, axes=1) if share.min() < 1 else None
     n = len(products.problem.support)
-    freedom = max(1.0, share @ products.counts - products.problem.size / n)
+    counts = np.tensordot(share, products.counts, axes=1)
+    freedom = np.maximum(1.0, counts - products.problem.size / n)
     sigma = products.residual_products(theta, sums) / freedom
-    variance = np.diag(sigma)
+    variance = np.clip(np.diag(sigma), 0.0, None)
     floor = 1e-12 * max(variance.max(), 1e-12)
-    return (sigma if full else np.diag(variance)) + floor * np.eye(n)
+    if not full:
+        return np.diag(variance + floor)
+    # Joints stand at different times, so the pairwise covariance may miss being positive.
+    values, vectors = eigh(sigma)
+    return np.asarray(vectors * np.maximum(values, floor) @ vectors.T)
 
 
 def _shares(products: CrossProducts, theta: Array, weight: Array) -> Array:
     """Weight of each block: one, or less where its misfit is out of line."""
     residual = products.residual_products(theta, products.blocks)
-    misfit = np.einsum("bij,ij->b", residual, weight) / products.counts
+    samples = np.trace(products.counts, axis1=1, axis2=2)
+    misfit = np.einsum("bij,ij->b", residual, weight) / samples
     return np.minimum(1.0, _OUTLYING * np.median(misfit) / np.maximum(misfit, 1e-300))
 
 

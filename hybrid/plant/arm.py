@@ -25,10 +25,10 @@ INTEGRATORS = {
 # Dry friction holds a joint as a soft constraint; this is how nearly it is hard. A
 # joint stuck under a torque creeps at (1 − impedance)·step of its free acceleration.
 _IMPEDANCE = 0.9999
-_HOOKS = ("edit_spec", "deliver", "measure")
+_HOOKS = ("edit_spec", "deliver", "measure", "report")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Arm:
     """A compiled arm of n motor joints, some of them with a deflection behind.
 
@@ -109,11 +109,14 @@ def _indexed(model: Any, joints: Sequence[str]) -> Arm:
     )
 
 
+def overrides(effect: Effect, hook: str) -> bool:
+    """Whether the effect's class has a hook of its own."""
+    return getattr(type(effect), hook) is not getattr(Effect, hook)
+
+
 def has_hook(effect: Effect) -> bool:
     """Whether the effect's class says itself how a plant realises it."""
-    return any(
-        getattr(type(effect), name) is not getattr(Effect, name) for name in _HOOKS
-    )
+    return any(overrides(effect, hook) for hook in _HOOKS)
 
 
 def check_simulable(effects: Sequence[Effect], size: int) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hybrid.effects import Effect, JointState
 from hybrid.errors import HybridError
-from hybrid.plant.arm import Arm
+from hybrid.plant.arm import Arm, overrides
 from hybrid.plant.laws import Laws
 from hybrid.robot.chain import Array
 
@@ -46,7 +46,7 @@ class Lockstep:
         self._arm = arm
         batch, n = start.shape
         self._laws = Laws(effects, batch, n)
-        self._drives = [e for e in effects if type(e).deliver is not Effect.deliver]
+        self._drives = [e for e in effects if overrides(e, "deliver")]
         self._models = [copy.copy(arm.model) for _ in range(batch)]
         self._datas = [mujoco.MjData(model) for model in self._models]
         self._declared = arm.model.dof_frictionloss.copy()
@@ -115,11 +115,11 @@ class Lockstep:
             laws.evaluate(motor, link)
             applied[:, arm.motor] = delivered - laws.drive - laws.link
             applied[:, arm.deflection] = -laws.link[:, arm.elastic]
-            self._friction[:, arm.motor] = self._declared[arm.motor] + np.maximum(
-                motor.sign * laws.dry, 0.0
-            )
-            for level, row in zip(self._levels, self._friction, strict=True):
-                level[:] = row
+            # One direction's law may be negative; only the sum cannot be.
+            level = self._declared[arm.motor] + motor.sign * laws.dry
+            self._friction[:, arm.motor] = np.maximum(level, 0.0)
+            for target, row in zip(self._levels, self._friction, strict=True):
+                target[:] = row
         for force, row in zip(self._views["qfrc_applied"], applied, strict=True):
             force[:] = row
 

@@ -16,7 +16,7 @@ _ENCODER_BITS = 19
 _SPEED_STD = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Noise:
     """What sensors add to the signals of an arm of n joints.
 

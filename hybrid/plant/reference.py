@@ -16,7 +16,7 @@ DEFAULT_SPEED = 2.0
 DEFAULT_ACCELERATION = 10.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reference:
     """A desired motion on a uniform clock.
 

@@ -23,7 +23,7 @@ _FRICTION, _DROOP = 0.05, 0.02  # 1, rad
 _POSTURES = 20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Servo:
     """Feed-forward and PD controller of n joints, saturated, held between samples.
 

@@ -24,7 +24,7 @@ def simulate(
     seed: int = 0,
     noise: Noise | None = None,
     fill: float = 0.7,
-    log_rate: float = 500.0,
+    log_rate: float | None = None,
 ) -> list[Recording]:
     """Simulate random motions of an arm with effects that its file does not know.
 
@@ -36,7 +36,7 @@ def simulate(
         seed: Seed of motions and noise; the same seed gives the same arrays.
         noise: Sensors; usual ones by default (see :meth:`Noise.typical`).
         fill: Fraction of the arm's position, speed and acceleration limits to use.
-        log_rate: Samples per second of the recordings, [Hz].
+        log_rate: Samples per second of the recordings, [Hz]; 500 by default.
 
     Returns:
         One recording a trajectory.
@@ -47,11 +47,14 @@ def simulate(
     if trajectories < 1:
         raise HybridError(f"trajectories is {trajectories}, 1 or more is valid")
     if isinstance(robot, Plant):
-        if effects or noise is not None:
-            raise HybridError("a plant has its own effects and noise; pass a robot")
+        if effects or noise is not None or log_rate is not None:
+            raise HybridError(
+                "a plant has its own effects, noise and rates; pass a robot instead"
+            )
         plant = robot
     else:
-        plant = Plant(robot, effects, noise=noise, log_rate=log_rate)
+        rate = 500.0 if log_rate is None else log_rate
+        plant = Plant(robot, effects, noise=noise, log_rate=rate)
     motion_rng, noise_rng = np.random.default_rng(seed).spawn(2)
     references = [
         random_fourier(

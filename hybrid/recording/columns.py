@@ -26,9 +26,9 @@ _CHANNEL = {word: channel for channel, words in WORDS.items() for word in words}
 _LONGEST_FIRST = "|".join(sorted(map(re.escape, _CHANNEL), key=len, reverse=True))
 _NUMBERED = re.compile(rf"({_LONGEST_FIRST})[_. ]?\[?(\d+)\]?", re.IGNORECASE)
 _NAMED = re.compile(rf"({_LONGEST_FIRST})(?:[_. ](.+?)|\[(.+?)\])", re.IGNORECASE)
-_UNIT = re.compile(r"\s*[\[(]([^\[\]()\d]+)[\])]$")
-_WRONG_UNIT = re.compile(r"([Dd]eg|[Dd]egrees?|°|mm)(/.*)?|[mµun]s|m?A|mN[.·*]?m")
-_TIME_UNIT = re.compile(r"(?:t|time|timestamp)_([mun]s)", re.IGNORECASE)
+_UNIT = re.compile(r"\s*(?:[\[(]([^\[\]()]+)[\])]|_(deg|[mun]s))$")
+_RIGHT = re.compile(r"s|sec|seconds|(rad|m)(/s)?|N|N[ .·*]?m|(°|deg)?C")
+_WRONG = re.compile(r"([Dd]eg|[Dd]egrees?|°|mm)(/s)?|rpm|[mµun]s|m?A|mN[ .·*]?m")
 
 
 @dataclass(frozen=True)
@@ -82,15 +82,16 @@ def match_columns(
     Warns:
         HybridWarning: Columns were ignored; they are listed.
     """
-    labels = [_without_unit(label.strip(), source) for label in labels]
-    time = [k for k, label in enumerate(labels) if label.lower() in TIME]
+    labels = [label.strip() for label in labels]
+    words = [_split_unit(label)[0] for label in labels]
+    time = [k for k, word in enumerate(words) if word.lower() in TIME]
     if len(time) != 1:
         what = "no column of time" if not time else "more than one column of time"
         raise RecordingError(
             f"{source}: {what} among {_listed(labels)}; valid is one of "
             f"{', '.join(TIME)}, in seconds"
         )
-    columns = _joint_columns(labels)
+    columns = _joint_columns(words)
     for channel in ("q", "tau"):
         if not any(column.channel == channel for column in columns):
             word = "positions" if channel == "q" else "torques"
@@ -106,6 +107,7 @@ def match_columns(
         if any(c.channel == channel for c in columns)
     }
     layout = Layout(time=time[0], channels=channels, joints=joints)
+    _check_units(layout, labels, source)
     ignored = [x for k, x in enumerate(labels) if x and k not in layout.used]
     if ignored:
         warnings.warn(
@@ -121,18 +123,23 @@ def word_channel(label: str) -> str | None:
     return _CHANNEL.get(label.lower())
 
 
-def _without_unit(label: str, source: str) -> str:
-    unit = _UNIT.search(label) if not label.startswith("[") else None
-    text = unit.group(1).strip() if unit else ""
-    in_name = _TIME_UNIT.fullmatch(label) or re.fullmatch(r".+_(deg)", label)
-    if in_name:
-        text = in_name.group(1)
-    if _WRONG_UNIT.fullmatch(text):
-        raise RecordingError(
-            f"{source}: column {label!r} is in {text}; valid are s, rad, rad/s and N·m "
-            "(m, m/s and N for a linear joint)"
-        )
-    return label[: unit.start()] if unit else label
+def _split_unit(label: str) -> tuple[str, str]:
+    """A label without its unit, and the unit; other brackets hold a joint."""
+    match = _UNIT.search(label)
+    unit = (match.group(1) or match.group(2)).strip() if match else ""
+    if match and (_RIGHT.fullmatch(unit) or _WRONG.fullmatch(unit)):
+        return label[: match.start()], unit
+    return label, ""
+
+
+def _check_units(layout: Layout, labels: Sequence[str], source: str) -> None:
+    for label in (labels[k] for k in layout.used):
+        unit = _split_unit(label)[1]
+        if _WRONG.fullmatch(unit):
+            raise RecordingError(
+                f"{source}: column {label!r} is in {unit}; valid are s, rad, rad/s and "
+                "N·m (m, m/s and N for a linear joint)"
+            )
 
 
 def _joint_columns(labels: Sequence[str]) -> list[_Column]:

@@ -86,30 +86,16 @@ def _read_columns(
 
 def _dialect_of(path: Path) -> _Dialect:
     """Labels and delimiter from the first line, decimal sign from the second."""
-    try:
-        with path.open("rb") as file:
-            start = [file.readline(1 << 20) for _ in range(2)]
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    if start[0].startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in start[0]:
-        raise RecordingError(
-            f"{path}: not UTF-8 text (UTF-16 or binary); valid is CSV saved as UTF-8"
-        )
-    try:
-        header = start[0].decode("utf-8-sig").strip("\r\n")
-        first = start[1].decode("utf-8").strip("\r\n")
-    except UnicodeDecodeError as error:
-        raise RecordingError(
-            f"{path}: the first lines are not UTF-8 (byte "
-            f"{error.object[error.start]:#04x}); valid is CSV saved as UTF-8"
-        ) from error
+    header, first = _first_lines(path)
     if not header.strip():
         empty = "is empty" if path.stat().st_size == 0 else "has an empty first line"
         raise RecordingError(f"{path}: {empty}; valid is a first line of column names")
     delimiter = max(DELIMITERS, key=header.count)
-    labels = tuple(
-        next(csv.reader([header], delimiter=delimiter, skipinitialspace=True))
-    )
+    try:
+        line = csv.reader([header], delimiter=delimiter, skipinitialspace=True)
+        labels = tuple(next(line))
+    except csv.Error as error:
+        raise RecordingError(f"{path}: first line of column names: {error}") from error
     if all(_is_number(label) for label in labels if label.strip()):
         raise RecordingError(
             f"{path}: the first line holds numbers; valid are column names such as "
@@ -117,6 +103,26 @@ def _dialect_of(path: Path) -> _Dialect:
         )
     comma = delimiter != "," and "," in first and "." not in first
     return _Dialect(labels, delimiter, "," if comma else ".")
+
+
+def _first_lines(path: Path) -> tuple[str, str]:
+    try:
+        with path.open("rb") as file:
+            header, first = (file.readline(1 << 20) for _ in range(2))
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    if header.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in header:
+        raise RecordingError(
+            f"{path}: not UTF-8 text (UTF-16 or binary); valid is CSV saved as UTF-8"
+        )
+    try:
+        words = header.decode("utf-8-sig").rstrip("\r\n")
+    except UnicodeDecodeError as error:
+        raise RecordingError(
+            f"{path}: column names are not UTF-8 (byte "
+            f"{error.object[error.start]:#04x}); valid is CSV saved as UTF-8"
+        ) from error
+    return words, first.decode("utf-8", errors="replace")
 
 
 def _explained(
@@ -143,8 +149,11 @@ def _explained(
 def _cells(path: Path, dialect: _Dialect) -> Iterator[list[str]]:
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
         reader = csv.reader(file, delimiter=dialect.delimiter)
-        next(reader)
-        yield from (cells for cells in reader if cells)
+        try:
+            next(reader)
+            yield from (cells for cells in reader if cells)
+        except csv.Error:  # the reason of the fast reader is all there is to tell
+            return
 
 
 def _is_number(text: str) -> bool:

@@ -34,34 +34,21 @@ def read_npz(path: Path, *, joints: tuple[str, ...] | None = None) -> Recording:
     source = str(path)
     arrays = _arrays(path)
     names = arrays.pop("joints", None)
+    found = None if names is None else tuple(map(str, np.atleast_1d(names)))
     columns: dict[str, NDArray[Any]] = {}
-    found: tuple[str, ...] | None = None
-    if names is not None:
-        found = tuple(str(name) for name in np.atleast_1d(names))
     for label, values in arrays.items():
+        if label.lower() in TIME or word_channel(label):
+            _check_numbers(values, label, source)
         if label.lower() in TIME or values.ndim != 2:
             columns[label] = values
-            continue
-        width = values.shape[1]
-        if word_channel(label) and found is not None and width != len(found):
-            raise RecordingError(
-                f"{source}: {label} has {width} columns; valid are {len(found)}, one "
-                f"for each of joints {', '.join(found)}"
-            )
-        for k in range(width):
-            columns[f"{label}_{found[k]}" if found else f"{label}{k + 1}"] = values[
-                :, k
-            ]
+        else:
+            columns |= _split(label, values, found, source)
     labels = list(columns)
     layout = match_columns(labels, joints=joints or found, source=source)
 
     def column(index: int) -> NDArray[np.float64]:
         values = columns[labels[index]]
-        if values.ndim != 1 or values.dtype.kind not in "fiu":
-            raise RecordingError(
-                f"{source}: {labels[index]} has shape {values.shape} and type "
-                f"{values.dtype}; valid are numbers, (N,) or (N, n)"
-            )
+        _check_numbers(values, labels[index], source, dimensions=(1,))
         return np.asarray(values, dtype=np.float64)
 
     return recording_from_layout(layout, column, source=source)
@@ -73,17 +60,46 @@ def write_npz(recording: Recording, path: Path) -> None:
     np.savez(path, **(arrays | recording.channels))  # type: ignore[arg-type]
 
 
+def _split(
+    label: str, values: NDArray[Any], joints: tuple[str, ...] | None, source: str
+) -> dict[str, NDArray[Any]]:
+    """The columns of an array (N, n) under the labels they would have in a table."""
+    if joints is None:
+        return {f"{label}{k + 1}": column for k, column in enumerate(values.T)}
+    if word_channel(label) and values.shape[1] != len(joints):
+        raise RecordingError(
+            f"{source}: {label} has {values.shape[1]} columns; valid are "
+            f"{len(joints)}, one for each of joints {', '.join(joints)}"
+        )
+    pairs = zip(joints, values.T, strict=False)
+    return {f"{label}_{joint}": column for joint, column in pairs}
+
+
+def _check_numbers(
+    values: NDArray[Any],
+    label: str,
+    source: str,
+    dimensions: tuple[int, ...] = (1, 2),
+) -> None:
+    if values.ndim not in dimensions or values.dtype.kind not in "fiu":
+        raise RecordingError(
+            f"{source}: {label} has shape {values.shape} and type {values.dtype}; "
+            "valid are numbers, (N,) or (N, n)"
+        )
+
+
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        # Not mmap: a damaged member must be found here. No pickle: it runs code.
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except AttributeError as error:
-        raise RecordingError(
-            f"{path}: a single array; valid is an .npz archive with t, q and tau"
-        ) from error
+        # No pickle: it runs code. All members are read here, to find damage here.
+        with path.open("rb") as file:
+            archive = np.load(file, allow_pickle=False)
+            if isinstance(archive, np.lib.npyio.NpzFile):
+                return {name: archive[name] for name in archive.files}
     except _DAMAGE as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise RecordingError(
             f"{path}: not a whole NPZ file of plain arrays (truncated?): {reason}"
         ) from error
+    raise RecordingError(
+        f"{path}: a single array; valid is an .npz archive with t, q and tau"
+    )

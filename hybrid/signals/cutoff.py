@@ -27,7 +27,7 @@ def choose_cutoff(recording: Recording) -> float:
     rate = recording.rate
     q = recording.q[:, np.ptp(recording.q, axis=0) > 0]
     highest = 0.4 * rate
-    if q.size == 0 or highest <= 5.0:
+    if q.size == 0 or len(q) < 16 or highest <= 5.0:
         return float(highest)
     f, power = welch(  # type: ignore[call-overload]
         q,
@@ -44,5 +44,6 @@ def choose_cutoff(recording: Recording) -> float:
     width = max(1, int(np.searchsorted(f, 2.0)))
     window = np.ones((width, 1)) / width
     share = np.apply_along_axis(np.convolve, 0, above, window[:, 0], mode="same")
-    ends = f[np.argmax((share < 0.5) & (f > 0.5)[:, None], axis=0)]
+    quiet = (share < 0.5) & (f > 0.5)[:, None]
+    ends = np.where(quiet.any(axis=0), f[np.argmax(quiet, axis=0)], highest)
     return float(np.clip(1.5 * np.median(ends), 5.0, highest))

@@ -1,0 +1,125 @@
+"""Learned remainders of the joints of an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.compensator.gmr import GaussianMixtureRegression
+from hybrid.errors import ModelFileError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class JointRemainder:
+    """Remainder of one joint's torque, learned over some positions and speeds.
+
+    Attributes:
+        joint: The joint whose torque it gives.
+        positions: Joints whose position it looks at.
+        speeds: Joints whose speed it looks at.
+        regression: From these inputs, positions first, to one torque.
+    """
+
+    joint: int
+    positions: tuple[int, ...]
+    speeds: tuple[int, ...]
+    regression: GaussianMixtureRegression
+
+    def inputs(self, q: Array, v: Array) -> Array:
+        """Its inputs from the state of the arm, shape (N, d)."""
+        return np.concatenate([q[:, self.positions], v[:, self.speeds]], axis=1)
+
+
+@dataclass(frozen=True)
+class ArmRemainder:
+    """Remainders of those joints that have one; zero for the others.
+
+    Attributes:
+        size: Number of joints n.
+        parts: At most one remainder a joint.
+    """
+
+    size: int
+    parts: tuple[JointRemainder, ...]
+
+    def predict(self, q: Array, v: Array) -> Array:
+        """Mean torque, shape (N, n), [N·m].
+
+        Args:
+            q: Positions, shape (N, n), [rad].
+            v: Speeds, shape (N, n), [rad/s].
+        """
+        tau = np.zeros((len(q), self.size))
+        for part in self.parts:
+            tau[:, part.joint] = part.regression.predict(part.inputs(q, v))[:, 0]
+        return tau
+
+    def predict_distribution(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Mean [N·m] and variance [(N·m)²] of the torque, shapes (N, n).
+
+        The variance of a joint without a remainder is NaN: it was not learned.
+        """
+        mean = np.zeros((len(q), self.size))
+        variance = np.full((len(q), self.size), np.nan)
+        for part in self.parts:
+            x = part.inputs(q, v)
+            m, s = part.regression.predict_distribution(x)
+            mean[:, part.joint], variance[:, part.joint] = m[:, 0], s[:, 0]
+        return mean, variance
+
+    def as_dict(self) -> list[dict[str, object]]:
+        """JSON-ready description; the numbers are in :meth:`arrays`."""
+        return [
+            {
+                "kind": part.regression.kind,
+                "joint": part.joint,
+                "positions": list(part.positions),
+                "speeds": list(part.speeds),
+            }
+            for part in self.parts
+        ]
+
+    def arrays(self) -> dict[str, Array]:
+        """All numbers, by ``remainder.<index>.<name>``."""
+        return {
+            f"remainder.{k}.{name}": value
+            for k, part in enumerate(self.parts)
+            for name, value in part.regression.arrays().items()
+        }
+
+    @classmethod
+    def from_dict(
+        cls,
+        size: int,
+        content: Sequence[Mapping[str, object]],
+        arrays: Mapping[str, Array],
+    ) -> ArmRemainder:
+        """The remainder that :meth:`as_dict` and :meth:`arrays` described.
+
+        Raises:
+            ModelFileError: The description or the numbers are damaged.
+        """
+        from hybrid.compensator import REMAINDERS
+
+        parts = []
+        for k, item in enumerate(content):
+            prefix = f"remainder.{k}."
+            own = {x[len(prefix) :]: a for x, a in arrays.items() if x.startswith(prefix)}
+            try:
+                regression = REMAINDERS[str(item["kind"])].from_arrays(own)
+                joint = int(str(item["joint"]))
+                positions, speeds = (
+                    tuple(int(j) for j in item[key])  # type: ignore[attr-defined]
+                    for key in ("positions", "speeds")
+                )
+            except (KeyError, TypeError, ValueError) as error:
+                raise ModelFileError(f"remainder {k} is damaged: {error!r}") from error
+            if len(positions) + len(speeds) != regression.inputs:
+                raise ModelFileError(f"remainder {k}: inputs do not match its numbers")
+            parts.append(JointRemainder(joint, positions, speeds, regression))
+        return cls(size, tuple(parts))

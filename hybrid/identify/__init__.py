@@ -1,0 +1,15 @@
+"""From recordings to a dynamic model, and how well it predicts."""
+
+from hybrid.identify.model import DynamicModel
+from hybrid.identify.three_stage import Fit, identify
+from hybrid.identify.validation import Validation, ValidationRow, predict, validate
+
+__all__ = [
+    "DynamicModel",
+    "Fit",
+    "Validation",
+    "ValidationRow",
+    "identify",
+    "predict",
+    "validate",
+]

@@ -1,0 +1,185 @@
+"""Held-out errors of a model and of its simpler versions."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hybrid.identify.data import Data, predictions, prepare_motions
+from hybrid.identify.model import DynamicModel, check_same_arm
+from hybrid.recording import Recording
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+from hybrid.signals import Motion, Sampler
+
+_FULL = "+ remainder"
+_PHYSICAL = "+ friction"
+
+
+@dataclass(frozen=True)
+class ValidationRow:
+    """Errors of one model.
+
+    Attributes:
+        name: Which model.
+        rms: RMS of measured less predicted torque, shape (n,), [N·m].
+        relative: RMS over the RMS of the measured torque itself, shape (n,).
+    """
+
+    name: str
+    rms: Array
+    relative: Array
+
+    @property
+    def mean(self) -> float:
+        """Mean RMS over the joints, [N·m]."""
+        return float(self.rms.mean())
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How models predict torque that none of them was fitted on.
+
+    Attributes:
+        robot: Name of the arm.
+        joints: Its joints.
+        rows: Models from the plainest to the fullest.
+        noise_floor: RMS of the noise that is left after the filter, shape (n,), [N·m].
+        sources: Recordings that were scored.
+        samples: Moving samples scored, after decimation, of the joint with most.
+        seconds: Duration of the recordings, [s].
+    """
+
+    robot: str
+    joints: tuple[str, ...]
+    rows: tuple[ValidationRow, ...]
+    noise_floor: Array | None
+    sources: tuple[str, ...]
+    samples: int
+    seconds: float
+
+    @property
+    def reduction(self) -> float:
+        """Share of the plain least-squares mean RMS that the last model removes."""
+        return 1.0 - self.rows[-1].mean / self.rows[0].mean
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready content."""
+        return {
+            "robot": self.robot,
+            "joints": list(self.joints),
+            "rows": [
+                {
+                    "name": row.name,
+                    "rms": row.rms.tolist(),
+                    "relative": row.relative.tolist(),
+                    "mean": row.mean,
+                }
+                for row in self.rows
+            ],
+            "reduction": self.reduction,
+            "noise_floor": None
+            if self.noise_floor is None
+            else self.noise_floor.tolist(),
+            "sources": list(self.sources),
+            "samples": self.samples,
+            "seconds": self.seconds,
+        }
+
+
+def validate(
+    model: DynamicModel,
+    recordings: Sequence[Recording | Motion],
+    *,
+    robot: Robot | None = None,
+    standing: Array | None = None,
+) -> Validation:
+    """Score a model and its simpler versions on recordings it has not seen.
+
+    Columns and torque pass the filter of the identification; samples at which a joint
+    stands still are left out for that joint.
+
+    Args:
+        model: Model from :func:`~hybrid.identify.identify`.
+        recordings: Logs, or motions made from them whose masks leave samples out.
+        robot: The arm the user means, to be sure that it is the model's.
+        standing: Speed below which a joint stands, shape (n,), [rad/s]; that of the
+            identification by default.
+
+    Raises:
+        ModelFileError: The model is of another arm.
+        RecordingError: A recording does not fit the arm.
+    """
+    if robot is not None:
+        check_same_arm(model, robot)
+    motions, cutoff = prepare_motions(model.robot, recordings, model.cutoff)
+    everything = tuple(np.zeros(len(m.t), dtype=int) for m in motions)
+    data = Data(
+        tuple(motions),
+        everything,
+        cutoff,
+        model.standing if standing is None else standing,
+    )
+    measured = data.rest([np.zeros_like(m.tau) for m in motions])
+    size = np.maximum(measured.rms(), 1e-300)
+    models = dict(model.simpler)
+    models[_FULL if model.remainder is not None else "model"] = model
+    if models.get(_PHYSICAL) is not None and model.remainder is None:
+        del models["model"]
+    rows = []
+    for name, each in models.items():
+        rms = data.rest(predictions(each, data)).rms()
+        rows.append(ValidationRow(name, rms, rms / size))
+    return Validation(
+        robot=model.robot.name,
+        joints=model.robot.joints,
+        rows=tuple(rows),
+        noise_floor=noise_floor(motions, cutoff),
+        sources=tuple(m.source for m in motions),
+        samples=int(measured.moving.sum(axis=0).max()),
+        seconds=float(sum(m.t[-1] - m.t[0] for m in motions)),
+    )
+
+
+def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
+    """Noise RMS below the cut-off, from the torque's content far above it.
+
+    White noise has the same power in every band; motion has none up there. Ripple or
+    resonance above the cut-off raises it.
+
+    Args:
+        motions: Motions at full rate.
+        cutoff: Cut-off of columns and torque, [Hz].
+
+    Returns:
+        RMS, shape (n,), [N·m], or None when the rate leaves no band above.
+    """
+    power = []
+    for motion in motions:
+        edge = 3.0 * cutoff
+        if edge > 0.4 * motion.rate:
+            return None
+        high = motion.tau - Sampler(motion.rate, edge, 1)(motion.tau)
+        density = high[motion.mask].var(axis=0) / (motion.rate / 2 - edge)
+        power.append(density * cutoff)
+    return np.sqrt(np.mean(power, axis=0))
+
+
+def predict(model: DynamicModel, recording: Recording) -> Array:
+    """Torque that a model gives along a recording, shape (N, n), [N·m].
+
+    Positions are filtered and differentiated as for the identification.
+
+    Args:
+        model: The model.
+        recording: Log of the arm; its torque is not used.
+
+    Raises:
+        RecordingError: The recording does not fit the arm.
+    """
+    (motion,), _ = prepare_motions(model.robot, [recording], model.cutoff)
+    return model.predict(motion)

@@ -1,0 +1,68 @@
+"""Arms that several test files share."""
+
+import warnings
+from functools import cache
+from importlib.metadata import files
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hybrid.errors import HybridWarning
+from hybrid.robot import Robot
+from hybrid.robot.chain import Chain
+
+MODELS = Path(__file__).parents[1] / "models"
+PUBLIC_ARMS = {
+    "ur10": "ur_description/urdf/ur10_robot.urdf",
+    "panda": "panda_description/urdf/panda.urdf",
+    "xarm7": "xarm_description/urdf/xarm7.urdf",
+    "z1": "z1_description/urdf/z1.urdf",
+}
+
+
+@cache
+def public_arm(name: str) -> Robot:
+    """An arm nobody here modelled, from the example-robot-data wheel."""
+    for file in files("example-robot-data") or ():
+        if file.as_posix().endswith(f"example-robot-data/robots/{PUBLIC_ARMS[name]}"):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", HybridWarning)  # frozen fingers
+                return Robot.load(file.locate())
+    raise FileNotFoundError(PUBLIC_ARMS[name])
+
+
+def random_arm(seed: int) -> Robot:
+    """Up to six joints of either kind on oblique axes, some of them intersecting."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 7))
+    axis = np.where(rng.random((n, 1)) < 0.5, np.eye(3)[rng.integers(0, 3, n)], 0.0)
+    axis = np.where(axis.any(axis=1, keepdims=True), axis, rng.normal(size=(n, 3)))
+    chain = Chain(
+        joints=tuple(f"joint_{k}" for k in range(n)),
+        rotation=Rotation.random(n, rng=rng).as_matrix(),
+        translation=rng.normal(size=(n, 3)) * (rng.random((n, 1)) < 0.7),
+        axis=axis / np.linalg.norm(axis, axis=1, keepdims=True),
+        revolute=rng.random(n) < 0.7,
+        inertial=np.array([_random_link(rng) for _ in range(n)]),
+        gravity=rng.normal(size=3) * 10,
+        armature=np.zeros(n),
+    )
+    free, zero = np.full(n, np.inf), np.zeros(n)
+    return Robot("random", chain, -free, free, free, free, zero, zero)
+
+
+def _random_link(rng: np.random.Generator) -> list[float]:
+    """Parameters of four point masses: a physical link."""
+    mass, at = rng.uniform(0.1, 2.0, 4), rng.normal(size=(4, 3))
+    second = (mass[:, None] * at).T @ at
+    inertia = np.trace(second) * np.eye(3) - second
+    order = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]
+    return [mass.sum(), *(mass @ at), *inertia[order]]
+
+
+def random_states(n: int, samples: int, seed: int = 0) -> list[np.ndarray]:
+    """Position, speed and acceleration, shape (samples, n) each."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-np.pi, np.pi, (samples, n))
+    return [q, *rng.normal(size=(2, samples, n)) * [[[2.0]], [[5.0]]]]

@@ -1,0 +1,310 @@
+"""Filters leave what is slow and take what is fast, without delay and without edges."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import butter, sosfiltfilt
+
+from hybrid.errors import HybridWarning, RecordingError
+from hybrid.recording import Recording, read_all
+from hybrid.signals import (
+    Sampler,
+    average_periods,
+    butterworth,
+    central_difference,
+    choose_cutoff,
+    filter_reach,
+    fourier_fit,
+    motion_from_recording,
+)
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+RATE = 500.0
+
+
+def swing(duration: float = 10.0, rate: float = RATE, noise: float = 0.0) -> Recording:
+    """Two joints on sums of slow sines, torque with noise."""
+    rng = np.random.default_rng(0)
+    t = np.arange(int(duration * rate)) / rate
+    q = np.stack(
+        [np.sin(2 * t) + 0.3 * np.sin(7 * t), np.cos(3 * t) - 0.2 * np.sin(11 * t)], 1
+    )
+    return Recording(
+        t=t, q=q + noise * rng.standard_normal(q.shape), tau=rng.normal(size=q.shape)
+    )
+
+
+def test_the_filter_is_that_of_second_order_sections_run_both_ways():
+    x = np.random.default_rng(0).standard_normal((4000, 2))
+    for cutoff, order in ((10.0, 5), (60.0, 5), (200.0, 3)):
+        sections = butter(order, cutoff, fs=RATE, output="sos")
+        expected = sosfiltfilt(sections, x, axis=0)
+        found = butterworth(x, rate=RATE, cutoff=cutoff, order=order)
+        assert np.allclose(found[600:-600], expected[600:-600], atol=1e-9)
+
+
+@pytest.mark.parametrize(("ratio", "gain"), [(0.1, 1.0), (1.0, 0.5), (4.0, 0.0)])
+def test_a_sine_keeps_its_phase_and_loses_amplitude_above_the_cutoff(ratio, gain):
+    t = np.arange(8000) / RATE
+    x = np.sin(2 * np.pi * 10 * ratio * t)
+    y = butterworth(x, rate=RATE, cutoff=10.0)
+    assert np.allclose(y[1000:-1000], gain * x[1000:-1000], atol=2e-6)
+
+
+@pytest.mark.parametrize("samples", [2, 3, 50, 1000])
+def test_constants_and_straight_lines_pass_up_to_the_edges(samples):
+    t = np.arange(samples) / RATE
+    line = np.stack([np.full(samples, 3.0), 1 - 2 * t], axis=1)
+    assert np.allclose(butterworth(line, rate=RATE, cutoff=5.0), line, atol=1e-6)
+
+
+@pytest.mark.parametrize("cutoff", [np.inf, 0.99 * RATE / 2, RATE])
+def test_nothing_is_filtered_from_the_nyquist_frequency_on(cutoff):
+    x = np.random.default_rng(0).standard_normal((100, 2))
+    assert np.array_equal(butterworth(x, rate=RATE, cutoff=cutoff), x)
+    sampler = Sampler.for_rate(RATE, cutoff)
+    assert (sampler.factor, sampler.margin) == (1, 0)
+
+
+@pytest.mark.parametrize("cutoff", [0.0, -1.0, np.nan])
+def test_a_cutoff_that_is_not_positive_is_refused(cutoff):
+    with pytest.raises(ValueError, match="positive"):
+        butterworth(np.zeros(9), rate=RATE, cutoff=cutoff)
+    with pytest.raises(ValueError, match="positive"):
+        Sampler(rate=RATE, cutoff=cutoff, factor=1)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2, -1])
+def test_time_may_lie_along_any_axis(axis):
+    x = np.random.default_rng(0).standard_normal((2, 3, 700))
+    expected = Sampler(RATE, 20.0, 3)(x, axis=-1)
+    moved = Sampler(RATE, 20.0, 3)(np.moveaxis(x, -1, axis), axis=axis)
+    assert np.array_equal(np.moveaxis(moved, axis, -1), expected)
+    assert moved.flags.c_contiguous
+    assert expected.shape == (2, 3, 234)
+
+
+def test_decimation_keeps_every_factor_th_sample_of_signal_and_mask():
+    x = np.random.default_rng(0).standard_normal(1001)
+    sampler = Sampler(RATE, 20.0, 4)
+    assert np.array_equal(sampler(x), butterworth(x, rate=RATE, cutoff=20.0)[::4])
+    assert np.array_equal(sampler.keep(x > 0), (x > 0)[::4])
+    assert len(sampler.keep(x > 0)) == len(sampler(x)) == 251
+
+
+@given(rate=st.floats(50, 5000), cutoff=st.floats(1, 1000))
+def test_decimation_keeps_five_samples_per_period_of_the_cutoff(rate, cutoff):
+    sampler = Sampler.for_rate(rate, cutoff)
+    assert sampler.factor >= 1
+    if sampler.factor > 1:
+        assert rate / sampler.factor >= 5 * cutoff * (1 - 1e-9)
+    assert rate / (sampler.factor + 1) < 5 * cutoff
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    cutoff=st.sampled_from([8.0, 20.0, 90.0]),
+    chunk=st.integers(300, 2000),
+    seed=st.integers(0, 99),
+)
+def test_overlapping_chunks_give_what_the_whole_gives(cutoff, chunk, seed):
+    x = np.random.default_rng(seed).standard_normal((6000, 2)) + 3.0
+    sampler = Sampler.for_rate(RATE, cutoff)
+    k = sampler.factor
+    margin = -(-sampler.margin // k) * k
+    chunk = -(-chunk // k) * k
+    pieces = []
+    for start in range(0, len(x), chunk):
+        first = max(0, start - margin)
+        y = sampler(x[first : start + chunk + margin])
+        pieces.append(y[(start - first) // k :][: -(-min(chunk, len(x) - start) // k)])
+    whole = sampler(x)
+    joined = np.concatenate(pieces)
+    assert joined.shape == whole.shape
+    assert np.max(np.abs(joined - whole)) <= 1e-6 * np.max(np.abs(x))
+
+
+def test_what_lies_beyond_the_margin_is_not_felt():
+    sampler = Sampler(RATE, 15.0, 1)
+    pulse = np.zeros(4001)
+    pulse[2000] = 1.0
+    response = np.abs(sampler(pulse))
+    outside = np.r_[
+        response[: 2000 - sampler.margin], response[2001 + sampler.margin :]
+    ]
+    assert outside.sum() < 1e-6
+    assert response[2000 - sampler.margin // 2] > 1e-6  # and it is not far too wide
+
+
+def test_filter_reach_grows_as_the_cutoff_falls():
+    assert filter_reach(0.01) == pytest.approx(10 * filter_reach(0.1), rel=0.1)
+    assert filter_reach(0.01, tolerance=1e-2) < filter_reach(0.01)
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-5, 5))
+def test_differences_of_second_order_are_exact_on_parabolas(a, b, c):
+    t = np.arange(30) / RATE
+    x = a + b * t + c * t**2
+    for accuracy in (2, 4):
+        v = central_difference(x, rate=RATE, accuracy=accuracy)
+        assert np.allclose(v, b + 2 * c * t, atol=1e-9)
+
+
+@pytest.mark.parametrize("accuracy", [2, 4])
+def test_errors_of_differences_fall_with_their_order(accuracy):
+    def error(samples: int) -> float:
+        t = np.linspace(0, 1, samples)
+        x = np.sin(5 * t)[None]
+        v = central_difference(x, rate=samples - 1.0, axis=1, accuracy=accuracy)
+        return float(np.abs(v - 5 * np.cos(5 * t))[0, 2:-2].max())
+
+    assert error(101) / error(201) == pytest.approx(2.0**accuracy, rel=0.1)
+    with pytest.raises(ValueError, match="valid are 2 and 4"):
+        central_difference(np.zeros(9), rate=1.0, accuracy=3)
+
+
+def test_motion_has_the_derivatives_of_the_true_motion_where_its_mask_is_true():
+    recording = swing()
+    motion = motion_from_recording(recording, cutoff=20.0)
+    t = recording.t
+    v = 2 * np.cos(2 * t) + 2.1 * np.cos(7 * t)
+    a = -4 * np.sin(2 * t) - 14.7 * np.sin(7 * t)
+    assert motion.rate == pytest.approx(RATE)
+    assert 0.9 < motion.mask.mean() < 1.0
+    assert not motion.mask[0]
+    assert not motion.mask[-1]
+    assert np.allclose(motion.q[motion.mask], recording.q[motion.mask], atol=1e-3)
+    assert np.allclose(motion.v[motion.mask, 0], v[motion.mask], atol=0.01)
+    assert np.allclose(motion.a[motion.mask, 0], a[motion.mask], atol=0.1)
+    assert np.array_equal(motion.tau, recording.tau)
+
+
+def test_speed_comes_from_position_whatever_speed_was_measured():
+    recording = swing()
+    wrong = Recording(**vars(recording) | {"v": np.ones_like(recording.q)})
+    assert np.array_equal(
+        motion_from_recording(wrong).v, motion_from_recording(recording).v
+    )
+
+
+def test_motion_of_an_irregular_clock_is_on_a_uniform_one():
+    recording = swing()
+    t = recording.t + 0.0004 * np.sin(np.arange(len(recording.t)))
+    with pytest.warns(HybridWarning, match="irregular clock"):
+        motion = motion_from_recording(Recording(t=t, q=recording.q, tau=recording.tau))
+    assert np.ptp(np.diff(motion.t)) < 1e-9
+
+
+def test_a_recording_shorter_than_its_filter_has_no_usable_sample():
+    motion = motion_from_recording(swing(duration=0.1), cutoff=5.0)
+    assert not motion.mask.any()
+    assert np.isfinite(motion.a).all()
+
+
+@pytest.mark.parametrize("rate", [50.0, 125.0, 1000.0])
+def test_the_cutoff_falls_as_noise_rises(rate):
+    cutoffs = [
+        choose_cutoff(swing(rate=rate, noise=noise)) for noise in (0.0, 1e-5, 1e-3)
+    ]
+    assert cutoffs == sorted(cutoffs, reverse=True)
+    assert all(5.0 <= cutoff <= 0.4 * rate for cutoff in cutoffs)
+    assert cutoffs[-1] < 15.0
+
+
+@pytest.mark.parametrize("duration", [1.0, 3.0, 30.0])
+def test_a_cutoff_is_found_for_short_still_and_stepped_logs(duration):
+    recording = swing(duration=duration)
+    for q in (recording.q * 0, np.round(recording.q, 3), np.sign(recording.q)):
+        cutoff = choose_cutoff(Recording(t=recording.t, q=q, tau=recording.tau))
+        assert 5.0 <= cutoff <= 0.4 * RATE + 1e-6
+
+
+def test_the_chosen_cutoff_makes_acceleration_better_than_none():
+    recording = swing(noise=1e-4)
+    t = recording.t
+    a = -4 * np.sin(2 * t) - 14.7 * np.sin(7 * t)
+
+    def error(cutoff: float | None) -> float:
+        motion = motion_from_recording(recording, cutoff=cutoff)
+        return float(np.std((motion.a[:, 0] - a)[motion.mask]))
+
+    assert error(None) < 0.2
+    assert error(None) < 0.1 * error(40.0) < 0.1 * error(np.inf)
+
+
+@pytest.mark.parametrize(
+    ("folder", "lowest", "highest"),
+    [
+        ("ur10_salerno", 5, 15),
+        ("kr300_kaiserslautern", 10, 40),
+        ("tx40_figaroh", 40, 150),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::hybrid.errors.HybridWarning")
+def test_the_cutoff_of_real_logs_is_sane(folder, lowest, highest):
+    if not (DATA / folder).is_dir():
+        pytest.skip(f"the real logs are not here: no {DATA / folder}")
+    for recording in read_all(DATA / folder):
+        assert lowest <= choose_cutoff(recording) <= highest
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 999), order=st.integers(1, 6))
+def test_a_fourier_series_is_found_again_with_its_derivatives(seed, order):
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.uniform(0, 12, 400))
+    coefficients = rng.standard_normal((2 * order + 1, 2))
+    w = 2 * np.pi * 0.1 * np.arange(1, order + 1)
+    phase = np.outer(t, w)
+    basis = np.hstack([np.ones((400, 1)), np.sin(phase), np.cos(phase)])
+    motion = fourier_fit(t, basis @ coefficients, fundamental=0.1, order=order)
+    assert motion.order == order
+    assert np.allclose(motion.sine, coefficients[1 : order + 1], atol=1e-6)
+    h = 1e-4
+    ahead, behind = motion.position(t + h), motion.position(t - h)
+    assert np.allclose(motion.velocity(t), (ahead - behind) / (2 * h), atol=1e-4)
+    turn = (ahead - 2 * motion.position(t) + behind) / h**2
+    assert np.allclose(motion.acceleration(t), turn, atol=1e-4)
+
+
+def test_a_fourier_series_needs_a_period_samples_and_a_nyquist_frequency():
+    t = np.arange(100) / 10
+    with pytest.raises(RecordingError, match="a whole period"):
+        fourier_fit(t, t[:, None], fundamental=0.05, order=3)
+    with pytest.raises(RecordingError, match="needs 203"):
+        fourier_fit(t, t[:, None], fundamental=0.1, order=101)
+    with pytest.raises(RecordingError, match="Nyquist .* below 50"):
+        fourier_fit(
+            np.arange(1000) / 10, np.zeros((1000, 1)), fundamental=0.1, order=60
+        )
+
+
+@pytest.mark.parametrize("rate", [100.0, 99.7])
+def test_averaging_periods_finds_motion_and_noise(rate):
+    rng = np.random.default_rng(3)
+    t = np.arange(int(40 * rate)) / rate
+    q = np.sin(2 * np.pi * 0.25 * t)[:, None] * [1.0, 2.0]
+    tau = np.cos(2 * np.pi * 0.25 * t)[:, None] * [5.0, 1.0]
+    noise = np.array([0.5, 0.02])
+    log = Recording(t=t, q=q, tau=tau + noise * rng.standard_normal(tau.shape))
+    mean, std = average_periods(log, 0.25)
+    assert mean.size == 2
+    assert len(mean.t) == round(rate * 4)
+    assert np.allclose(mean.q[:, 0], np.sin(2 * np.pi * 0.25 * mean.t), atol=1e-3)
+    # linear interpolation between samples takes up to a third of the noise variance
+    assert np.all((std > 0.75 * noise) & (std < 1.1 * noise))
+    error = np.std(mean.tau[:, 0] - 5 * np.cos(2 * np.pi * 0.25 * mean.t))
+    assert error < 1.3 * noise[0] / np.sqrt(10)
+    if rate == 100.0:
+        assert std == pytest.approx(noise, rel=0.05)
+
+
+def test_two_whole_periods_are_needed_for_an_average():
+    t = np.arange(200) / 100  # the last step belongs to the second period
+    log = Recording(t=t, q=np.sin(2 * np.pi * t)[:, None], tau=np.ones((200, 1)))
+    assert len(average_periods(log, 1.0)[0].t) == 100
+    with pytest.raises(RecordingError, match="1 whole periods .* two or more"):
+        average_periods(log, 0.9)
