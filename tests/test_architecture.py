@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "hybrid"
 
 # Top to bottom; modules of one line may import each other, and everything below.
 FLOORS = (
-    {"cli"},
+    {"__main__", "cli"},
     {"report"},
     {"diagnose"},
     {"calibrate"},

@@ -180,11 +180,14 @@ def test_a_body_uses_the_parameters_it_is_given():
 # --- batches ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("samples", [0, 1, 2, 2047, 2048, 2049])
+BOUNDARIES = (0, 1, 2, 2047, 2048, 2049, 4095, 4096, 4097)
+
+
+@pytest.mark.parametrize("samples", BOUNDARIES)
 def test_the_number_of_samples_changes_no_sample(samples):
     robot = arm("planar.xml")
     chain, n = robot.chain, robot.size
-    states = random_states(n, 2049)
+    states = random_states(n, max(BOUNDARIES))
     some = [x[:samples] for x in states]
     whole = regressor(chain, *states)
     Y, tau = regressor(chain, *some), inverse_dynamics(chain, chain.inertial, *some)

@@ -117,7 +117,8 @@ def base_parameters(
     norms = np.linalg.norm(stacked, axis=0)
     silent = norms <= norms.max() * 1e-12
     scale = np.where(silent, 1.0, norms)
-    R = np.linalg.qr(np.where(silent, 0.0, stacked / scale), mode="r")
+    unit = np.where(silent, 0.0, stacked / scale)
+    R: Array = np.asarray(np.linalg.qr(unit, mode="r"))
     kept: list[int] = []
     # Householder QR leaves each column's part outside the span of the earlier ones on
     # the diagonal only while those are independent; so the rank grows column by column.
@@ -136,7 +137,7 @@ def base_parameters(
 def _mapping(R: Array, kept: list[int], scale: Array) -> Array:
     # Rounding is judged between columns of unit length: in SI units 1e-6 may be a true
     # m·d² of links a millimetre apart.
-    mapping = solve_triangular(R[:, kept], R)
+    mapping: Array = solve_triangular(R[:, kept], R)
     mapping[np.abs(mapping) < _ROUNDING] = 0.0
     mapping[:, kept] = np.eye(len(kept))
     return mapping * scale / scale[kept, None]

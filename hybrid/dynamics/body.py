@@ -54,7 +54,8 @@ class RigidBody:
             da: Change of acceleration, shape (N, n), [rad/s²].
         """
         m = self.motion
-        step = 1e-4 / max(np.abs(x).max(initial=1e-12) for x in (dq, dv, da))
+        size = max(float(np.abs(x).max(initial=1e-12)) for x in (dq, dv, da))
+        step = 1e-4 / size
         ahead = self._torque(m.q + step * dq, m.v + step * dv, m.a + step * da)
         behind = self._torque(m.q - step * dq, m.v - step * dv, m.a - step * da)
         return (ahead - behind) / (2 * step)

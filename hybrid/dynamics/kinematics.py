@@ -116,7 +116,7 @@ def _clean(matrix: Array) -> Array:
 
 
 def _cross(x: Array, y: list[Array | float] | Array) -> Array:
-    """x × y over the first axis; y may hold numbers."""
+    """Cross product over the first axis; y may hold numbers."""
     return np.stack(
         [
             x[1] * y[2] - x[2] * y[1],

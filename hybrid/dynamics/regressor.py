@@ -11,7 +11,7 @@ from hybrid.dynamics.kinematics import LinkMotion, link_motions
 from hybrid.robot.chain import Array, Chain
 
 # Samples worked on at a time: the intermediate arrays then stay in the cache.
-_CHUNK = 2048
+_CHUNK = 4096
 
 
 def regressor(chain: Chain, q: Array, v: Array, a: Array) -> Array:

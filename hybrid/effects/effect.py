@@ -118,8 +118,8 @@ class Body(Protocol):
 class Effect(ABC):
     """One unmodelled effect at given joints with given values.
 
-    The torque is ``columns(motion, body) @ gain values``: linear in the gains, nonlinear
-    in the shapes. Effects that change signals rather than add torque override
+    The torque is ``columns(motion, body) @ gain values``: linear in the gains,
+    nonlinear in the shapes. Effects that change signals rather than add torque override
     :meth:`observe`, and give their first-order columns for screening.
 
     Attributes:
@@ -149,7 +149,8 @@ class Effect(ABC):
     std: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        known = {g.name: 0.0 for g in self.gains} | {s.name: s.typical for s in self.shapes}
+        known = {g.name: 0.0 for g in self.gains}
+        known |= {s.name: s.typical for s in self.shapes}
         strange = [name for name in self.values if name not in known]
         if strange:
             raise EffectError(
@@ -159,7 +160,7 @@ class Effect(ABC):
         values = known | {name: float(x) for name, x in self.values.items()}
         for name, x in values.items():
             if not np.isfinite(x):
-                raise EffectError(f"{self.id}: {name} is {x}, a finite number is needed")
+                raise EffectError(f"{self.id}: {name} is {x}, not a finite number")
         for s in self.shapes:
             if s.per == (0, 0) and not s.lower <= values[s.name] <= s.upper:
                 raise EffectError(
@@ -194,9 +195,12 @@ class Effect(ABC):
         usual = {x.name: x.scaled(scale).typical for x in (*cls.gains, *cls.shapes)}
         return cls(tuple(joints), usual | values)
 
-    def at(self, values: Mapping[str, float], std: Mapping[str, float] | None = None) -> Self:
+    def at(
+        self, values: Mapping[str, float], std: Mapping[str, float] | None = None
+    ) -> Self:
         """The same effect with other values (those not named stay)."""
-        return replace(self, values={**self.values, **values}, std=dict(std or self.std))
+        values = {**self.values, **values}
+        return replace(self, values=values, std=dict(std or self.std))
 
     @property
     def gain_values(self) -> Array:
@@ -270,6 +274,7 @@ class Effect(ABC):
             spec: Spec of the arm; joint and body of link k share the name ``names[k]``.
             names: Joint names of the arm, base to tip.
         """
+        return  # by default nothing
 
     def deliver(self, torque: Array) -> Array:
         """Torque the drive delivers for a torque it believes to deliver; shape (B,)."""

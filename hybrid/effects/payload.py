@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity, Scope
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
 
@@ -31,13 +31,13 @@ _GAINS = (
 class LinkInertia(Effect):
     """Change of one link's ten inertial parameters, about the link's frame origin.
 
-    The link is the one that the outermost of ``joints`` moves. It loads every joint up to
-    there, so that ``joints`` is always filled up from the base.
+    The link is the one that the outermost of ``joints`` moves. It loads every joint up
+    to there, so that ``joints`` is always filled up from the base.
     """
 
     id = "link_inertia"
     port = Port.BODY
-    scope = "coupling"
+    scope: ClassVar[Scope] = "coupling"
     gains = _GAINS
     equation = "τ = Y_k(q, v, a) · Δπ_k"
     source = "Atkeson et al. 1986, doi 10.1177/027836498600500306"

@@ -16,7 +16,8 @@ class ThresholdFriction(JointEffect):
     Above λ: a dry level for each direction and a rising cubic. Below λ the level may
     fall towards λ, in a line and in a parabola (break-away), or rise to it (a
     rounded knee); all of these vanish or settle at λ, so that the law is continuous
-    there. Within ±``width`` it is the straight line through zero. Every coefficient is
+    there. Rising and falling together are a level, so a fit needs only one of the two.
+    Within ±``width`` it is the straight line through zero. Every coefficient is
     non-negative: friction takes energy at every speed.
     """
 
@@ -39,7 +40,7 @@ class ThresholdFriction(JointEffect):
     )
     equation = (
         "τ = k_c± σ(v) + k_f σ(v)(1 − |v|/λ)₊ + k_s σ(v)(1 − |v|/λ)₊² "
-        "+ k_r sgn v min(|v|/λ, 1) + k_v1 v + k_v2 v|v| + k_v3 v³"
+        "+ k_r σ(v) min(|v|/λ, 1) + k_v1 v + k_v2 v|v| + k_v3 v³"
     )
     source = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
     sentence = "Friction of {joints} is a curve with a knee, not a level and a slope."
@@ -48,15 +49,17 @@ class ThresholdFriction(JointEffect):
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:
         """Torque per unit of each coefficient."""
-        speed = abs(state.v)
-        sigma = state.sign * np.minimum(1.0, speed / np.maximum(shapes["width"], 1e-12))
+        speed, width = abs(state.v), shapes["width"]
+        # (Without a width the full level acts at rest too, where a plant has a sign.)
+        ramp = np.where(speed < width, speed / np.maximum(width, 1e-12), 1.0)
+        sigma = state.sign * ramp
         below = np.clip(1.0 - speed / shapes["threshold"], 0.0, None)
         return (
             np.where(state.sign > 0, sigma, 0.0),
             np.where(state.sign < 0, sigma, 0.0),
             sigma * below,
             sigma * below**2,
-            state.sign * (1.0 - below),
+            sigma * (1.0 - below),
             state.sign * speed,
             state.sign * speed**2,
             state.sign * speed**3,

@@ -62,7 +62,7 @@ def fit_friction(
     cutoff: float,
     standing: float,
     folds: Sequence[NDArray[np.intp]],
-) -> tuple[Effect, ...]:
+) -> tuple[tuple[Effect, ...], Array]:
     """Friction of one joint from what the rigid body leaves of its torque.
 
     Args:
@@ -77,7 +77,8 @@ def fit_friction(
         folds: Fold of every sample, shape (N,) for each motion.
 
     Returns:
-        Threshold friction, and load friction where it helps.
+        Threshold friction, and load friction where it helps; and the squares left on
+        each fold by coefficients from the others, shape (F,), [N²·m²].
     """
     fastest = max(float(np.abs(m.v[m.mask, joint]).max()) for m in motions)
     ratios = np.geomspace(_SMALLEST_THRESHOLD, 1.0, _THRESHOLDS)
@@ -94,11 +95,19 @@ def fit_friction(
     coefficients = _nonnegative(sums.sum(axis=0), (loaded if better else own)[k])
     names = [g.name for g in ThresholdFriction.gains]
     shapes = dict(zip(("threshold", "width"), grid.shapes[k], strict=True))
-    values = dict(zip(names, coefficients, strict=False)) | shapes
-    effects: tuple[Effect, ...] = (ThresholdFriction((joint,), values),)
+    values = _canonical(dict(zip(names, coefficients, strict=False)))
+    effects: tuple[Effect, ...] = (ThresholdFriction((joint,), values | shapes),)
     if better:
         effects += (LoadFriction((joint,), {"coefficient": coefficients[8]}),)
-    return effects
+    return effects, errors[int(better), k]
+
+
+def _canonical(values: dict[str, float]) -> dict[str, float]:
+    """The same law without a falling and a rising part that cancel to a level."""
+    both = min(values["falling"], values["rising"])
+    change = {"falling": -both, "rising": -both}
+    change |= {"coulomb_positive": both, "coulomb_negative": both}
+    return {name: x + change.get(name, 0.0) for name, x in values.items()}
 
 
 def _products(

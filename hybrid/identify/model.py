@@ -52,6 +52,16 @@ class DynamicModel:
     inertial: Array | None = None
     simpler: Mapping[str, DynamicModel] = field(default_factory=dict)
 
+    @property
+    def stage(self) -> str:
+        """Name of the last stage that this model went through."""
+        if self.remainder is not None:
+            return "+ remainder"
+        kinds = {effect.id for effect in self.effects}
+        if "torque_ripple" in kinds:
+            return "+ ripple"
+        return "+ friction" if "threshold_friction" in kinds else "rigid"
+
     @cached_property
     def _inertial(self) -> Array:
         n = self.robot.size

@@ -6,8 +6,8 @@ parameters followed by the gains of the effects.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -32,12 +32,14 @@ class Problem:
         base: Independent combinations over all inertial parameters and gains.
         inertial: Link parameters that give the transmitted torque on which some
             effects depend, shape (n, 10).
+        columns: Effect and gain of every column behind the 10n inertial ones.
     """
 
     chain: Chain
     effects: tuple[Effect, ...]
     base: BaseParameters
     inertial: Array
+    columns: tuple[tuple[int, int], ...]
 
     @property
     def size(self) -> int:
@@ -53,14 +55,12 @@ class Problem:
     @cached_property
     def gains(self) -> tuple[tuple[int, int, int], ...]:
         """(unknown, effect, gain) of every gain that was kept."""
-        where = {c: k for k, c in enumerate(self.base.kept)}
-        column, found = 10 * self.chain.size, []
-        for e, effect in enumerate(self.effects):
-            for g in range(len(effect.gains)):
-                if column in where:
-                    found.append((where[column], e, g))
-                column += 1
-        return tuple(found)
+        rigid = 10 * self.chain.size
+        return tuple(
+            (unknown, *self.columns[column - rigid])
+            for unknown, column in enumerate(self.base.kept)
+            if column >= rigid
+        )
 
     @cached_property
     def lower(self) -> Array:
@@ -74,7 +74,8 @@ class Problem:
     @cached_property
     def support(self) -> tuple[NDArray[np.intp], ...]:
         """Unknowns that ever move joint i's torque, for each joint."""
-        stacked = _stacked(self.chain, self.effects, rich_motion(self.chain))
+        motion = rich_motion(self.chain)
+        stacked = _stacked(self.chain, self.effects, self.columns, motion)
         size = np.abs(stacked[:, :, list(self.base.kept)]).max(axis=0)
         return tuple(np.flatnonzero(row > _WEIGHTLESS * row.max()) for row in size)
 
@@ -120,13 +121,10 @@ class Problem:
     def _effect_columns(
         self, motion: Motion, body: RigidBody
     ) -> Iterator[tuple[tuple[int, int], Array]]:
-        column = 10 * self.chain.size
-        for effect in self.effects:
-            columns = effect.columns(motion, body)
-            for g in range(len(effect.gains)):
-                for at, joint in enumerate(effect.joints):
-                    yield (column + g, joint), columns[:, at, g]
-            column += len(effect.gains)
+        values = [effect.columns(motion, body) for effect in self.effects]
+        for column, (e, g) in enumerate(self.columns, 10 * self.chain.size):
+            for at, joint in enumerate(self.effects[e].joints):
+                yield (column, joint), values[e][:, at, g]
 
     def fitted(self, theta: Array) -> tuple[BaseParameters, tuple[Effect, ...]]:
         """Base inertial parameters and effects with the values of a solution.
@@ -147,13 +145,13 @@ class Problem:
         n = 10 * self.chain.size
         return self.base.with_values(theta).standard()[:n].reshape(-1, 10)
 
-    def with_inertial(self, inertial: Array) -> Problem:
-        """The same unknowns with another transmitted torque."""
-        return replace(self, inertial=inertial)
-
 
 def build_problem(
-    chain: Chain, effects: Sequence[Effect], *, inertial: Array | None = None
+    chain: Chain,
+    effects: Sequence[Effect],
+    *,
+    inertial: Array | None = None,
+    without: Collection[tuple[int, str]] = (),
 ) -> Problem:
     """Stack rigid body and effects and keep what any motion could tell apart.
 
@@ -162,30 +160,44 @@ def build_problem(
         effects: Effects whose gains are unknown.
         inertial: Link parameters for the transmitted torque, shape (n, 10); the
             chain's own by default.
+        without: Gains that stay as they are: index of the effect, name of the gain.
     """
     labels, units = inertial_labels(chain.size)
-    for effect in effects:
+    columns = tuple(
+        (e, g)
+        for e, effect in enumerate(effects)
+        for g, gain in enumerate(effect.gains)
+        if (e, gain.name) not in without
+    )
+    for e, g in columns:
+        effect, gain = effects[e], effects[e].gains[g]
         where = "+".join(chain.joints[j] for j in effect.joints)
         where = "arm" if effect.scope == "arm" else where
-        labels += tuple(f"{effect.id}.{g.name}[{where}]" for g in effect.gains)
-        units += tuple(g.unit for g in effect.gains)
-    stacked = _stacked(chain, effects, rich_motion(chain))
+        labels += (f"{effect.id}.{gain.name}[{where}]",)
+        units += (gain.unit,)
+    stacked = _stacked(chain, effects, columns, rich_motion(chain))
     base = base_parameters(stacked.reshape(-1, stacked.shape[2]), labels, units)
     own = chain.inertial if inertial is None else inertial
-    return Problem(chain, tuple(effects), base, own)
+    return Problem(chain, tuple(effects), base, own, columns)
 
 
-def _stacked(chain: Chain, effects: Sequence[Effect], motion: Motion) -> Array:
+def _stacked(
+    chain: Chain,
+    effects: Sequence[Effect],
+    columns: Sequence[tuple[int, int]],
+    motion: Motion,
+) -> Array:
     """All columns of all joints, shape (N, n, 10n + gains)."""
     # A robot file without inertias must not hide effects that need a load.
     inertial = np.where(np.any(chain.inertial), chain.inertial, 1.0)
     body = RigidBody(chain, motion, inertial)
-    blocks = [body.columns]
-    for effect in effects:
-        block = np.zeros((len(motion.t), chain.size, len(effect.gains)))
-        block[:, list(effect.joints)] = effect.columns(motion, body)
-        blocks.append(block)
-    return np.concatenate(blocks, axis=2)
+    rigid = 10 * chain.size
+    stacked = np.zeros((len(motion.t), chain.size, rigid + len(columns)))
+    stacked[:, :, :rigid] = body.columns
+    values = [effect.columns(motion, body) for effect in effects]
+    for column, (e, g) in enumerate(columns, rigid):
+        stacked[:, list(effects[e].joints), column] = values[e][:, :, g]
+    return stacked
 
 
 def rich_motion(chain: Chain) -> Motion:

@@ -14,6 +14,7 @@ from hybrid.robot.chain import Array
 _FEWEST_SAMPLES = 200
 _WORTH = 0.01  # least relative fall of squares for a remainder to stay
 _COMPONENTS = (1, 2, 4, 8, 16)
+_MOST_SAMPLES = 3000  # of a fit that only scores; the final one takes what it needs
 
 
 @dataclass(frozen=True)
@@ -32,22 +33,28 @@ class Learned:
     rms: Array
 
 
-def fit_remainder(rest: Rest, *, seed: int = 0) -> Learned:
+def fit_remainder(
+    rest: Rest, *, among: ArmRemainder | None = None, seed: int = 0
+) -> Learned:
     """A Gaussian-mixture regression for each joint that gains from one.
 
     Each joint is offered its own position and speed, then its neighbours' too; what
-    lowers the error most stays, if it does so on all folds but one.
+    lowers the error most stays, if it does so on every fold.
 
     Args:
         rest: What the physical terms leave on folds they were not fitted on.
+        among: Try only the joints and inputs of this remainder.
         seed: Seed of the mixtures' starts.
     """
     n = rest.tau.shape[1]
     parts, cross = [], np.zeros_like(rest.tau)
-    for joint in range(n):
+    offered = {j: _candidates(j, n) for j in range(n)}
+    if among is not None:
+        offered = {p.joint: [(p.positions, p.speeds)] for p in among.parts}
+    for joint, candidates in offered.items():
         best = rest.squares(joint, 0.0)
         chosen = None
-        for inputs in _candidates(joint, n):
+        for inputs in candidates:
             tried = _cross_fit(rest, joint, inputs, seed)
             if tried is None:
                 continue
@@ -106,6 +113,7 @@ def _fit(
         y[moving & ~scoring],
         components=components,
         candidates=_COMPONENTS,
+        max_samples=_MOST_SAMPLES if scoring.any() else 20_000,
         validation=None if components else (x[scoring], y[scoring]),
         rng=seed,
     )

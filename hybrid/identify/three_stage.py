@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -24,7 +24,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, IdentificationError
 from hybrid.identify.cross_products import CrossProducts
-from hybrid.identify.data import Data, prepare, visited
+from hybrid.identify.data import Data, helps, prepare, visited
 from hybrid.identify.friction import fit_friction
 from hybrid.identify.least_squares import (
     ESTIMATORS,
@@ -37,17 +37,20 @@ from hybrid.identify.least_squares import (
 from hybrid.identify.model import DynamicModel
 from hybrid.identify.problem import Problem, build_problem
 from hybrid.identify.remainder import fit_remainder
+from hybrid.identify.ripple import find_ripples
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
-Stage = Literal["rigid", "friction", "remainder"]
-STAGES: tuple[Stage, ...] = ("rigid", "friction", "remainder")
+Stage = Literal["rigid", "friction", "ripple", "remainder"]
+STAGES: tuple[Stage, ...] = ("rigid", "friction", "ripple", "remainder")
 
+_FRICTION = (Coulomb, Viscous, ThresholdFriction, LoadFriction)
+_WORTH = 0.02  # least relative fall of squares for a joint's term to stay
 _MOST_ROUNDS = 4
 _SETTLED = 0.005  # relative change of the held-out error that ends the iteration
-_TOLERATED = 0.002  # rise of one joint's held-out error that is not yet a rise
+_MOST_RIPPLE_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -158,6 +161,9 @@ def identify(
     if "friction" in stages:
         search.bend()
         held_out["+ friction"] = search.best.error
+    if "ripple" in stages:
+        search.ripple()
+        held_out["+ ripple"] = search.best.error
     if "remainder" in stages:
         search.learn("friction" in stages)
         held_out["+ remainder"] = search.error
@@ -179,6 +185,7 @@ class _Search:
         self.robot, self.data, self.estimator = robot, data, estimator
         self.extra, self.robust, self.seed = extra, robust, seed
         self.simpler: dict[Estimator, _Solution] = {}
+        self.stages: dict[str, _Solution] = {}
         self.remainder: ArmRemainder | None = None
         self.left_out: list[str] = []
         self.rounds, self.settled = 1, True
@@ -211,12 +218,29 @@ class _Search:
         if self.best is self.simpler[self.estimator]:
             self._leave_out("friction: the threshold law does not lower the error")
 
+    def ripple(self) -> None:
+        """Stage two, second part: torque that repeats with position."""
+        before = self.best
+        for _ in range(_MOST_RIPPLE_ROUNDS):
+            rest = self.data.rest_of_folds(self.best.problem, self.best.cross.theta)
+            joints = range(self.robot.size)
+            ripples = [r for j in joints for r in find_ripples(self.data, rest, j)]
+            if not ripples:
+                break
+            model = self.best.model(self.robot, self.data)
+            found = self._solve(self.best, [*model.effects, *ripples], None)
+            if self._mean(found.error) >= self._mean(self.error):
+                break
+            self.best, self.error = found, found.error
+        if self.best is not before:
+            self.stages["+ friction"] = before
+
     def learn(self, bend: bool) -> None:
         """Stage three, and the others again around it, until the error settles."""
         physical = self.best
         for self.rounds in range(1, _MOST_ROUNDS + 1):
             rest = self.data.rest_of_folds(physical.problem, physical.cross.theta)
-            learned = fit_remainder(rest, seed=self.seed)
+            learned = fit_remainder(rest, among=self.remainder, seed=self.seed)
             if not learned.remainder.parts:
                 break
             gain = self._mean(self.error) - self._mean(learned.rms)
@@ -229,7 +253,8 @@ class _Search:
             if bend:
                 physical = self._with_friction(physical, known)
             else:
-                physical = self._solve(physical, physical.problem.effects, known)
+                model = physical.model(self.robot, self.data)
+                physical = self._solve(physical, model.effects, known)
         else:
             self.settled = False
         if self.remainder is None:
@@ -248,45 +273,59 @@ class _Search:
             for effect in others:
                 left[:, effect.joints] -= effect.torque(motion, body)
             rest.append(left)
-        found = {
-            j: fit_friction(
+        found: list[Effect] = []
+        for j in range(self.robot.size):
+            offset = [e for e in others if e.id == TorqueOffset.id and e.joints == (j,)]
+            level = sum(e.values["level"] for e in offset)
+            terms = partial(
+                fit_friction,
                 j,
                 data.motions,
-                [x[:, j] for x in rest],
-                [body.load[:, j] for body in bodies],
+                load=[body.load[:, j] for body in bodies],
                 known=None if known is None else [x[:, j] for x in known],
                 cutoff=data.cutoff,
                 standing=data.standing[j],
                 folds=data.folds,
             )
-            for j in range(self.robot.size)
-        }
-        new = self._solve(start, [*others, *chain(*found.values())], known)
+            # Two levels, one a direction, take an offset in unless it exceeds them.
+            friction, squares = terms([x[:, j] + level for x in rest])
+            kept, squares_kept = terms([x[:, j] for x in rest])
+            if offset and helps(squares, squares_kept, _WORTH):
+                friction = kept
+            else:
+                others = [e for e in others if e not in offset]
+            found += friction
+        new = self._solve(start, [*others, *found], known)
         return self._without_losses(start, new, known)
 
     def _without_losses(
         self, start: _Solution, new: _Solution, known: Sequence[Array] | None
     ) -> _Solution:
-        """Give joints whose error rose their former friction back."""
-        worse = new.error > (1 + _TOLERATED) * start.error
-        if not worse.any() or worse.all():
+        """Give joints whose error did not fall on every fold their friction back."""
+        before, after = start.cross.squares, new.cross.squares
+        worse = np.array(
+            [not helps(x, y, _WORTH) for x, y in zip(before.T, after.T, strict=True)]
+        )
+        if not worse.any():
             return new
-        kept = [
-            e
-            for effects, former in ((new.problem.effects, False), (start.problem.effects, True))
-            for e in effects
-            if (self._is_friction(e) and bool(worse[e.joints[0]]) is former)
-            or not (self._is_friction(e) or former)
-        ]
+        if worse.all():
+            return start
+        now, then = (s.model(self.robot, self.data).effects for s in (new, start))
+        laws = (*_FRICTION, TorqueOffset)
+        mine = [e for e in self.extra if isinstance(e, laws)]
+
+        def keeps(effect: Effect, former: bool) -> bool:
+            if not isinstance(effect, laws) or _same_place(effect, mine):
+                return not former
+            return bool(worse[effect.joints[0]]) is former
+
+        kept = [e for e in now if keeps(e, False)] + [e for e in then if keeps(e, True)]
         mixed = self._solve(start, kept, known)
         return min(new, mixed, key=lambda s: self._mean(s.error))
 
     def _is_friction(self, effect: Effect) -> bool:
         """Whether stage two may replace an effect; the user's own ones stay."""
-        laws = (Coulomb, Viscous, ThresholdFriction, LoadFriction)
-        return isinstance(effect, laws) and all(
-            type(effect) is not type(e) or effect.joints != e.joints for e in self.extra
-        )
+        return isinstance(effect, _FRICTION) and not _same_place(effect, self.extra)
 
     def _solve(
         self,
@@ -294,11 +333,20 @@ class _Search:
         effects: Sequence[Effect],
         known: Sequence[Array] | None,
     ) -> _Solution:
+        # What stage two left at zero stays there: its opposites would be collinear.
+        without = [
+            (k, g.name)
+            for k, e in enumerate(effects)
+            for g in e.gains
+            if isinstance(e, ThresholdFriction) and e.values[g.name] == 0.0
+        ]
         zeroed = [
             e if e.reports else e.at({g.name: 0.0 for g in e.gains}) for e in effects
         ]
         inertial = start.problem.rigid_inertial(start.estimate.theta)
-        problem = build_problem(self.robot.chain, zeroed, inertial=inertial)
+        problem = build_problem(
+            self.robot.chain, zeroed, inertial=inertial, without=without
+        )
         products = self.data.products(problem, known)
         estimate = solve(products, self.estimator, bounded=True, robust=self.robust)
         cross = cross_validate(products, estimate, bounded=True)
@@ -327,8 +375,11 @@ class _Search:
             name.upper(): solution.model(self.robot, self.data)
             for name, solution in self.simpler.items()
         }
-        if self.best is not self.simpler[self.estimator]:
-            simpler["+ friction"] = model.without_remainder()
+        for name, solution in self.stages.items():
+            simpler[name] = solution.model(self.robot, self.data)
+        if self.remainder is not None:
+            last = "+ ripple" if self.stages else "+ friction"
+            simpler[last] = model.without_remainder()
         converged = estimate.converged and self.settled
         if not converged:
             warnings.warn(
@@ -348,6 +399,11 @@ class _Search:
             left_out=tuple(self.left_out),
             rounds=self.rounds,
         )
+
+
+def _same_place(effect: Effect, others: Sequence[Effect]) -> bool:
+    """Whether an effect of the same kind is at the same joints."""
+    return any(type(effect) is type(e) and effect.joints == e.joints for e in others)
 
 
 def _check_choices(estimator: str, stages: Sequence[str]) -> None:

@@ -16,10 +16,6 @@ from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 
-_FULL = "+ remainder"
-_PHYSICAL = "+ friction"
-
-
 @dataclass(frozen=True)
 class ValidationRow:
     """Errors of one model.
@@ -126,10 +122,7 @@ def validate(
     )
     measured = data.rest([np.zeros_like(m.tau) for m in motions])
     size = np.maximum(measured.rms(), 1e-300)
-    models = dict(model.simpler)
-    models[_FULL if model.remainder is not None else "model"] = model
-    if models.get(_PHYSICAL) is not None and model.remainder is None:
-        del models["model"]
+    models = {**model.simpler, model.stage: model}
     rows = []
     for name, each in models.items():
         rms = data.rest(predictions(each, data)).rms()

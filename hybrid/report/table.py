@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -36,23 +37,45 @@ def table_from_validation(validation: Validation) -> Table:
 
     The noise floor, where it is known, is the last row.
     """
-    names = [row.name for row in validation.rows]
-    rms = [np.append(row.rms, row.mean) for row in validation.rows]
-    if validation.noise_floor is not None:
-        names.append("noise floor")
-        rms.append(np.append(validation.noise_floor, np.mean(validation.noise_floor)))
-    values = np.array(rms)  # (stages, n + 1)
+    return error_table(
+        {row.name: row.rms for row in validation.rows},
+        validation.joints,
+        f"RMS torque error on {validation.robot}, N·m, "
+        f"{validation.samples:,} samples over {validation.seconds:.0f} s",
+        noise_floor=validation.noise_floor,
+    )
+
+
+def error_table(
+    rms: Mapping[str, Array],
+    joints: Sequence[str],
+    caption: str,
+    *,
+    noise_floor: Array | None = None,
+) -> Table:
+    """Errors of models: per joint, mean, and against the first model.
+
+    Args:
+        rms: RMS torque error of each model, by name, shape (n,), [N·m].
+        joints: Joint names, length n.
+        caption: What the numbers are.
+        noise_floor: Errors that no model can get below, shape (n,), [N·m].
+    """
+    rows = dict(rms) if noise_floor is None else {**rms, "noise floor": noise_floor}
+    names = list(rows)
+    values = np.array(
+        [np.append(x, np.mean(x)) for x in rows.values()]
+    )  # (rows, n + 1)
     first = values[0, -1]
     columns = [_cells(column) for column in values.T]
     # The first row is what the others are compared with; the floor is no model.
     change = ["–", *(_change(mean, first) for mean in values[1:, -1])]
-    if validation.noise_floor is not None:
+    if noise_floor is not None:
         change[-1] = ""
     return Table(
-        header=("", *validation.joints, "mean", f"vs {names[0]}"),
+        header=("", *joints, "mean", f"vs {names[0]}"),
         rows=tuple(zip(names, *columns, change, strict=True)),
-        caption=f"RMS torque error on {validation.robot}, N·m, "
-        f"{validation.samples:,} samples over {validation.seconds:.0f} s",
+        caption=caption,
     )
 
 
@@ -62,11 +85,15 @@ def validation_table(validation: Validation) -> RichTable:
     Args:
         validation: Errors of every stage on motions that no fit has seen.
     """
+    return numbers_table(table_from_validation(validation))
+
+
+def numbers_table(table: Table) -> RichTable:
+    """A table of numbers for a terminal; rows without a last cell are dim."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    table = table_from_validation(validation)
     rich = RichTable(
         box=SIMPLE_HEAD,
         title=Text(table.caption),

@@ -1,0 +1,128 @@
+"""``hybrid effects``: what can be simulated and found."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from hybrid.cli.options import add_common, check_outputs, record, write_record
+
+if TYPE_CHECKING:
+    from hybrid.cli.screen import Screen
+    from hybrid.effects import Effect, Quantity
+
+HELP = """list effects, or tell all about one
+an effect has gains, which a fit finds, and shapes, which are given.
+
+--json: provenance, effects (effect, port, scope, equation, source, sentence, remedy,
+gains, shapes).
+
+examples:
+  hybrid effects
+  hybrid effects stribeck
+  hybrid effects --effects-from mine.py --json effects.json"""
+
+_ACTS_ON = {"joint": "the joint", "coupling": "these joints", "arm": "the arm"}
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument("effect", nargs="?", metavar="EFFECT", help="one of them")
+    add_common(parser)
+
+
+def run(args: Namespace, screen: Screen) -> None:
+    """List or describe."""
+    from hybrid.effects import effect_class, effect_classes
+
+    check_outputs([args.json])
+    if args.effect:
+        found = [effect_class(args.effect)]
+    else:
+        found = list(effect_classes().values())
+    content = {"effects": [content_from_class(cls) for cls in found]}
+    write_record(args, record(args, []), content)
+    if args.effect:
+        _show_one(found[0], screen)
+    else:
+        _show_all(found, screen)
+
+
+def content_from_class(cls: type[Effect]) -> dict[str, Any]:
+    """What an effect states about itself, for JSON."""
+    return {
+        "effect": cls.id,
+        "port": cls.port.value,
+        "scope": cls.scope,
+        "equation": cls.equation,
+        "source": cls.source,
+        "sentence": cls.sentence,
+        "remedy": cls.remedy,
+        "gains": [asdict(x) for x in cls.gains],
+        "shapes": [asdict(x) for x in cls.shapes],
+    }
+
+
+def _show_all(found: list[type[Effect]], screen: Screen) -> None:
+    from rich.text import Text
+
+    from hybrid.cli.screen import words_table
+
+    rows = []
+    for cls in found:
+        units = ", ".join(
+            f"{x.name} [{x.unit}]" if x.unit else x.name
+            for x in (*cls.gains, *cls.shapes)
+        )
+        about = Text("\n").join(
+            [Text(cls.equation), Text(units, style="cyan"), Text(_sentence(cls))]
+        )
+        rows.append((Text(cls.id, style="bold"), cls.port.value, about))
+    screen.show(words_table(("effect", "port", "equation, parameters, sign"), rows))
+
+
+def _show_one(cls: type[Effect], screen: Screen) -> None:
+    from hybrid.cli.screen import words_table
+
+    screen.say(f"{cls.id}: {cls.equation}")
+    screen.say(_sentence(cls))
+    screen.say(f"remedy: {cls.remedy}")
+    screen.say(f"source: {cls.source}")
+    screen.say(f"port: {cls.port.value}; acts on: {_scope(cls)}")
+    kinds = [("gain", x) for x in cls.gains] + [("shape", x) for x in cls.shapes]
+    rows = [
+        (
+            x.name,
+            kind,
+            x.unit,
+            f"{x.typical:g}",
+            f"{x.lower:g} to {x.upper:g}",
+            _multiples(x),
+        )
+        for kind, x in kinds
+    ]
+    header = ("parameter", "kind", "unit", "usual", "plausible", "in multiples of")
+    screen.show(words_table(header, rows))
+    place = {"joint": ":JOINT", "coupling": ":JOINT+JOINT", "arm": ""}[cls.scope]
+    value = kinds[0][1].name
+    screen.say(f"--effects '{cls.id}{place}' or '{cls.id}{place}({value}=NUMBER)'")
+
+
+def _sentence(cls: type[Effect]) -> str:
+    text = cls.sentence.replace("{joints}", _ACTS_ON[cls.scope])
+    return text[:1].upper() + text[1:]
+
+
+def _scope(cls: type[Effect]) -> str:
+    words = {"joint": "one joint", "coupling": "several joints", "arm": "the whole arm"}
+    return words[cls.scope]
+
+
+def _multiples(x: Quantity) -> str:
+    parts = [
+        name + ("" if power == 1 else f"^{power}")
+        for name, power in zip(("rated torque", "rated speed"), x.per, strict=True)
+        if power
+    ]
+    return " · ".join(parts)

@@ -1,0 +1,130 @@
+"""``hybrid identify``: a dynamic model from recordings."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hybrid.cli.options import (
+    add_common,
+    add_recordings,
+    add_robot,
+    check_outputs,
+    load_effects,
+    load_robot,
+    names,
+    positive,
+    record,
+    whole,
+    write_record,
+)
+from hybrid.errors import HybridError
+
+if TYPE_CHECKING:
+    from hybrid.cli.screen import Screen
+    from hybrid.identify import Fit
+
+HELP = """identify the drive torque of an arm from recordings
+writes MODEL.json and, beside it, MODEL.safetensors with its arrays; shows the error of
+every stage on samples left out of the fit, what cannot be told from these recordings,
+and the effects found.
+
+--json: provenance, robot, joints, stage, cutoff, held_out (RMS of each stage),
+left_out, unidentifiable, converged, rounds, condition, sigma, effects, unknowns.
+
+examples:
+  hybrid identify --robot models/scara.xml --recordings logs --out model.json
+  hybrid identify --robot arm.urdf --recordings 'logs/*.parquet' --estimator wls \\
+      --effects spring:elbow,transmission_coupling:5+6 --out model.json"""
+
+_SHOWN = 10  # lines of what is unidentifiable
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    add_robot(parser)
+    add_recordings(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="MODEL.json")
+    parser.add_argument(
+        "--estimator",
+        default="irls",
+        metavar="NAME",
+        help="ls, wls or irls (default): how joints and samples are weighed",
+    )
+    parser.add_argument(
+        "--stages",
+        type=names,
+        metavar="LIST",
+        help="of rigid, friction, ripple, remainder (default: all); rigid always runs",
+    )
+    parser.add_argument(
+        "--effects",
+        default="",
+        metavar="LIST",
+        help="more effects whose gains shall be found, as effect[:joint[+joint]]"
+        "[(shape=value;...)] between commas; see 'hybrid effects'",
+    )
+    parser.add_argument(
+        "--cutoff",
+        type=positive,
+        metavar="HZ",
+        help="cut-off of columns and torque (default: from the spectrum)",
+    )
+    parser.add_argument(
+        "--robust", action="store_true", help="weigh down stretches that do not fit"
+    )
+    parser.add_argument("--seed", type=whole, default=0, metavar="N")
+    add_common(parser)
+
+
+def run(args: Namespace, screen: Screen) -> None:
+    """Identify, save and show."""
+    from hybrid.identify import identify
+    from hybrid.identify.three_stage import STAGES
+    from hybrid.recording import read_all
+    from hybrid.report.fit import content_from_fit
+
+    arrays = args.out.with_suffix(".safetensors")
+    if args.out.suffix != ".json":
+        raise HybridError(f"{args.out}: a model is saved as .json")
+    args.stages = args.stages or STAGES
+    robot = load_robot(args)
+    effects = load_effects(args.effects, robot)
+    with screen.working("reading recordings"):
+        recordings = read_all(args.recordings, joints=robot.joints)
+    inputs = [args.robot, *(Path(x.source) for x in recordings)]
+    check_outputs([args.out, arrays, args.json], inputs)
+    how = record(args, inputs)
+    with screen.working(f"identifying {robot.name} from {len(recordings)} recordings"):
+        fit = identify(
+            robot,
+            recordings,
+            estimator=args.estimator,
+            stages=args.stages,
+            # The size of a gain is what is asked for; its shapes are stated.
+            effects=[e.at({g.name: 0.0 for g in e.gains}) for e in effects],
+            cutoff=args.cutoff,
+            robust=args.robust,
+            seed=args.seed,
+        )
+    fit.model.save(args.out)
+    write_record(args, how, content_from_fit(fit))
+    _show(fit, screen)
+    screen.say(f"model: {args.out} with {arrays.name}")
+
+
+def _show(fit: Fit, screen: Screen) -> None:
+    from hybrid.report.fit import effects_table, held_out_table
+    from hybrid.report.table import numbers_table
+
+    screen.show_numbers(numbers_table(held_out_table(fit)))
+    for text in fit.left_out:
+        screen.say(f"left out: {text}")
+    if fit.unidentifiable:
+        screen.say("unidentifiable:")
+        for text in fit.unidentifiable[:_SHOWN]:
+            screen.say(f"  {text}")
+        if len(fit.unidentifiable) > _SHOWN:
+            screen.say(f"  … and {len(fit.unidentifiable) - _SHOWN} more, see --json")
+    screen.show_words(effects_table(fit))

@@ -1,0 +1,205 @@
+"""Arguments that several verbs share, and what they stand for."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from hybrid.errors import HybridError
+
+if TYPE_CHECKING:
+    from hybrid.effects import Effect
+    from hybrid.plant import Plant
+    from hybrid.robot import Robot
+
+_NOT_SETTINGS = {
+    "verb", "parser", "robot", "recordings", "recording", "model", "effects_from",
+    "out", "json", "seed",
+}  # fmt: skip
+
+
+class Parser(ArgumentParser):
+    """An argument parser whose complaint is one line that says what is valid."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, **options)
+
+    def error(self, message: str) -> NoReturn:
+        """See :meth:`argparse.ArgumentParser.error`."""
+        if "choose from" not in message:
+            message += f"; {' '.join(self.format_usage().split())}"
+        raise HybridError(message)
+
+
+def add_robot(parser: ArgumentParser, *, required: bool = True, more: str = "") -> None:
+    """Add ``--robot`` and ``--joints``."""
+    parser.add_argument(
+        "--robot",
+        type=Path,
+        required=required,
+        metavar="FILE",
+        help=f"the arm: URDF or MJCF{more}",
+    )
+    parser.add_argument(
+        "--joints",
+        type=names,
+        metavar="A,B,C",
+        help="joints of the arm (default: the longest chain in the file)",
+    )
+
+
+def add_recordings(parser: ArgumentParser) -> None:
+    """Add ``--recordings``."""
+    parser.add_argument(
+        "--recordings",
+        nargs="+",
+        required=True,
+        metavar="PATH",
+        help="files, folders or globs of .csv, .parquet and .npz",
+    )
+
+
+def add_common(parser: ArgumentParser) -> None:
+    """Add ``--effects-from`` and ``--json``."""
+    parser.add_argument(
+        "--effects-from",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE.py",
+        help="load effects of your own from a Python file; may be repeated",
+    )
+    parser.add_argument(
+        "--json",
+        type=Path,
+        metavar="FILE",
+        help="write the results, and how they came about, for other programs",
+    )
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Names between commas."""
+    found = tuple(name.strip() for name in text.split(","))
+    if not all(found):
+        raise ArgumentTypeError(f"{text!r} is not names between commas")
+    return found
+
+
+def positive(text: str) -> float:
+    """A finite number above zero."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise ArgumentTypeError(f"{text!r} is not a number above 0")
+    return value
+
+
+def count(text: str) -> int:
+    """A whole number from 1."""
+    value = whole(text)
+    if value == 0:
+        raise ArgumentTypeError("'0' is not a whole number from 1")
+    return value
+
+
+def whole(text: str) -> int:
+    """A whole number from 0."""
+    if not (text.isascii() and text.isdigit()):
+        raise ArgumentTypeError(f"{text!r} is not a whole number from 0")
+    return int(text)
+
+
+def load_robot(args: Namespace) -> Robot:
+    """The arm of ``--robot`` and ``--joints``."""
+    from hybrid.robot import Robot
+
+    return Robot.load(args.robot, joints=args.joints)
+
+
+def load_plant(args: Namespace) -> Plant:
+    """The arm to simulate, from a robot file or a truth, with ``--effects`` added."""
+    from dataclasses import replace
+
+    from hybrid.plant import Plant, load_truth
+
+    if args.robot.suffix.lower() not in (".yaml", ".yml"):
+        robot = load_robot(args)
+        return Plant(robot, load_effects(args.effects, robot))
+    if args.joints:
+        raise HybridError("--joints goes with a robot file; a truth names its own")
+    nominal, plant = load_truth(args.robot)
+    effects = load_effects(args.effects, nominal)
+    # Without a servo, so that it is tuned to the arm with the new effects.
+    return replace(plant, effects=(*plant.effects, *effects), servo=None)
+
+
+def load_effects(text: str, robot: Robot) -> list[Effect]:
+    """Effects of ``--effects``, at their usual size for the arm."""
+    from hybrid.effects import effects_from_text
+    from hybrid.plant.scale import joint_scales
+
+    return effects_from_text(text, robot.joints, joint_scales(robot))
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
+    """Refuse outputs that cannot be written, before any work is done.
+
+    Raises:
+        HybridError: An output is a folder, lies where nothing can be written, is named
+            twice, or is an input.
+    """
+    taken = {path.resolve(): "an input" for path in inputs}
+    for path in outputs:
+        if path is None:
+            continue
+        if path.is_dir():
+            raise HybridError(f"{path}: is a folder; valid is the name of a file")
+        parent = path.resolve().parent
+        while not parent.exists():
+            parent = parent.parent
+        if not (parent.is_dir() and os.access(parent, os.W_OK | os.X_OK)):
+            raise HybridError(
+                f"{path}: cannot be written; {parent} is no folder "
+                "in which files can be made"
+            )
+        if path.resolve() in taken:
+            raise HybridError(f"{path}: is {taken[path.resolve()]} as well")
+        taken[path.resolve()] = "another output"
+
+
+def record(args: Namespace, inputs: Iterable[Path]) -> dict[str, Any]:
+    """How a result comes about: versions, command, settings, hashes of its inputs."""
+    from hybrid.report import provenance
+
+    given = vars(args)
+    seed = {"seed": given["seed"]} if "seed" in given else {}
+    files = [*args.effects_from, *inputs]
+    return provenance(
+        command=args.verb,
+        settings={k: x for k, x in given.items() if k not in _NOT_SETTINGS},
+        **seed,
+        inputs=[{"file": file.name, "sha256": sha256(file)} for file in files],
+    )
+
+
+def sha256(path: Path) -> str:
+    """Hash of a file's content."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_record(
+    args: Namespace, provenance: Mapping[str, Any], content: Mapping[str, Any]
+) -> None:
+    """Write results to ``--json``, if it was given."""
+    from hybrid.report import write_results
+
+    if args.json:
+        write_results(args.json, {**content, "provenance": provenance})

@@ -1,0 +1,62 @@
+"""``hybrid predict``: torque that a model gives along a recording."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hybrid.cli.options import add_common, check_outputs, record, write_record
+
+if TYPE_CHECKING:
+    from hybrid.cli.screen import Screen
+
+HELP = """predict the drive torque along a recording
+writes the columns time (s) and tau_JOINT (N·m); the suffix of --out, .csv, .parquet or
+.npz, says how. A recording with an irregular clock is resampled first.
+
+--json: provenance, robot, joints, samples, rms (of measured less predicted torque, all
+samples, unfiltered).
+
+example:
+  hybrid predict --model model.json --recording logs/trajectory_1.csv --out tau.csv"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
+    parser.add_argument(
+        "--recording",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="a .csv, .parquet or .npz file",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE")
+    add_common(parser)
+
+
+def run(args: Namespace, screen: Screen) -> None:
+    """Predict and write."""
+    import numpy as np
+
+    from hybrid.identify import DynamicModel, predict
+    from hybrid.recording import check_recording, read
+    from hybrid.report.columns import write_columns, writer_of
+
+    writer_of(args.out)
+    model = DynamicModel.load(args.model)
+    joints = model.robot.joints
+    # On the clock that the prediction will have.
+    recording = check_recording(read(args.recording, joints=joints), model.robot)
+    inputs = [args.model, args.model.with_suffix(".safetensors"), args.recording]
+    check_outputs([args.out, args.json], inputs)
+    how = record(args, inputs)
+    with screen.working("predicting"):
+        tau = predict(model, recording)
+    columns = {f"tau_{joint}": tau[:, j] for j, joint in enumerate(joints)}
+    write_columns(args.out, {"time": recording.t, **columns})
+    rms = np.sqrt(np.mean((recording.tau - tau) ** 2, axis=0))
+    content = {"robot": model.robot.name, "joints": joints, "samples": len(tau)}
+    write_record(args, how, {**content, "rms": rms})
+    screen.say(f"{len(tau):,} samples of {len(joints)} joints in {args.out}")

@@ -1,0 +1,122 @@
+"""The terminal: results on stdout, everything about the run on stderr."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console, RenderableType
+from rich.text import Text
+
+from hybrid.errors import HybridWarning
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+    from hybrid.report import Table
+
+_WIDTH_OF_A_FILE = 160
+
+
+class Screen:
+    """Where a verb shows its results, its progress and its warnings."""
+
+    def __init__(self) -> None:
+        self._out = _console()
+        self._err = _console(stderr=True)
+
+    def say(self, text: str = "") -> None:
+        """Show a line of results, however long."""
+        self._out.print(Text(text), soft_wrap=True)
+
+    def show(self, content: RenderableType) -> None:
+        """Show results folded to the terminal."""
+        self._print(content, self._out.width)
+
+    def show_numbers(self, table: RichTable) -> None:
+        """Show a table of numbers; a narrow terminal wraps it, no digit is lost."""
+        options = self._out.options.update(width=1000)
+        width = self._out.measure(table, options=options).maximum
+        self._print(table, max(width, self._out.width))
+
+    def _print(self, content: RenderableType, width: int) -> None:
+        before, self._out.width = self._out.width, width
+        with self._out.capture() as captured:
+            self._out.print(content, crop=False, soft_wrap=True)
+        self._out.width = before
+        lines = captured.get().splitlines()
+        print("\n".join(line.rstrip() for line in lines))  # rich pads them
+
+    def show_words(self, table: Table) -> None:
+        """Show a table of text, its last column folded."""
+        self.show(words_table(table.header, table.rows, title=table.caption))
+
+    @contextmanager
+    def working(self, text: str) -> Iterator[None]:
+        """Show on a terminal that something goes on, and for how long."""
+        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        description = TextColumn("{task.description}", markup=False)
+        with Progress(
+            SpinnerColumn(),
+            description,
+            TimeElapsedColumn(),
+            console=self._err,
+            transient=True,
+            disable=not self._err.is_terminal,
+        ) as progress:
+            progress.add_task(text, total=None)
+            yield
+
+    @contextmanager
+    def warnings(self) -> Iterator[None]:
+        """Show each warning once, in one line."""
+        shown: set[str] = set()
+
+        def show(message: Any, category: type[Warning], *_: Any, **__: Any) -> None:
+            kind = "" if issubclass(category, HybridWarning) else category.__name__
+            words = f"{kind}: {message}" if kind else str(message)
+            line = f"warning: {' '.join(words.split())}"
+            if line not in shown:
+                shown.add(line)
+                self._err.print(Text(line, style="yellow"), soft_wrap=True)
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", HybridWarning)
+            warnings.showwarning = show
+            yield
+
+
+def words_table(
+    header: Sequence[str],
+    rows: Sequence[Sequence[str | Text]],
+    *,
+    title: str | None = None,
+) -> RichTable:
+    """A table of text; only its last column folds."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table as RichTable
+
+    table = RichTable(
+        box=SIMPLE_HEAD,
+        title=None if title is None else Text(title),
+        title_justify="left",
+        title_style="bold",
+        pad_edge=False,
+    )
+    for k, name in enumerate(header):
+        table.add_column(Text(name), no_wrap=k < len(header) - 1)
+    for row in rows:
+        # As Text, so that a bracket in a name is not taken for markup.
+        table.add_row(*(Text(x) if isinstance(x, str) else x for x in row))
+    return table
+
+
+def _console(*, stderr: bool = False) -> Console:
+    console = Console(stderr=stderr, highlight=False, markup=False)
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = _WIDTH_OF_A_FILE
+    return console

@@ -1,0 +1,112 @@
+"""``hybrid simulate``: recordings of a simulated arm with a known truth."""
+
+from __future__ import annotations
+
+import warnings
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hybrid.cli.options import (
+    add_common,
+    add_robot,
+    check_outputs,
+    count,
+    load_plant,
+    positive,
+    record,
+    sha256,
+    whole,
+    write_record,
+)
+from hybrid.errors import HybridWarning
+
+if TYPE_CHECKING:
+    from hybrid.cli.screen import Screen
+
+HELP = """simulate motions of an arm with effects that its file does not know
+writes DIR/trajectory_1.csv ... and DIR/truth.json, which holds the effects with their
+values. The same seed gives the same files.
+
+examples:
+  hybrid simulate --robot models/scara.xml --effects stribeck:elbow,torque_ripple \\
+      --trajectories 4 --duration 10 --seed 0 --out logs
+  hybrid simulate --robot models/coman_truth.yaml --out logs
+  hybrid simulate --robot models/planar.xml --effects 'payload(mass=2),coulomb:1' \\
+      --out logs"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    add_robot(parser, more=", or a truth in YAML")
+    parser.add_argument(
+        "--effects",
+        default="",
+        metavar="LIST",
+        help="effect[:joint[+joint]][(name=value;...)] between commas, at their usual "
+        "size; see 'hybrid effects' (default: none beside those of a truth)",
+    )
+    parser.add_argument("--trajectories", type=count, default=4, metavar="N")
+    parser.add_argument(
+        "--duration",
+        type=positive,
+        default=10.0,
+        metavar="S",
+        help="length of each trajectory, s (default 10)",
+    )
+    parser.add_argument("--seed", type=whole, default=0, metavar="N")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--format", choices=("csv", "parquet", "npz"), default="csv")
+    add_common(parser)
+
+
+def run(args: Namespace, screen: Screen) -> None:
+    """Simulate and write."""
+    from hybrid.plant import simulate
+    from hybrid.plant.folder import (
+        TRUTH,
+        content_from_plant,
+        recording_paths,
+        write_run,
+    )
+
+    suffix = f".{args.format}"
+    paths = recording_paths(args.out, args.trajectories, suffix)
+    plant = load_plant(args)
+    inputs = dict.fromkeys([args.robot, Path(plant.robot.path)])
+    check_outputs([*paths, args.out / TRUTH, args.json], inputs)
+    with screen.working(f"simulating {plant.robot.name}"):
+        recordings = simulate(
+            plant,
+            trajectories=args.trajectories,
+            duration=args.duration,
+            seed=args.seed,
+        )
+    how = record(args, inputs)
+    truth = content_from_plant(plant)
+    write_run(args.out, recordings, truth | {"provenance": how}, suffix=suffix)
+    files = [{"file": path.name, "sha256": sha256(path)} for path in paths]
+    write_record(args, how, truth | {"recordings": files})
+    screen.say(
+        f"{plant.robot.name}: {len(paths)} trajectories of {args.duration:g} s with "
+        f"{len(plant.effects)} effects in {args.out}"
+    )
+    _warn_of_others(args.out, paths)
+
+
+def _warn_of_others(folder: Path, paths: list[Path]) -> None:
+    # '--recordings DIR' would mix this run with what else lies there.
+    from hybrid.recording.read import READERS
+
+    others = sorted(
+        path.name
+        for path in folder.iterdir()
+        if path.suffix.lower() in READERS and path not in paths and path.name[0] != "."
+    )
+    if others:
+        more = f" and {len(others) - 1} more" if len(others) > 1 else ""
+        warnings.warn(
+            f"{folder} also holds {others[0]}{more}, not of this run",
+            HybridWarning,
+            stacklevel=2,
+        )

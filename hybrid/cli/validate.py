@@ -1,0 +1,67 @@
+"""``hybrid validate``: errors of a model on recordings it has not seen."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hybrid.cli.options import (
+    add_common,
+    add_recordings,
+    add_robot,
+    check_outputs,
+    load_robot,
+    record,
+    write_record,
+)
+
+if TYPE_CHECKING:
+    from hybrid.cli.screen import Screen
+
+HELP = """score a model on recordings that it was not identified from
+shows the RMS torque error of the model and of its simpler versions, joint by joint,
+over samples at which the joint moves, and the noise floor where the recordings tell it.
+
+--json: provenance, robot, joints, rows (name, rms, relative, mean), reduction,
+noise_floor, sources, samples, seconds.
+
+example:
+  hybrid validate --robot models/scara.xml --model model.json --recordings held_out \\
+      --json validation.json"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    add_robot(parser, required=False, more=", to be sure that it is the model's")
+    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
+    add_recordings(parser)
+    add_common(parser)
+
+
+def run(args: Namespace, screen: Screen) -> None:
+    """Validate and show."""
+    from hybrid.identify import DynamicModel, validate
+    from hybrid.identify.model import check_same_arm
+    from hybrid.recording import read_all
+    from hybrid.report import validation_table
+
+    model = DynamicModel.load(args.model)
+    robot = load_robot(args) if args.robot else model.robot
+    check_same_arm(model, robot)  # before a recording is blamed for it
+    with screen.working("reading recordings"):
+        recordings = read_all(args.recordings, joints=robot.joints)
+    inputs = [args.model, args.model.with_suffix(".safetensors")]
+    inputs += [args.robot] if args.robot else []
+    inputs += [Path(x.source) for x in recordings]
+    check_outputs([args.json], inputs)
+    how = record(args, inputs)
+    with screen.working(f"validating on {len(recordings)} recordings"):
+        validation = validate(model, recordings, robot=robot)
+    write_record(args, how, validation.as_dict())
+    screen.show_numbers(validation_table(validation))
+    first, last = validation.rows[0], validation.rows[-1]
+    screen.say(
+        f"{last.name}: {validation.reduction:.1%} less mean RMS than {first.name}, "
+        f"{last.mean:.4g} instead of {first.mean:.4g} N·m"
+    )

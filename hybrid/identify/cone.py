@@ -1,0 +1,83 @@
+"""Nearest point of a product of semidefinite cones and half-lines, by Clarabel.
+
+Source: Goulart and Chen 2024, arXiv 2405.12762 (interior-point conic solver).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csc_matrix
+
+from hybrid.errors import IdentificationError
+from hybrid.identify.pseudo_inertia import stacked, unstacked
+from hybrid.robot.chain import Array
+
+_SCALES = (1e8, 1e5, 1e2)  # of the objective; the first nearly always serves
+_SETTINGS = {
+    "verbose": False,
+    "equilibrate_enable": False,  # the coordinates are scaled; it only hurts
+    "static_regularization_constant": 1e-10,
+    "tol_gap_abs": 1e-9,
+    "tol_gap_rel": 1e-8,
+    "tol_infeas_abs": 1e-14,  # heavy links are always feasible
+    "tol_infeas_rel": 1e-14,
+}
+
+
+def nearest_above(
+    goal: Array, metric: Array, least: Array, n: int
+) -> tuple[Array, bool]:
+    """The z nearest to ``goal`` that is above ``least``.
+
+    The first 10n coordinates are n stacked 4×4 matrices, above in the sense of their
+    eigenvalues; the others are numbers.
+
+    Args:
+        goal: Shape (z,).
+        metric: Positive definite, shape (z, z).
+        least: Multiples of the unit matrix, then numbers (−inf for none), shape (z,).
+        n: Number of matrices.
+
+    Returns:
+        The point, never below ``least``, and whether the solver reached its accuracy.
+
+    Raises:
+        IdentificationError: The solver failed.
+    """
+    import clarabel  # type: ignore[import-not-found, import-untyped]
+
+    bounded = np.isfinite(least)
+    cones = [clarabel.PSDTriangleConeT(4)] * n
+    cones += [clarabel.NonnegativeConeT(int(bounded[10 * n :].sum()))]
+    settings = clarabel.DefaultSettings()
+    for name, value in _SETTINGS.items():
+        setattr(settings, name, value)
+    nearly = None
+    for scale in _SCALES:
+        solution = clarabel.DefaultSolver(
+            csc_matrix(np.triu(scale * metric)),
+            np.zeros(len(goal)),
+            csc_matrix(-np.eye(len(goal))[bounded]),
+            (goal - least)[bounded],
+            cones,
+            settings,
+        ).solve()
+        status = str(solution.status)
+        if status == "Solved":
+            return _lifted(goal + np.array(solution.x), least, n), True
+        if status == "AlmostSolved" and nearly is None:
+            nearly = goal + np.array(solution.x)
+    if nearly is not None:
+        return _lifted(nearly, least, n), False
+    raise IdentificationError(
+        f"no physically consistent links were found (Clarabel: {status}); more or "
+        "richer motion, or a better nominal robot file, is needed"
+    )
+
+
+def _lifted(z: Array, least: Array, n: int) -> Array:
+    """Lift what the solver left a rounding below ``least``."""
+    values, vectors = np.linalg.eigh(unstacked(z[: 10 * n].reshape(n, 10)))
+    values = np.maximum(values, least[: 10 * n : 10, None])
+    matrices = (vectors * values[:, None]) @ vectors.transpose(0, 2, 1)
+    return np.append(stacked(matrices), np.maximum(z[10 * n :], least[10 * n :]))

@@ -1,0 +1,131 @@
+"""Pseudo-inertia: the ten parameters of a link as the second moment of its mass.
+
+In homogeneous coordinates, J = ∫ (x, 1)(x, 1)ᵀ dm: linear in the ten parameters, and
+positive semidefinite if and only if some distribution of mass has them.
+
+Source: Wensing, Kim and Slotine 2018, doi 10.1109/LRA.2017.2729659.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.robot.chain import Array, Chain
+
+_ROWS, _COLUMNS = np.tril_indices(4)[::-1]  # upper triangle, column by column
+_STACKING = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(2.0))  # keeps the inner product
+_DENSITY = 1000.0  # of a link whose mass nobody knows, [kg/m³]
+_LEAST_WIDTH = 0.05  # of a link whose nominal inertia is (nearly) that of a rod
+
+
+def pseudo_inertia(inertial: Array) -> Array:
+    """Pseudo-inertia [[Σ, m c], [(m c)ᵀ, m]], with Σ = ½ tr(I)·1 − I.
+
+    Args:
+        inertial: Parameters about the link frame in the order of
+            :data:`~hybrid.robot.chain.INERTIAL_NAMES`, shape (..., 10).
+
+    Returns:
+        Shape (..., 4, 4), in [kg·m²], [kg·m] and [kg].
+    """
+    inertial = np.asarray(inertial, dtype=float)
+    J = np.empty((*inertial.shape[:-1], 4, 4))
+    xx, xy, yy, xz, yz, zz = np.moveaxis(inertial[..., 4:], -1, 0)
+    J[..., 0, 0] = (yy + zz - xx) / 2
+    J[..., 1, 1] = (xx + zz - yy) / 2
+    J[..., 2, 2] = (xx + yy - zz) / 2
+    J[..., 0, 1] = J[..., 1, 0] = -xy
+    J[..., 0, 2] = J[..., 2, 0] = -xz
+    J[..., 1, 2] = J[..., 2, 1] = -yz
+    J[..., :3, 3] = J[..., 3, :3] = inertial[..., 1:4]
+    J[..., 3, 3] = inertial[..., 0]
+    return J
+
+
+def inertial_from_pseudo(J: Array) -> Array:
+    """Inverse of :func:`pseudo_inertia`: shape (..., 4, 4) to (..., 10)."""
+    xx, yy, zz = J[..., 0, 0], J[..., 1, 1], J[..., 2, 2]
+    about = [yy + zz, -J[..., 0, 1], xx + zz, -J[..., 0, 2], -J[..., 1, 2], xx + yy]
+    return np.stack([J[..., 3, 3], *np.moveaxis(J[..., :3, 3], -1, 0), *about], axis=-1)
+
+
+def is_consistent(inertial: Array, tolerance: float = 1e-12) -> NDArray[np.bool_]:
+    """Whether each link could exist: some mass, and nowhere a negative one.
+
+    Args:
+        inertial: Link parameters, shape (..., 10).
+        tolerance: How far below zero rounding may take an eigenvalue of the
+            pseudo-inertia, in units in which mass and tr(Σ) are one.
+
+    Returns:
+        True for a physical link, shape (...). Point masses and rods, which have no
+        width in some direction, count as physical.
+    """
+    J = pseudo_inertia(inertial)
+    mass = J[..., 3, 3]
+    second = np.trace(J[..., :3, :3], axis1=-2, axis2=-1)
+    unit = np.ones(J.shape[:-1])
+    unit[..., :3] = np.sqrt(np.abs(second))[..., None]
+    unit[..., 3] = np.sqrt(np.abs(mass))
+    unit = np.where(unit > 0, unit, 1.0)
+    smallest = np.linalg.eigvalsh(J / unit[..., None] / unit[..., None, :])[..., 0]
+    return np.asarray((smallest >= -tolerance) & (mass > 0))
+
+
+def stacked(J: Array) -> Array:
+    """Symmetric matrices as vectors, shape (..., 4, 4) to (..., 10).
+
+    Upper triangle column by column, the rest of which √2 stands for, as conic solvers
+    want it.
+    """
+    return np.asarray(J[..., _ROWS, _COLUMNS] * _STACKING)
+
+
+def unstacked(x: Array) -> Array:
+    """Inverse of :func:`stacked`, shape (..., 10) to (..., 4, 4)."""
+    J = np.empty((*x.shape[:-1], 4, 4))
+    J[..., _ROWS, _COLUMNS] = J[..., _COLUMNS, _ROWS] = x / _STACKING
+    return J
+
+
+def inertial_per_stacked(root: Array) -> Array:
+    """Ten parameters per entry of a stacked X, where J = root·X·rootᵀ.
+
+    Args:
+        root: Shape (4, 4).
+
+    Returns:
+        Shape (10, 10).
+    """
+    return inertial_from_pseudo(root @ unstacked(np.eye(10)) @ root.T).T
+
+
+def nominal_bodies(chain: Chain, inertial: Array) -> Array:
+    """Pseudo-inertia of plausible links, positive definite, shape (n, 4, 4).
+
+    What is not physical becomes a blob as wide as a quarter of the link's length: about
+    the centre of mass where there is a mass, else of the density of water and half-way
+    to the next joint. Links as thin as a rod get some width.
+
+    Args:
+        chain: The arm, for the lengths of its links.
+        inertial: Parameters from the robot file, shape (n, 10).
+    """
+    ahead = np.vstack([chain.translation[1:], np.zeros(3)])
+    length = np.linalg.norm(ahead, axis=1)
+    # Joints of a wrist may meet in one point, but its links do not.
+    length = np.maximum(length, 0.3 * length.sum() if length.any() else 0.3)
+    J = pseudo_inertia(inertial)
+    for body, vector, width in zip(J, ahead, length / 4, strict=True):
+        known = body[3, 3] > 0
+        mass = body[3, 3] if known else _DENSITY * width**3
+        center = body[:3, 3] / mass if known else vector / 2
+        spread, axes = np.linalg.eigh(body[:3, :3] / mass - np.outer(center, center))
+        if not known or spread[0] < (1e-3 * width) ** 2:
+            spread = np.full(3, width**2)
+        spread = np.maximum(spread, (_LEAST_WIDTH * width) ** 2)
+        point = np.append(center, 1.0)
+        body[...] = mass * np.outer(point, point)
+        body[:3, :3] += mass * (axes * spread) @ axes.T
+    return J

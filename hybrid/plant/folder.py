@@ -1,0 +1,80 @@
+"""A simulation on disk: a folder of recordings and what is true of them."""
+
+from __future__ import annotations
+
+import shutil
+import uuid
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hybrid.files import write_json
+from hybrid.plant.plant import Plant
+from hybrid.recording import Recording, write
+
+TRUTH = "truth.json"
+
+
+def content_from_plant(plant: Plant) -> dict[str, Any]:
+    """What is true of a simulated arm, for JSON.
+
+    The effects are those that the robot file does not know; ``inertial`` holds the
+    real link parameters, shape (n, 10), and ``torque_covariance`` the noise of the
+    torque sensors, shape (n, n), [N²·m²].
+    """
+    joints, noise = plant.robot.joints, plant.noise
+    assert noise is not None  # a plant has made it
+    return {
+        "robot": plant.robot.name,
+        "joints": list(joints),
+        "effects": [effect.as_dict(joints) for effect in plant.effects],
+        "inertial": plant.robot.chain.inertial.tolist(),
+        "torque_covariance": noise.torque_covariance.tolist(),
+    }
+
+
+def recording_paths(folder: Path, trajectories: int, suffix: str) -> list[Path]:
+    """Files of the recordings of a run: ``trajectory_1.csv`` and so on."""
+    return [folder / f"trajectory_{k + 1}{suffix}" for k in range(trajectories)]
+
+
+def write_run(
+    folder: Path,
+    recordings: Sequence[Recording],
+    truth: Mapping[str, Any],
+    *,
+    suffix: str = ".csv",
+) -> list[Path]:
+    """Write the recordings of a run and its truth.
+
+    Everything is written to a hidden folder first and moved when it is whole, so that
+    a failure leaves what was there.
+
+    Args:
+        folder: Where the files shall be; files of the same names are replaced.
+        recordings: Joint logs.
+        truth: JSON-ready content of ``truth.json``.
+        suffix: ``.csv``, ``.parquet`` or ``.npz``.
+
+    Returns:
+        The files of the recordings.
+
+    Raises:
+        RecordingError: A recording cannot be written.
+    """
+    paths = recording_paths(folder, len(recordings), suffix)
+    is_new = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    hidden = folder / f".run.{uuid.uuid4().hex[:12]}"
+    hidden.mkdir()
+    try:
+        for recording, path in zip(recordings, paths, strict=True):
+            write(recording, hidden / path.name)
+        write_json(hidden / TRUTH, truth)
+        for path in (*paths, folder / TRUTH):
+            (hidden / path.name).replace(path)
+    finally:
+        shutil.rmtree(hidden, ignore_errors=True)
+        if is_new and not any(folder.iterdir()):
+            folder.rmdir()
+    return paths

@@ -1,0 +1,20 @@
+"""Size of an arm's joints, in which the usual sizes of effects are stated."""
+
+from __future__ import annotations
+
+from hybrid.effects import Scale
+from hybrid.plant.noise import rated_torque
+from hybrid.plant.reference import limits
+from hybrid.robot.robot import Robot
+
+
+def joint_scales(robot: Robot) -> tuple[Scale, ...]:
+    """Rated torque and speed of every joint, n of them.
+
+    What the robot file does not state is taken from gravity, and from usual speeds.
+    """
+    speed = limits(robot)[2]
+    return tuple(
+        Scale(float(torque), float(v))
+        for torque, v in zip(rated_torque(robot), speed, strict=True)
+    )

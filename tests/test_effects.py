@@ -1,0 +1,622 @@
+"""Every effect keeps its promises; the laws obey physics."""
+
+import re
+import string
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hybrid.dynamics import RigidBody
+from hybrid.effects import (
+    Effect,
+    JointEffect,
+    JointState,
+    Port,
+    Quantity,
+    Scale,
+    effect_class,
+    effect_classes,
+    effect_from_dict,
+    effects_from_file,
+    effects_from_text,
+    registry,
+)
+from hybrid.errors import EffectError
+from hybrid.plant import Noise, Plant, Reference, random_fourier
+from hybrid.robot import Robot
+from hybrid.signals import Motion, motion_from_recording
+
+EFFECTS = effect_classes()
+NAMES = ("base", "shoulder", "elbow")
+SCALES = (Scale(60.0, 2.0), Scale(60.0, 2.0), Scale(30.0, 2.0))
+# Rotors are left to the armature effect.
+ARM = """<mujoco><compiler angle="radian"/><worldbody><body>
+  <joint name="base" axis="0 0 1" range="-2 2" limited="true"/>
+  <inertial pos="0.05 0 0.1" mass="4" diaginertia=".05 .05 .03"/>
+  <body pos="0 0 0.2">
+    <joint name="shoulder" axis="0 1 0" range="-1.5 1.5" limited="true"/>
+    <inertial pos="0.2 0 0.05" mass="3" diaginertia=".01 .05 .05"/>
+    <body pos="0.4 0 0" euler="0.3 0 0">
+      <joint name="elbow" axis="0 1 0" range="-1.8 1.8" limited="true"/>
+      <inertial pos="0.15 0.02 0" mass="1.5" diaginertia=".004 .02 .02"/></body></body>
+</body></worldbody></mujoco>"""
+
+# What has to be there for a plant to have the effect at all.
+NEEDS = {"asymmetric_friction": "coulomb", "elasticity": "armature"}
+# Gains that are usually 0 are tried as well, in SI units.
+RICHER = {
+    "payload": {"mx": 0.1, "my": -0.05, "Ixx": 0.05, "Iyy": 0.06, "Izz": 0.04},
+    "spring": {"preload": 2.0},
+    "threshold_friction": {"rising": 1.0, "quadratic": 0.5, "cubic": 0.2},
+    "torque_ripple": {"cosine": -0.6},
+}
+UNITS = {"", "N", "kg", "m", "s", "rad", "turn", "°C", "K"}
+
+
+@cache
+def robot() -> Robot:
+    import tempfile
+    from pathlib import Path
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.xml"
+        path.write_text(ARM)
+        return Robot.load(path)
+
+
+@cache
+def reference() -> Reference:
+    rng = np.random.default_rng(3)
+    return random_fourier(robot(), duration=5.0, rate=500, rng=rng)
+
+
+def log_of(*effects):
+    """Motion and what the rigid body does not explain of its torque, without noise."""
+    plant = Plant(robot(), effects, noise=Noise.none(3))
+    (log,) = plant.run([reference()], rng=np.random.default_rng(0))
+    motion = motion_from_recording(log, cutoff=np.inf)
+    body = RigidBody(robot().chain, motion)
+    return motion, body, motion.tau - body.load
+
+
+@cache
+def clean_log():
+    return log_of()
+
+
+def joints_for(cls: type[Effect]) -> tuple[int, ...]:
+    return {"joint": (1,), "coupling": (1, 2), "arm": (0, 1, 2)}[cls.scope]
+
+
+def typical(name: str, **values: float) -> Effect:
+    cls = effect_class(name)
+    return cls.typical(joints_for(cls), SCALES, **values)
+
+
+def moving(motion, effect):
+    """Samples on which direction of motion is beyond doubt.
+
+    Differences over nine samples smear a reversal, and a plant sticks at a law's jump.
+    """
+    v = motion.v[:, list(effect.joints)]
+    speeds = np.abs(np.column_stack([v, v.sum(axis=1)]))
+    return motion.mask & (speeds.min(axis=1) > 0.05)
+
+
+def rms(x):
+    return np.sqrt(np.mean(np.square(x)))
+
+
+def smooth_motion(samples=200, seed=0):
+    t = 0.01 * np.arange(samples)
+    rng = np.random.default_rng(seed)
+    size, omega, phase = rng.uniform(0.5, 2.0, (3, 3))
+    angle = omega * t[:, None] + phase
+    q, v = size * np.sin(angle), size * omega * np.cos(angle)
+    a, ok = -(omega**2) * q, np.ones(samples, dtype=bool)
+    return Motion(t, q, v, a, np.zeros_like(q), ok, 25 + 0 * q, NAMES)
+
+
+# --- the conformance test -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+class TestEveryEffect:
+    def test_it_says_who_it_is_and_what_to_do_about_it(self, name):
+        cls = EFFECTS[name]
+        snake = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        assert cls.id == name == snake
+        in_file = [c.id for c in EFFECTS.values() if c.__module__ == cls.__module__]
+        assert cls.__module__.rsplit(".")[-1] in in_file
+        assert isinstance(cls.port, Port) and cls.scope in ("joint", "coupling", "arm")
+        assert cls.gains, "an effect that no number switches on cannot be fitted"
+        assert cls.equation.startswith("τ") and cls.__doc__
+        assert re.search(r"\d{4}|doi 10\.", cls.source)
+        fields = [field for _, field, _, _ in string.Formatter().parse(cls.sentence)]
+        assert set(fields) - {None} <= {"joints"}
+        assert "joints" in fields or cls.scope == "arm"
+        assert cls.sentence.endswith(".") and cls.remedy.endswith(".")
+
+    def test_its_parameters_have_units_bounds_and_a_usual_size_between(self, name):
+        cls = EFFECTS[name]
+        quantities = (*cls.gains, *cls.shapes)
+        assert len({x.name for x in quantities}) == len(quantities)
+        for x in quantities:
+            assert x.lower < x.upper and x.lower <= x.typical <= x.upper
+            symbols = re.split(r"[·/()\d²³]+", x.unit)
+            assert set(symbols) <= UNITS, x.unit
+        assert any(g.typical for g in cls.gains)
+        for parameter in typical(name).parameters(SCALES):
+            assert parameter.lower <= parameter.value <= parameter.upper
+
+    def test_its_columns_are_torque_per_unit_of_each_gain(self, name):
+        effect, motion = typical(name), smooth_motion()
+        body = RigidBody(robot().chain, motion)
+        columns = effect.columns(motion, body)
+        assert columns.shape == (200, len(effect.joints), len(effect.gains))
+        assert np.isfinite(columns).all() and np.abs(columns).max(axis=(0, 1)).all()
+        other = effect.at({g.name: 3.0 + k for k, g in enumerate(effect.gains)})
+        np.testing.assert_array_equal(other.columns(motion, body), columns)
+        torque = effect.torque(motion, body)
+        assert torque.shape == (200, len(effect.joints))
+        if not effect.reports:
+            np.testing.assert_allclose(torque, columns @ effect.gain_values)
+        off = effect.at({g.name: 0.0 for g in effect.gains})
+        assert not off.torque(motion, body).any()
+
+    def test_it_loads_back_equal_from_a_description_and_from_text(self, name):
+        import json
+
+        effect = typical(name, **RICHER.get(name, {}))
+        known = effect.at({}, std={effect.gains[0].name: 0.25})
+        content = json.loads(json.dumps(known.as_dict(NAMES), allow_nan=False))
+        assert effect_from_dict(content, NAMES) == known
+        values = ";".join(f"{key}={x!r}" for key, x in effect.values.items())
+        at = "+".join(NAMES[j] for j in effect.joints)
+        where = "" if effect.scope == "arm" else f":{at}"
+        assert effects_from_text(f"{name}{where}({values})", NAMES, SCALES) == [effect]
+        number = "" if effect.scope == "arm" else f":{at}".replace(at, _numbers(effect))
+        assert effects_from_text(f"{name}{number}", NAMES, SCALES) == [typical(name)]
+
+    def test_the_plant_does_what_its_columns_say(self, name):
+        effect = typical(name, **RICHER.get(name, {}))
+        needed = [typical(NEEDS[name])] if name in NEEDS else []
+        motion, body, rest = log_of(*needed, effect)
+        for other in needed:
+            rest[:, list(other.joints)] -= other.torque(motion, body)
+        found = rest[:, list(effect.joints)]
+        expected = effect.columns(motion, body) @ effect.gain_values
+        on = moving(motion, effect)
+        assert on.sum() > 500
+        # 2 % for what is true to first order only (delay, elasticity) and for laws at
+        # the simulator's instants; 1e-3 N·m for its step, five times what a plant
+        # without effects leaves.
+        assert rms(found[on] - expected[on]) < 0.02 * rms(expected[on]) + 1e-3
+        size = np.vdot(expected[on], found[on]) / np.vdot(expected[on], expected[on])
+        assert size == pytest.approx(1.0, abs=0.02)
+
+    def test_nothing_of_it_is_found_on_a_clean_plant(self, name):
+        effect = typical(name)
+        motion, body, rest = clean_log()
+        expected = effect.columns(motion, body) @ effect.gain_values
+        on, joints = moving(motion, effect), list(effect.joints)
+        size = np.vdot(expected[on], rest[on][:, joints])
+        assert abs(size) < 0.02 * np.vdot(expected[on], expected[on])
+
+    def test_wrong_values_and_joints_are_refused(self, name):
+        cls, joints = EFFECTS[name], joints_for(EFFECTS[name])
+        known = ", ".join(x.name for x in (*cls.gains, *cls.shapes))
+        with pytest.raises(
+            EffectError, match=f"no parameter colour; valid are {known}"
+        ):
+            cls(joints, {"colour": 1.0})
+        for bad in (np.nan, np.inf):
+            with pytest.raises(EffectError, match="not a finite number"):
+                cls(joints, {cls.gains[0].name: bad})
+        for shape in cls.shapes:
+            if shape.per == (0, 0):
+                with pytest.raises(EffectError, match=f"{shape.name} .*valid is"):
+                    cls(joints, {shape.name: 2 * shape.upper + 1})
+        for wrong in ((), (1, 1), (-1,)):
+            with pytest.raises(EffectError, match="joint"):
+                cls(wrong)
+
+
+def _numbers(effect):
+    return "+".join(str(j + 1) for j in effect.joints)
+
+
+# --- friction takes energy ----------------------------------------------------------
+
+speeds = st.floats(-10, 10)
+loads = st.floats(-200, 200)
+DISSIPATIVE = (
+    "coulomb", "viscous", "stribeck", "load_friction", "threshold_friction",
+    "nonlinear_viscous",
+)  # fmt: skip
+
+
+def state_of(v, load=0.0, q=0.0):
+    v = np.atleast_1d(np.asarray(v, dtype=float))
+    unit = np.ones_like(v)
+    return JointState(0 * unit, q * unit, v, 0 * unit, np.sign(v), load * unit)
+
+
+def torque_of(effect, v, **state):
+    terms = effect.law(state_of(v, **state), **effect.shape_values)
+    return sum(
+        gain * np.broadcast_to(term, np.shape(np.atleast_1d(v)))
+        for gain, term in zip(effect.gain_values, terms, strict=True)
+    )
+
+
+@pytest.mark.parametrize("name", DISSIPATIVE)
+@given(v=speeds, load=loads, part=st.floats(0, 1), data=st.data())
+def test_friction_never_drives(name, v, load, part, data):
+    effect = typical(name)
+    positive = {
+        g.name: data.draw(st.floats(0, 1)) * g.scaled(SCALES[1]).upper
+        for g in effect.gains
+    }
+    effect = effect.at(positive)
+    assert torque_of(effect, v, load=load)[0] * v >= 0
+
+
+DRY = [n for n, cls in EFFECTS.items() if getattr(cls, "dry", False)]
+
+
+@pytest.mark.parametrize("name", DRY)
+def test_a_dry_law_vanishes_at_rest_in_a_fit_and_holds_in_a_plant(name):
+    effect = typical(name)
+    assert torque_of(effect, 0.0, load=50.0) == 0
+    # A plant says which way a standing joint is pushed; it leaves out any width.
+    zero, one = np.zeros(1), np.ones(1)
+    pushed = JointState(zero, zero, zero, zero, one, 50.0 * one)
+    shapes = {key: 0.0 if key == "width" else x for key, x in _shapes(effect)}
+    terms = effect.law(pushed, **shapes)
+    pairs = zip(effect.gain_values, terms, strict=True)
+    assert sum(gain * np.squeeze(term) for gain, term in pairs) > 0
+
+
+def _shapes(effect):
+    return effect.shape_values.items()
+
+
+@given(v=speeds, load=loads)
+def test_friction_that_is_the_same_both_ways_is_odd(v, load):
+    for name in (
+        "coulomb",
+        "viscous",
+        "stribeck",
+        "load_friction",
+        "nonlinear_viscous",
+    ):
+        forth, back = (torque_of(typical(name), x, load=load) for x in (v, -v))
+        np.testing.assert_allclose(forth, -back, rtol=1e-14)
+
+
+def test_asymmetry_adds_to_one_direction_what_it_takes_from_the_other():
+    asymmetric = typical("asymmetric_friction", level=2.0)
+    np.testing.assert_array_equal(torque_of(asymmetric, [-3.0, 0.0, 3.0]), [2, 0, 2])
+
+
+@given(v=st.floats(0.001, 10))
+def test_stribeck_friction_falls_from_its_level_to_nothing(v):
+    effect = typical("stribeck", level=2.0, velocity=0.05)
+    slow, fast = torque_of(effect, [v, 1.1 * v])
+    assert 2.0 >= slow >= fast >= 0
+    at_velocity = torque_of(effect, 0.05)[0]
+    assert at_velocity == pytest.approx(2.0 / np.e)
+
+
+@given(v=st.floats(-5, 5))
+def test_stribeck_friction_of_endless_velocity_is_coulomb_friction(v):
+    (stribeck,) = effect_class("stribeck").law(state_of(v), velocity=1e9, exponent=2.0)
+    (coulomb,) = effect_class("coulomb").law(state_of(v))
+    np.testing.assert_allclose(stribeck, coulomb, atol=1e-12)
+
+
+# --- threshold friction -------------------------------------------------------------
+
+GAINS = [g.name for g in effect_class("threshold_friction").gains]
+
+
+@st.composite
+def threshold_frictions(draw):
+    threshold = draw(st.floats(0.01, 5.0))
+    return typical(
+        "threshold_friction",
+        threshold=threshold,
+        width=draw(st.floats(0.0, 0.5)) * threshold,
+        **{name: draw(st.floats(0.0, 3.0)) for name in GAINS},
+    )
+
+
+@settings(max_examples=200)
+@given(effect=threshold_frictions())
+def test_threshold_friction_has_no_jump(effect):
+    knee, width = effect.values["threshold"], effect.values["width"]
+    corners = [knee, -knee]
+    if width > 1e-6:  # at width 0 the jump at standstill is meant
+        corners += [0.0, width, -width]
+    step = 1e-9 * min([1.0, knee, *([width] if width > 1e-6 else [])])
+    # Steepest: full level over the width, or over λ, and the cubic at 5 rad/s.
+    slope = 20 / max(width, 1e-6) + 10 / knee + 300
+    for v in corners:
+        below, above = torque_of(effect, [v - step, v + step])
+        assert abs(above - below) <= 3 * slope * step + 1e-12
+
+
+@given(effect=threshold_frictions(), v=st.floats(0.0, 8.0))
+def test_each_direction_of_threshold_friction_has_its_own_level(effect, v):
+    positive, negative = (
+        effect.values[f"coulomb_{side}"] for side in ("positive", "negative")
+    )
+    swapped = effect.at({"coulomb_positive": negative, "coulomb_negative": positive})
+    np.testing.assert_allclose(torque_of(effect, v), -torque_of(swapped, -v))
+
+
+@pytest.mark.parametrize(
+    ("gain", "slope", "curvature"),
+    [("falling", -1, 0), ("falling_steep", -1, 1), ("rising", 1, 0)],
+)
+def test_below_the_threshold_friction_falls_or_rises_and_settles_there(
+    gain, slope, curvature
+):
+    effect = typical("threshold_friction").at(dict.fromkeys(GAINS, 0.0) | {gain: 2.0})
+    knee, width = effect.values["threshold"], effect.values["width"]
+    below = torque_of(effect, np.linspace(width, knee, 50))
+    assert (np.sign(np.diff(below)) == slope).all()
+    bend = np.diff(below, 2)
+    assert (bend > 0).all() if curvature else np.abs(bend).max() < 1e-12
+    above = torque_of(effect, np.linspace(knee, 5 * knee, 50))
+    np.testing.assert_allclose(above, 2.0 if slope > 0 else 0.0, atol=1e-12)
+
+
+def test_within_its_width_the_level_of_threshold_friction_is_a_straight_line():
+    effect = typical("threshold_friction", width=0.01)
+    effect = effect.at(dict.fromkeys(GAINS, 0.0) | {"coulomb_positive": 3.0})
+    v = np.linspace(0, 0.01, 11)
+    np.testing.assert_allclose(torque_of(effect, v), 300.0 * v, atol=1e-12)
+
+
+@given(effect=threshold_frictions(), data=st.data())
+def test_above_the_threshold_friction_is_a_level_and_a_rising_cubic(effect, data):
+    v = effect.values["threshold"] * data.draw(st.floats(1.0, 5.0))
+    x = effect.values
+    level = x["coulomb_positive"] + x["rising"]
+    expected = level + x["viscous"] * v + x["quadratic"] * v**2 + x["cubic"] * v**3
+    assert torque_of(effect, v)[0] == pytest.approx(expected)
+
+
+# --- the others ---------------------------------------------------------------------
+
+
+@given(q=st.floats(-6, 6), turns=st.integers(-3, 3), periods=st.integers(1, 300))
+def test_ripple_repeats_as_often_as_it_says(q, turns, periods):
+    effect = typical("torque_ripple", sine=0.6, cosine=0.8, periods=periods)
+    period = 2 * np.pi / periods
+    once, later = (torque_of(effect, 0.0, q=x) for x in (q, q + turns * period))
+    np.testing.assert_allclose(once, later, atol=1e-9)
+    assert abs(once[0]) <= 1.0 + 1e-12
+
+
+@pytest.mark.parametrize("time", [0.02, -0.013])
+def test_a_delay_shifts_the_phase_of_a_sine(time):
+    t, omega = np.linspace(0, 4, 4001), 2 * np.pi * 1.5
+    torque = np.stack([np.sin(omega * t), 3 * np.cos(omega * t)], axis=1)
+    late = typical("delay", time=time).report(t, torque)
+    inside = slice(50, -50)
+    basis = np.stack([np.sin(omega * t), np.cos(omega * t)], axis=1)[inside]
+    (s, c), _, _, _ = np.linalg.lstsq(basis, late[inside, 0])
+    assert np.arctan2(-c, s) == pytest.approx(omega * time, abs=1e-4)
+    np.testing.assert_allclose(late[inside, 1], 3 * np.cos(omega * (t - time))[inside],
+                               atol=1e-3)  # fmt: skip
+    held = torque[max(0, round(-time / 0.001))]  # there is nothing before the log
+    np.testing.assert_allclose(late[0], held, atol=1e-12)
+
+
+def test_a_delay_reports_a_linear_map():
+    t, delay = np.linspace(0, 1, 200), typical("delay", time=0.0123)
+    x, y = np.random.default_rng(0).normal(size=(2, 200, 3))
+    both = delay.report(t, 2 * x - 5 * y)
+    np.testing.assert_allclose(both, 2 * delay.report(t, x) - 5 * delay.report(t, y))
+
+
+def test_the_gain_of_a_drive_multiplies_what_it_reports():
+    effect = typical("torque_gain", gain=0.25)
+    np.testing.assert_allclose(effect.deliver(np.array([10.0, -5.0])), [8.0, -4.0])
+
+
+def test_an_unphysical_payload_is_refused_by_the_plant():
+    for values, message in (({"mass": 0.0}, "above 0"), ({"mx": 3.0}, "not physical")):
+        with pytest.raises(EffectError, match=message):
+            Plant(robot(), [typical("payload", **values)])
+
+
+def test_a_changed_link_loads_every_joint_below_it():
+    (effect,) = effects_from_text("link_inertia:elbow", NAMES, SCALES)
+    assert effect.joints == (0, 1, 2)
+    assert effects_from_text("link_inertia:shoulder", NAMES, SCALES)[0].joints == (0, 1)
+
+
+def test_coupled_joints_feel_the_speed_of_each_other():
+    effect = typical("transmission_coupling", inertia=0.0, viscous=2.0, coulomb=0.0)
+    motion = smooth_motion()
+    torque = effect.torque(motion, RigidBody(robot().chain, motion))
+    both = 2.0 * (motion.v[:, 1] + motion.v[:, 2])
+    np.testing.assert_allclose(torque, np.stack([both, both], axis=1))
+    assert (torque * motion.v[:, 1:]).sum(axis=1).min() >= 0
+    with pytest.raises(EffectError, match="two joints, not 1"):
+        effects_from_text("transmission_coupling:elbow", NAMES, SCALES)
+
+
+def test_an_elastic_joint_needs_a_rotor_and_a_stiff_one_is_rigid():
+    with pytest.raises(EffectError, match="'shoulder' needs a rotor"):
+        Plant(robot(), [typical("elasticity")])
+    rigid = Plant(robot(), [typical("elasticity", compliance=0.0)])
+    assert rigid.arm.model.nv == 3
+
+
+# --- text ---------------------------------------------------------------------------
+
+
+def test_an_effect_without_joints_is_at_every_joint_at_its_usual_size():
+    effects = effects_from_text("stribeck:elbow,torque_ripple", NAMES, SCALES)
+    assert [(e.id, e.joints) for e in effects] == [
+        ("stribeck", (2,)), ("torque_ripple", (0,)), ("torque_ripple", (1,)),
+        ("torque_ripple", (2,)),
+    ]  # fmt: skip
+    assert effects[0].values["level"] == pytest.approx(0.03 * SCALES[2].torque)
+    assert effects[1].values["sine"] == 2 * effects[3].values["sine"]
+
+
+def test_values_and_spaces_are_read():
+    text = " coulomb:1+3( level = 4 ; ) , viscous:elbow(coefficient=1e-1),"
+    one, two, three = effects_from_text(text, NAMES, SCALES)
+    assert (one.joints, two.joints, three.joints) == ((0,), (2,), (2,))
+    assert (one.values["level"], three.values["coefficient"]) == (4.0, 0.1)
+    assert effects_from_text("", NAMES, SCALES) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("magic", r"no effect 'magic'; valid are armature, .*viscous"),
+        ("coulomb:knee", "no joint 'knee'; valid are base, shoulder, elbow or 1 to 3"),
+        ("coulomb:0", "no joint '0'"),
+        ("coulomb:4", "no joint '4'"),
+        ("coulomb(height=1)", "no parameter height; valid are level"),
+        ("coulomb(level=high)", "'level=high' is not name=number"),
+        ("coulomb(level)", "not name=number"),
+        ("coulomb(level=inf)", "finite"),
+        ("coulomb:", "cannot read 'coulomb:'; valid is effect"),
+        ("coulomb(level=1", "cannot read"),
+        ("coulomb level=1", "cannot read"),
+        ("stribeck(velocity=9)", "velocity is 9 rad/s, valid is 0.001 to 1"),
+        ("transmission_coupling", "transmission_coupling:shoulder.elbow"),
+        ("payload:elbow", "whole arm; leave out ':elbow'"),
+    ],
+)
+def test_text_with_a_mistake_is_refused_with_what_is_valid(text, message):
+    with pytest.raises(EffectError, match=message) as error:
+        effects_from_text(text, NAMES, SCALES)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"joints": ["base"], "values": {}},
+        {"effect": "coulomb"},
+        {"effect": "coulomb", "joints": 3},
+        {"effect": "coulomb", "joints": [1.5]},
+        {"effect": "coulomb", "joints": ["knee"]},
+        {"effect": "coulomb", "joints": ["base"], "values": {"level": "high"}},
+        {"effect": "coulomb", "joints": ["base"], "values": {"level": None}},
+        {"effect": "coulomb", "joints": ["base"], "values": 3},
+        {"effect": ["coulomb"], "joints": ["base"]},
+        ["coulomb"],
+    ],
+    ids=str,
+)
+def test_a_damaged_description_is_refused(content):
+    with pytest.raises(EffectError):
+        effect_from_dict(content, NAMES)
+
+
+# --- effects of a user's own --------------------------------------------------------
+
+OWN = '''
+"""Drag of a hose."""
+import numpy as np
+from hybrid.effects import Effect, JointEffect, Port, Quantity
+
+class HoseDrag(JointEffect):
+    """Drag that grows with the root of speed."""
+
+    id = "hose_drag"
+    port = Port.ENVIRONMENT
+    gains = (Quantity("drag", "N·m·s/rad", 0.05, 0.0, 1.0, per=(1, 0)),)
+    equation = "τ = k · sgn v · √|v|"
+    source = "measured 2024"
+    sentence = "A hose drags at {joints}."
+    remedy = "Remove the hose."
+
+    @staticmethod
+    def law(state, **shapes):
+        return (state.sign * np.sqrt(np.abs(state.v)),)
+'''
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """Writes a user's file; what it registers is forgotten after the test."""
+    monkeypatch.setattr(registry, "_added", {})
+    path = tmp_path / "hose.py"
+    monkeypatch.setitem(sys.modules, "hybrid_user_effects_hose", None)
+
+    def write(text):
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_a_users_effect_takes_part_like_any_other(own):
+    assert effects_from_file(own(OWN)) == ("hose_drag",)
+    assert "hose_drag" in effect_classes()
+    (effect,) = effects_from_text("hose_drag:elbow", NAMES, SCALES)
+    assert effect_from_dict(effect.as_dict(NAMES), NAMES) == effect
+    motion, body, rest = log_of(effect)
+    on, expected = moving(motion, effect), effect.torque(motion, body)[:, 0]
+    assert rms(rest[on, 2] - expected[on]) < 0.02 * rms(expected[on])
+
+
+def test_a_users_file_may_be_read_again_after_a_change(own):
+    effects_from_file(own(OWN))
+    effects_from_file(own(OWN.replace("0.05", "0.5")))
+    assert effect_class("hose_drag").gains[0].typical == 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "defines no concrete subclass"),
+        ("from hybrid.effects import Effect, JointEffect", "defines no concrete"),
+        ("class Broken(:", "SyntaxError: .*line 1"),
+        ("import no_such_module_at_all", "ModuleNotFoundError: .*no_such_module"),
+        ("1 / 0", "ZeroDivisionError"),
+        (OWN.replace('id = "hose_drag"', ""), "HoseDrag does not state id"),
+        (OWN.replace('remedy = "Remove the hose."', ""), "HoseDrag does not state rem"),
+        (OWN.replace('"hose_drag"', '"coulomb"'), "coulomb exists already"),
+    ],
+)
+def test_a_users_file_with_a_mistake_is_refused_and_changes_nothing(own, text, message):
+    before = dict(effect_classes())
+    with pytest.raises(EffectError, match=f"hose.py: {message}") as error:
+        effects_from_file(own(text))
+    assert "\n" not in str(error.value)
+    assert effect_classes() == before
+
+
+def test_a_missing_file_of_effects_is_refused(tmp_path):
+    with pytest.raises(EffectError, match="none.py: no such file of effects"):
+        effects_from_file(tmp_path / "none.py")
+    with pytest.raises(EffectError, match="no such file"):
+        effects_from_file(tmp_path)
+    notes = tmp_path / "effects.txt"
+    notes.write_text("coulomb")
+    with pytest.raises(EffectError, match="not a Python file"):
+        effects_from_file(notes)
+
+
+def test_the_classes_of_the_vocabulary_are_no_effects_themselves():
+    assert Effect not in EFFECTS.values() and JointEffect not in EFFECTS.values()
+    with pytest.raises(TypeError):
+        Effect((0,))
+    assert Quantity("x", "", 1.0, 0.0, 2.0).scaled(Scale(5.0, 2.0)).typical == 1.0
