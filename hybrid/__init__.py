@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from hybrid.calibrate import calibrate
     from hybrid.effects import Effect
     from hybrid.effects import effect_classes as effects
     from hybrid.identify import DynamicModel, Fit, identify, predict, validate
@@ -31,6 +32,7 @@ __all__ = [
     "Recording",
     "Robot",
     "__version__",
+    "calibrate",
     "effects",
     "identify",
     "predict",
@@ -47,6 +49,7 @@ _HOME = {
     "Motion": "hybrid.signals",
     "Recording": "hybrid.recording",
     "Robot": "hybrid.robot",
+    "calibrate": "hybrid.calibrate",
     "effects": "hybrid.effects:effect_classes",
     "identify": "hybrid.identify",
     "predict": "hybrid.identify",

@@ -19,8 +19,16 @@ class EffectError(HybridError):
     """An effect is unknown, misplaced, or has a parameter out of bounds."""
 
 
+class ExcitationError(HybridError):
+    """A motion that was asked for cannot be had within the limits."""
+
+
 class IdentificationError(HybridError):
     """The data cannot support the fit that was asked for."""
+
+
+class CalibrationError(HybridError):
+    """Measured poses cannot be read, or cannot support the calibration asked for."""
 
 
 class ModelFileError(HybridError):

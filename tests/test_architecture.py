@@ -43,7 +43,7 @@ HOMES = {
     "matplotlib": (("report",), "return numbers, and draw them in hybrid.report"),
     "plotly": (("report",), "return numbers, and draw them in hybrid.report"),
 }
-HEAVY = ("torch", "mujoco", "pinocchio", "sklearn", "matplotlib", "scipy", "cvxpy")
+HEAVY = ("torch", "mujoco", "pinocchio", "sklearn", "matplotlib", "scipy", "clarabel")
 CODE_FROM_DATA = {"pickle", "joblib", "dill", "cloudpickle", "shelve", "marshal"}
 
 

@@ -135,8 +135,8 @@ class TestChain:
         content = chain.results("identify")
         assert set(content) == {
             "provenance", "robot", "joints", "stage", "cutoff", "held_out", "left_out",
-            "unidentifiable", "converged", "rounds", "condition", "sigma", "effects",
-            "unknowns",
+            "unidentifiable", "warnings", "converged", "rounds", "condition", "sigma",
+            "effects", "unknowns",
         }  # fmt: skip
         assert any("armature.inertia[shoulder]" in x for x in content["unidentifiable"])
         for unknown in content["unknowns"]:
@@ -287,7 +287,7 @@ class TestIdentifyAndPredict:
         assert content["provenance"]["seed"] == 5
         assert content["provenance"]["settings"] == {
             "joints": None, "estimator": "ls", "stages": ["rigid"], "effects": "",
-            "cutoff": 7, "robust": True,
+            "cutoff": 7, "robust": True, "consistent": False,
         }  # fmt: skip
 
     @pytest.mark.parametrize("suffix", ["parquet", "npz"])
@@ -317,6 +317,56 @@ class TestIdentifyAndPredict:
         assert capsys.readouterr().err.startswith("warning: ")
         t = np.loadtxt(tmp_path / "tau.csv", delimiter=",", skiprows=1)[:, 0]
         np.testing.assert_allclose(np.diff(t), recording.t[1] - recording.t[0])
+
+    def test_a_prediction_needs_time_and_positions_only(self, chain, tmp_path):
+        log = read(chain.log)
+        silent = Recording(t=log.t, q=log.q, joints=log.joints)
+        write(silent, tmp_path / "log.csv")
+        run(
+            f"predict --model {chain.model} --recording {tmp_path}/log.csv --out "
+            f"{tmp_path}/tau.csv --json {tmp_path}/predict.json"
+        )
+        table = np.loadtxt(tmp_path / "tau.csv", delimiter=",", skiprows=1)
+        np.testing.assert_array_equal(table, chain.tau)
+        content = json.loads((tmp_path / "predict.json").read_text("utf-8"))
+        assert content["rms"] is None
+
+    def test_a_stage_that_is_left_out_is_said_once(self, tmp_path, capsys):
+        """An arm without noise or friction has nothing to learn."""
+        scara = MODELS / "scara.xml"
+        run(f"simulate --robot {scara} {SHORT} --out {tmp_path}/logs")
+        capsys.readouterr()
+        run(
+            f"identify --robot {scara} --recordings {tmp_path}/logs --stages "
+            f"rigid,remainder --out {tmp_path}/m.json --json {tmp_path}/fit.json"
+        )
+        out, err = capsys.readouterr()
+        assert (out + err).count("remainder: no regression") == 1
+        content = json.loads((tmp_path / "fit.json").read_text("utf-8"))
+        assert [x in err for x in content["warnings"]] == [True]
+
+    def test_poor_excitation_is_one_plain_sentence(self, chain, tmp_path, capsys):
+        log = read(chain.log)
+        poor = Recording(t=log.t, q=0.02 * log.q, tau=log.tau, joints=log.joints)
+        write(poor, tmp_path / "log.csv")
+        capsys.readouterr()
+        run(
+            f"identify --robot {PLANAR} --recordings {tmp_path}/log.csv --stages rigid "
+            f"--out {tmp_path}/m.json"
+        )
+        out, err = capsys.readouterr()
+        assert "excites the arm poorly" not in out
+        assert err.count("excites the arm poorly") == 1
+        assert "hardly determined; move" in err
+
+    def test_consistent_links_are_saved_and_shown(self, chain, tmp_path, capsys):
+        run(
+            f"identify --robot {PLANAR} --recordings {chain.fit} --stages rigid "
+            f"--consistent --out {tmp_path}/m.json"
+        )
+        assert "+ consistent" in capsys.readouterr().out
+        inertial = DynamicModel.load(tmp_path / "m.json").inertial
+        assert inertial.shape == (2, 10) and (inertial[:, 0] > 0).all()
 
 
 class TestEffects:
@@ -411,7 +461,7 @@ class TestOwnEffects:
 
 
 BAD_ARGUMENTS = {
-    "": "{simulate,identify,validate,predict,effects}",
+    "": "required: {simulate,identify,",
     "diagnose": "simulate",
     "simulate": "--robot, --out",
     "simulate --robot {R} --out {OUT} --sead 3": "unknown --sead 3",
@@ -626,7 +676,7 @@ def test_help_names_every_stage_estimator_and_verb(capsys):
         assert "example" in out or "hybrid simulate --robot" in out
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", sys.modules["hybrid.cli.command"]._VERBS)
 def test_every_verb_has_help_with_examples(verb, capsys):
     with pytest.raises(SystemExit) as stopped:
         main([verb, "--help"])

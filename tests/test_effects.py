@@ -4,6 +4,7 @@ import re
 import string
 import sys
 from functools import cache
+from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from hybrid.effects import (
     effects_from_text,
     registry,
 )
+from hybrid.effects.loop import Loop, commanded_torque
 from hybrid.errors import EffectError
 from hybrid.plant import Noise, Plant, Reference, random_fourier
 from hybrid.robot import Robot
@@ -46,10 +48,16 @@ ARM = """<mujoco><compiler angle="radian"/><worldbody><body>
 </body></worldbody></mujoco>"""
 
 # What has to be there for a plant to have the effect at all.
-NEEDS = {"asymmetric_friction": "coulomb", "elasticity": "armature"}
-# Gains that are usually 0 are tried as well, in SI units.
+NEEDS = {
+    "asymmetric_friction": "coulomb",
+    "backlash": "armature",
+    "elasticity": "armature",
+}
+# Gains that are usually 0 are tried as well, and a limit that is reached; SI units.
 RICHER = {
+    "contact": {"moment_x": 2.0, "moment_y": -3.0, "moment_z": 1.5},
     "payload": {"mx": 0.1, "my": -0.05, "Ixx": 0.05, "Iyy": 0.06, "Izz": 0.04},
+    "saturation": {"limit": 11.0},
     "spring": {"preload": 2.0},
     "threshold_friction": {"rising": 1.0, "quadratic": 0.5, "cubic": 0.2},
     "torque_ripple": {"cosine": -0.6},
@@ -101,10 +109,15 @@ def moving(motion, effect):
     """Samples on which direction of motion is beyond doubt.
 
     Differences over nine samples smear a reversal, and a plant sticks at a law's jump.
+    They smear the jolt of a contact, too.
     """
     v = motion.v[:, list(effect.joints)]
     speeds = np.abs(np.column_stack([v, v.sum(axis=1)]))
-    return motion.mask & (speeds.min(axis=1) > 0.05)
+    on = motion.mask & (speeds.min(axis=1) > 0.05)
+    if effect.id == "contact":
+        start, end = effect.values["start"], sum(effect.shape_values.values())
+        on &= (abs(motion.t - start) > 0.02) & (abs(motion.t - end) > 0.02)
+    return on
 
 
 def rms(x):
@@ -118,7 +131,16 @@ def smooth_motion(samples=200, seed=0):
     angle = omega * t[:, None] + phase
     q, v = size * np.sin(angle), size * omega * np.cos(angle)
     a, ok = -(omega**2) * q, np.ones(samples, dtype=bool)
-    return Motion(t, q, v, a, np.zeros_like(q), ok, 25 + 0 * q, NAMES)
+    return Motion(t, q, v, a, 90 * np.roll(q, 1, axis=1), ok, 25 + 0 * q, NAMES)
+
+
+def reached(effect):
+    return list(effect.reaches(3))
+
+
+# Between motion and torque an effect on the command leaves no trace.
+IN_TORQUE = [n for n, cls in EFFECTS.items() if cls.port is not Port.COMMAND]
+IN_COMMAND = [n for n in EFFECTS if n not in IN_TORQUE]
 
 
 # --- the conformance test -----------------------------------------------------------
@@ -157,13 +179,16 @@ class TestEveryEffect:
         effect, motion = typical(name), smooth_motion()
         body = RigidBody(robot().chain, motion)
         columns = effect.columns(motion, body)
-        assert columns.shape == (200, len(effect.joints), len(effect.gains))
-        assert np.isfinite(columns).all() and np.abs(columns).max(axis=(0, 1)).all()
+        assert columns.shape == (200, len(reached(effect)), len(effect.gains))
+        assert np.isfinite(columns).all()
+        assert (np.abs(columns).max(axis=(0, 1)) > 0).all() == (name in IN_TORQUE)
         other = effect.at({g.name: 3.0 + k for k, g in enumerate(effect.gains)})
         np.testing.assert_array_equal(other.columns(motion, body), columns)
         torque = effect.torque(motion, body)
-        assert torque.shape == (200, len(effect.joints))
-        if not effect.reports:
+        assert torque.shape == (200, len(reached(effect)))
+        if effect.reports or effect.observes:
+            assert not torque.any()
+        else:
             np.testing.assert_allclose(torque, columns @ effect.gain_values)
         off = effect.at({g.name: 0.0 for g in effect.gains})
         assert not off.torque(motion, body).any()
@@ -181,31 +206,6 @@ class TestEveryEffect:
         assert effects_from_text(f"{name}{where}({values})", NAMES, SCALES) == [effect]
         number = "" if effect.scope == "arm" else f":{at}".replace(at, _numbers(effect))
         assert effects_from_text(f"{name}{number}", NAMES, SCALES) == [typical(name)]
-
-    def test_the_plant_does_what_its_columns_say(self, name):
-        effect = typical(name, **RICHER.get(name, {}))
-        needed = [typical(NEEDS[name])] if name in NEEDS else []
-        motion, body, rest = log_of(*needed, effect)
-        for other in needed:
-            rest[:, list(other.joints)] -= other.torque(motion, body)
-        found = rest[:, list(effect.joints)]
-        expected = effect.columns(motion, body) @ effect.gain_values
-        on = moving(motion, effect)
-        assert on.sum() > 500
-        # 2 % for what is true to first order only (delay, elasticity) and for laws at
-        # the simulator's instants; 1e-3 N·m for its step, five times what a plant
-        # without effects leaves.
-        assert rms(found[on] - expected[on]) < 0.02 * rms(expected[on]) + 1e-3
-        size = np.vdot(expected[on], found[on]) / np.vdot(expected[on], expected[on])
-        assert size == pytest.approx(1.0, abs=0.02)
-
-    def test_nothing_of_it_is_found_on_a_clean_plant(self, name):
-        effect = typical(name)
-        motion, body, rest = clean_log()
-        expected = effect.columns(motion, body) @ effect.gain_values
-        on, joints = moving(motion, effect), list(effect.joints)
-        size = np.vdot(expected[on], rest[on][:, joints])
-        assert abs(size) < 0.02 * np.vdot(expected[on], expected[on])
 
     def test_wrong_values_and_joints_are_refused(self, name):
         cls, joints = EFFECTS[name], joints_for(EFFECTS[name])
@@ -228,6 +228,148 @@ class TestEveryEffect:
 
 def _numbers(effect):
     return "+".join(str(j + 1) for j in effect.joints)
+
+
+@cache
+def known_log(name):
+    """An effect, and the log of a plant that has it; what it needs is taken off."""
+    effect = typical(name, **RICHER.get(name, {}))
+    needed = [typical(NEEDS[name])] if name in NEEDS else []
+    motion, body, rest = log_of(*needed, effect)
+    for other in needed:
+        rest[:, list(other.joints)] -= other.torque(motion, body)
+    return effect, motion, body, rest
+
+
+@pytest.mark.parametrize("name", IN_TORQUE)
+def test_the_plant_does_what_the_columns_say(name):
+    effect, motion, body, rest = known_log(name)
+    expected = effect.columns(motion, body) @ effect.gain_values
+    on = moving(motion, effect)
+    assert on.sum() > 500
+    left = np.delete(rest, reached(effect), axis=1)
+    found, expected = rest[on][:, reached(effect)], expected[on]
+    # 2 % for what is true to first order only (delay, elasticity) and for laws at the
+    # simulator's instants; 1e-3 N·m for its step, five times what a plant without
+    # effects leaves.
+    assert rms(found - expected) < 0.02 * rms(expected) + 1e-3
+    size = np.vdot(expected, found) / np.vdot(expected, expected)
+    assert size == pytest.approx(1.0, abs=0.02)
+    assert not left.size or rms(left[on]) < 1e-3
+
+
+@pytest.mark.parametrize("name", IN_TORQUE)
+def test_a_linear_fit_with_the_true_shapes_finds_every_gain(name):
+    effect, motion, body, rest = known_log(name)
+    on = moving(motion, effect)
+    columns = effect.columns(motion, body)[on].reshape(-1, len(effect.gains))
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+    _, size, axes = np.linalg.svd(columns / scale, full_matrices=False)
+    # Gains that this motion does not tell apart have no value to be found.
+    hidden = (axes[size < 1e-3 * size[0]] ** 2).sum(axis=0) > 1e-6
+    assert not hidden.all()
+    found, *_ = np.linalg.lstsq(columns / scale, rest[on][:, reached(effect)].ravel())
+    found, true = (found / scale)[~hidden], effect.gain_values[~hidden]
+    upper = np.array([g.scaled(SCALES[1]).upper for g in effect.gains])[~hidden]
+    assert (np.abs(found - true) < 0.02 * np.abs(true) + 1e-4 * upper).all()
+
+
+@pytest.mark.parametrize("name", IN_TORQUE)
+def test_nothing_of_an_effect_is_found_on_a_clean_plant(name):
+    effect = typical(name, **RICHER.get(name, {}))
+    motion, body, rest = clean_log()
+    expected = effect.columns(motion, body) @ effect.gain_values
+    on = moving(motion, effect)
+    size = np.vdot(expected[on], rest[on][:, reached(effect)])
+    assert abs(size) < 0.02 * np.vdot(expected[on], expected[on])
+
+
+# Sizes at which the first order is no longer enough.
+LARGE = {
+    "actuator_lag": {"time": 0.04},
+    "backlash": {"half_width": 0.01},
+    "delay": {"time": 0.04},
+    "encoder_eccentricity": {"sine": 0.05, "cosine": -0.04},
+    "encoder_offset": {"offset": 0.15},
+}
+
+
+def test_effects_on_signals_are_exact_where_their_columns_are_first_order():
+    for name, values in LARGE.items():
+        effect = typical(name, **values)
+        needed = [typical(NEEDS[name])] if name in NEEDS else []
+        motion, body, rest = log_of(*needed, effect)
+        true = effect.observe(motion, body)
+        torque = RigidBody(robot().chain, true).load
+        for other in needed:
+            torque[:, list(other.joints)] += other.torque(motion, body)
+        if effect.reports:
+            j = list(effect.joints)
+            torque[:, j] = effect.report(motion.t, torque[:, j])
+        on = moving(motion, effect)
+        assert rms((motion.tau - torque)[on]) < 0.01 * rms(rest[on]) + 5e-4
+
+
+# --- between command and torque -----------------------------------------------------
+
+
+@cache
+def closed_loop(name):
+    """The loop as the controller thinks it is, the torque logged, and the residual."""
+    # Without feed-forward there is something left for the servo to do.
+    servo = Plant(robot(), noise=Noise.none(3)).servo.without_feedforward()
+    plant = Plant(robot(), [typical(name)], noise=Noise.none(3), servo=servo)
+    (log,) = plant.run([reference()], rng=np.random.default_rng(0))
+    plan = servo.plan(reference(), log.t)
+    np.testing.assert_allclose(plan[0], log.command, atol=1e-12)
+    motion = motion_from_recording(log, cutoff=np.inf)
+    rest = motion.tau - RigidBody(robot().chain, motion).load
+    loop = Loop(log.t, *plan, log.q, log.v, servo.kp, servo.kd)
+    return loop, log.tau, rest[motion.mask]
+
+
+@pytest.mark.parametrize("name", IN_COMMAND)
+def test_an_effect_on_the_command_shows_between_command_and_torque(name):
+    effect = typical(name)
+    loop, tau, rest = closed_loop(name)
+    (j,) = effect.joints
+    assert rms(rest) < 1e-3
+    inside = slice(50, -50)
+    without, gap = (
+        rms((commanded_torque(loop, effects) - tau)[inside, j])
+        for effects in ((), (effect,))
+    )
+    assert gap < 0.05 * without
+    others = np.delete(commanded_torque(loop) - tau, j, axis=1)[inside]
+    assert rms(others) < 0.02 * rms(tau)
+
+
+@pytest.mark.parametrize("name", IN_COMMAND)
+def test_a_fit_of_commanded_torque_finds_the_gains(name):
+    effect = typical(name)
+    loop, tau, _ = closed_loop(name)
+    zero, (j,) = effect.at({g.name: 0.0 for g in effect.gains}), effect.joints
+    found = zero
+    for _ in range(5):  # Gauss-Newton: the latency is not quite linear
+        predicted = commanded_torque(loop, [found])[50:-50, j]
+        columns = np.stack([
+            commanded_torque(loop, [found.at({g.name: found.values[g.name] + 1e-3})])[
+                50:-50, j
+            ] - predicted
+            for g in effect.gains
+        ], axis=1) / 1e-3  # fmt: skip
+        step, *_ = np.linalg.lstsq(columns, tau[50:-50, j] - predicted)
+        found = found.at({
+            g.name: found.values[g.name] + x
+            for g, x in zip(effect.gains, step, strict=True)
+        })  # fmt: skip
+    np.testing.assert_allclose(found.gain_values, effect.gain_values, rtol=0.05)
+
+
+def test_an_effect_elsewhere_leaves_the_loop_alone():
+    loop, _, _ = closed_loop(IN_COMMAND[0])
+    elsewhere = [typical(name) for name in IN_TORQUE]
+    np.testing.assert_array_equal(commanded_torque(loop, elsewhere), loop.torque())
 
 
 # --- friction takes energy ----------------------------------------------------------
@@ -486,7 +628,7 @@ def test_values_and_spaces_are_read():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("magic", r"no effect 'magic'; valid are armature, .*viscous"),
+        ("magic", r"no effect 'magic'; valid are actuator_lag, .*viscous"),
         ("coulomb:knee", "no joint 'knee'; valid are base, shoulder, elbow or 1 to 3"),
         ("coulomb:0", "no joint '0'"),
         ("coulomb:4", "no joint '4'"),
@@ -613,6 +755,62 @@ def test_a_missing_file_of_effects_is_refused(tmp_path):
     notes.write_text("coulomb")
     with pytest.raises(EffectError, match="not a Python file"):
         effects_from_file(notes)
+
+
+@pytest.fixture
+def installed(own, tmp_path, monkeypatch):
+    """Installs another package's file under an entry point, for one test."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "hose", raising=False)
+
+    def install(text, value="hose"):
+        own(text)
+        point = EntryPoint("hoses", value, "hybrid.effects")
+        monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+        registry._shipped.cache_clear()
+
+    yield install
+    monkeypatch.undo()
+    sys.modules.pop("hose", None)
+    registry._shipped.cache_clear()
+
+
+@pytest.mark.parametrize("value", ["hose", "hose:HoseDrag"])
+def test_an_installed_package_adds_its_effects(installed, value):
+    installed(OWN, value)
+    assert list(effect_classes()) == sorted([*EFFECTS, "hose_drag"])
+    assert effects_from_text("hose_drag:elbow", NAMES, SCALES)[0].joints == (2,)
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "message"),
+    [
+        ("1 / 0", "hose", "ZeroDivisionError"),
+        (OWN, "hose:np", "no concrete subclass"),
+        (OWN, "hose:Hose", "AttributeError"),
+        (OWN, "not_there", "ModuleNotFoundError"),
+        (OWN.replace('id = "hose_drag"', ""), "hose", "does not state id"),
+        (OWN.replace('"hose_drag"', '"coulomb"'), "hose", "coulomb exists already"),
+    ],
+)
+def test_an_installed_package_with_a_mistake_is_named(installed, text, value, message):
+    installed(text, value)
+    with pytest.raises(EffectError, match=f"hoses = {value}: .*{message}") as error:
+        effect_classes()
+    assert "\n" not in str(error.value)
+
+
+def test_the_vocabulary_is_complete():
+    expected = """
+        actuator_lag armature asymmetric_friction backlash command_latency contact
+        controller_gain coulomb counterbalance deadzone delay elasticity
+        encoder_eccentricity encoder_offset gravity_tilt link_inertia load_friction
+        nonlinear_viscous payload presliding saturation spring stribeck
+        thermal_friction torque_gain torque_offset torque_ripple transmission_coupling
+        viscous
+    """
+    assert set(expected.split()) <= set(EFFECTS)
+    assert list(EFFECTS) == sorted(EFFECTS)
 
 
 def test_the_classes_of_the_vocabulary_are_no_effects_themselves():

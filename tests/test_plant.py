@@ -410,6 +410,132 @@ def test_elasticity_without_a_rotor_is_refused(load):
     )
 
 
+# Backlash
+
+
+def test_a_play_rests_on_the_side_that_its_load_pushes_it_to(pendulum):
+    (log,) = run(pendulum, [effect("backlash", half_width=0.02)], [hold([0.0])])
+    # The encoder sits on the motor; the link hangs lower, where its weight is less.
+    assert abs(log.q[-1, 0]) < 0.002
+    assert log.tau[-1, 0] == pytest.approx(WEIGHT * np.cos(0.02), rel=1e-4)
+    assert np.ptp(log.tau) < 1e-3 * WEIGHT
+
+
+def test_within_its_play_a_motor_moves_without_its_link(turntable):
+    play = effect("backlash", half_width=0.05)
+    arm = build_arm(turntable, [play], step=0.0005, integrator="implicitfast")
+    state = Lockstep(arm, [play], np.zeros((1, 1)))
+    state.step(np.full((1, 1), 1.0), 200)
+    # The rotor alone, and the hundredth of it that the gear has, for a tenth second.
+    free = 0.5 * (1.0 / 0.303) * 0.1**2
+    assert state.q[0, 0] == pytest.approx(free, rel=0.006)
+    assert state.load[0, 0] == 0
+    state.step(np.full((1, 1), 1.0), 2000)
+    state.step(np.full((1, 1), 1.0), 1)
+    assert state.a[0, 0] == pytest.approx(1.0 / HINGE_INERTIA, rel=1e-3)
+    assert state.load[0, 0] == pytest.approx(1 - 0.3 / HINGE_INERTIA, rel=1e-3)
+    gap = arm.model.joint("turn/play").range
+    np.testing.assert_allclose(gap, [-0.05, 0.05])
+
+
+def test_a_gear_may_both_twist_and_have_play(pendulum):
+    both = [
+        effect("elasticity", compliance=0.002, damping=1.0),
+        effect("backlash", half_width=0.02),
+    ]
+    (log,) = run(pendulum, both, [hold([0.0])])
+    sag = 0.002 * WEIGHT + 0.02
+    assert log.tau[-1, 0] == pytest.approx(WEIGHT * np.cos(sag), rel=1e-3)
+
+
+def test_a_play_without_a_rotor_is_refused(load):
+    massless = load(HINGE.format(axis="0 0 1").replace('armature="0.3"', ""))
+    with pytest.raises(EffectError, match="backlash at 'turn' needs a rotor"):
+        Plant(massless, [effect("backlash", half_width=0.001)])
+    assert Plant(massless, [effect("backlash")]).arm.model.nv == 1
+
+
+# Friction with a memory, contact, gravity
+
+
+def test_a_joint_before_sliding_is_a_spring(turntable):
+    friction = effect("presliding", level=5.0, distance=0.02)
+    soft = Servo(kp=np.full(1, 1e3), kd=np.full(1, 40.0), limit=np.full(1, np.inf))
+    (log,) = run(turntable, [friction], [ramp(0.02, 1.0)], servo=soft)
+    q = log.q[:, 0]
+    slow = log.t > 0.1
+    expected = 5.0 * (1 - np.exp(-q / 0.02))
+    np.testing.assert_allclose(log.tau[slow, 0], expected[slow], atol=0.1)
+    assert 0.5 < q[-1] / 0.02 and np.diff(q).min() > -1e-6
+
+
+def test_a_contact_pushes_for_its_time_only(pendulum):
+    # Origin of the link's frame: the joint itself, so that a force has no lever.
+    touch = effect("contact", moment_y=2.0, force_z=30.0, start=0.4, duration=0.3)
+    (log,) = run(pendulum, [touch], [hold([0.0])])
+    change = log.tau[:, 0] - WEIGHT * np.cos(log.q[:, 0])
+    during = (log.t > 0.6) & (log.t < 0.7)
+    np.testing.assert_allclose(change[during], -2.0, rtol=0.05)  # the axis is −y
+    before = log.t < 0.4
+    np.testing.assert_allclose(change[before], 0, atol=1e-3)
+    first = log.t[np.argmax(np.abs(change) > 0.05)]
+    assert 0.4 <= first < 0.41
+
+
+def test_a_tilted_base_turns_gravity(pendulum):
+    pitch = effect("gravity_tilt", pitch=0.1)
+    (log,) = run(pendulum, [pitch], [hold([0.0])])
+    angle = 0.1 - log.q[-1, 0]  # the joint's axis is −y
+    assert log.tau[-1, 0] == pytest.approx(WEIGHT * np.cos(angle), rel=1e-4)
+    roll = run(pendulum, [effect("gravity_tilt", roll=0.1)], [hold([0.0])])[0]
+    expected = WEIGHT * np.cos(0.1) * np.cos(roll.q[-1, 0])
+    assert roll.tau[-1, 0] == pytest.approx(expected, rel=1e-4)
+
+
+# Between command and torque, and encoders
+
+
+def test_a_shifted_encoder_misleads_the_controller_too(pendulum):
+    (log,) = run(pendulum, [effect("encoder_offset", offset=0.2)], [hold([0.5])])
+    assert log.q[-1, 0] == pytest.approx(0.5, abs=0.02)
+    true = log.q[-1, 0] - 0.2
+    assert log.tau[-1, 0] == pytest.approx(WEIGHT * np.cos(true), rel=1e-3)
+
+
+def test_late_commands_make_a_late_motion(two_links):
+    (late,) = run(two_links, [effect("command_latency", k, time=0.05) for k in (0, 1)])
+    (prompt,) = run(two_links)
+    np.testing.assert_array_equal(late.command, prompt.command)
+    np.testing.assert_allclose(late.q[50:], prompt.q[25:-25], atol=2e-4)
+
+
+def test_a_softer_servo_sags_more(pendulum):
+    stiff = Plant(pendulum).servo.without_feedforward()
+    sag = [
+        run(pendulum, effects, [hold([0.0], 2.0)], servo=stiff)[0].q[-1, 0]
+        for effects in ([], [effect("controller_gain", stiffness=-0.5, damping=-0.3)])
+    ]
+    assert sag[1] / sag[0] == pytest.approx(2.0, rel=0.02)
+
+
+def test_a_servo_is_slower_than_its_drive(two_links):
+    slow = [effect("actuator_lag", k, time=0.05) for k in (0, 1)]
+    (log,) = run(two_links, slow)
+    assert np.abs(log.q - log.command).max() < 0.1
+    # The time constant of a filter in the log is no matter to the servo.
+    seen = [effect("actuator_lag", k, time=-0.05) for k in (0, 1)]
+    np.testing.assert_array_equal(
+        Plant(two_links, seen).servo.kp, Plant(two_links).servo.kp
+    )
+
+
+def test_a_drive_at_its_limit_cannot_carry_what_it_says(pendulum):
+    # The log shows the command, which rises until the servo's own limit.
+    weak = effect("saturation", loss=1.0, limit=0.8 * WEIGHT)
+    (log,) = run(pendulum, [weak], [hold([0.0], 1.0)])
+    assert log.q[-1, 0] < -0.5 and log.tau[-1, 0] > 0.9 * WEIGHT
+
+
 # Noise
 
 

@@ -9,7 +9,7 @@ from argparse import Namespace, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 
 from hybrid import __version__
-from hybrid.cli import effects, identify, predict, simulate, validate
+from hybrid.cli import calibrate, effects, identify, predict, simulate, validate
 from hybrid.cli.options import Parser
 from hybrid.errors import HybridError
 
@@ -20,6 +20,7 @@ _VERBS = {
     "identify": identify,
     "validate": validate,
     "predict": predict,
+    "calibrate": calibrate,
     "effects": effects,
 }
 _EXAMPLES = """\

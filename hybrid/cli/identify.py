@@ -28,10 +28,11 @@ if TYPE_CHECKING:
 HELP = """identify the drive torque of an arm from recordings
 writes MODEL.json and, beside it, MODEL.safetensors with its arrays; shows the error of
 every stage on samples left out of the fit, what cannot be told from these recordings,
-and the effects found.
+and the effects found; warns of stages that did not help and of poor excitation.
 
 --json: provenance, robot, joints, stage, cutoff, held_out (RMS of each stage),
-left_out, unidentifiable, converged, rounds, condition, sigma, effects, unknowns.
+left_out, unidentifiable, warnings, converged, rounds, condition, sigma, effects,
+unknowns.
 
 examples:
   hybrid identify --robot models/scara.xml --recordings logs --out model.json
@@ -74,6 +75,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--robust", action="store_true", help="weigh down stretches that do not fit"
     )
+    parser.add_argument(
+        "--consistent",
+        action="store_true",
+        help="give the links parameters of bodies that could be built",
+    )
     parser.add_argument("--seed", type=whole, default=0, metavar="N")
     add_common(parser)
 
@@ -106,6 +112,7 @@ def run(args: Namespace, screen: Screen) -> None:
             effects=[e.at({g.name: 0.0 for g in e.gains}) for e in effects],
             cutoff=args.cutoff,
             robust=args.robust,
+            consistent=args.consistent,
             seed=args.seed,
         )
     fit.model.save(args.out)
@@ -119,8 +126,6 @@ def _show(fit: Fit, screen: Screen) -> None:
     from hybrid.report.table import numbers_table
 
     screen.show_numbers(numbers_table(held_out_table(fit)))
-    for text in fit.left_out:
-        screen.say(f"left out: {text}")
     if fit.unidentifiable:
         screen.say("unidentifiable:")
         for text in fit.unidentifiable[:_SHOWN]:

@@ -13,10 +13,11 @@ if TYPE_CHECKING:
 
 HELP = """predict the drive torque along a recording
 writes the columns time (s) and tau_JOINT (N·m); the suffix of --out, .csv, .parquet or
-.npz, says how. A recording with an irregular clock is resampled first.
+.npz, says how. The recording needs time and positions only. One with an irregular clock
+is resampled first.
 
 --json: provenance, robot, joints, samples, rms (of measured less predicted torque, all
-samples, unfiltered).
+samples, unfiltered; null without measured torque).
 
 example:
   hybrid predict --model model.json --recording logs/trajectory_1.csv --out tau.csv"""
@@ -48,7 +49,9 @@ def run(args: Namespace, screen: Screen) -> None:
     model = DynamicModel.load(args.model)
     joints = model.robot.joints
     # On the clock that the prediction will have.
-    recording = check_recording(read(args.recording, joints=joints), model.robot)
+    recording = check_recording(
+        read(args.recording, joints=joints, torque=False), model.robot
+    )
     inputs = [args.model, args.model.with_suffix(".safetensors"), args.recording]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
@@ -56,7 +59,9 @@ def run(args: Namespace, screen: Screen) -> None:
         tau = predict(model, recording)
     columns = {f"tau_{joint}": tau[:, j] for j, joint in enumerate(joints)}
     write_columns(args.out, {"time": recording.t, **columns})
-    rms = np.sqrt(np.mean((recording.tau - tau) ** 2, axis=0))
+    rms = None
+    if recording.has_torque:
+        rms = np.sqrt(np.mean((recording.tau - tau) ** 2, axis=0))
     content = {"robot": model.robot.name, "joints": joints, "samples": len(tau)}
     write_record(args, how, {**content, "rms": rms})
     screen.say(f"{len(tau):,} samples of {len(joints)} joints in {args.out}")

@@ -1,14 +1,27 @@
 """Batched rigid-body dynamics."""
 
+from hybrid.dynamics.adjoint import regressor_gradient, torque_gradient
 from hybrid.dynamics.base import BaseParameters, base_parameters, inertial_labels
 from hybrid.dynamics.body import RigidBody
 from hybrid.dynamics.regressor import inverse_dynamics, regressor
+from hybrid.dynamics.stacked import (
+    effect_gains,
+    rich_motion,
+    stacked_base,
+    stacked_columns,
+)
 
 __all__ = [
     "BaseParameters",
     "RigidBody",
     "base_parameters",
+    "effect_gains",
     "inertial_labels",
     "inverse_dynamics",
     "regressor",
+    "regressor_gradient",
+    "rich_motion",
+    "stacked_base",
+    "stacked_columns",
+    "torque_gradient",
 ]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
+from hybrid.dynamics.kinematics import link_motions
 from hybrid.dynamics.regressor import inverse_dynamics, regressor
 from hybrid.robot.chain import Array, Chain
 from hybrid.signals import Motion
@@ -27,6 +30,7 @@ class RigidBody:
         self.chain = chain
         self.motion = motion
         self.inertial = chain.inertial if inertial is None else inertial
+        self._known_slopes: dict[int, tuple[Array, Array, Array]] = {}
 
     @cached_property
     def load(self) -> Array:
@@ -45,20 +49,79 @@ class RigidBody:
     def response(self, dq: Array, dv: Array, da: Array) -> Array:
         """Change of rigid torque along a change of motion, shape (N, n), [N·m].
 
-        Central difference of the inverse dynamics, scaled so that the step is small
-        against a radian whatever the size of the change.
+        Linear in the change; the partial derivatives by each joint that changes are
+        worked out once.
 
         Args:
             dq: Change of position, shape (N, n), [rad].
             dv: Change of speed, shape (N, n), [rad/s].
             da: Change of acceleration, shape (N, n), [rad/s²].
         """
-        m = self.motion
-        size = max(float(np.abs(x).max(initial=1e-12)) for x in (dq, dv, da))
-        step = 1e-4 / size
-        ahead = self._torque(m.q + step * dq, m.v + step * dv, m.a + step * da)
-        behind = self._torque(m.q - step * dq, m.v - step * dv, m.a - step * da)
-        return (ahead - behind) / (2 * step)
+        total = np.zeros_like(self.motion.q)
+        for j in range(self.chain.size):
+            changes = dq[:, j], dv[:, j], da[:, j]
+            if any(x.any() for x in changes):
+                for slope, x in zip(self._slopes(j), changes, strict=True):
+                    total += slope * x[:, None]
+        return total
+
+    def _slopes(self, j: int) -> tuple[Array, Array, Array]:
+        """Partial derivatives of all torques by q, v and a of a joint, (N, n) each.
+
+        Central differences of the inverse dynamics; it is quadratic in speed and
+        linear in acceleration, so that only the step in position has to be small.
+        """
+        if j not in self._known_slopes:
+            m, slopes = self.motion, []
+            unit = np.eye(self.chain.size)[j]
+            for at, step in enumerate((1e-4, 1.0, 1.0)):
+                change = np.zeros((3, 1, len(unit)))
+                change[at] = step * unit
+                ahead = self._torque(*(np.array([m.q, m.v, m.a]) + change))
+                behind = self._torque(*(np.array([m.q, m.v, m.a]) - change))
+                slopes.append((ahead - behind) / (2 * step))
+            self._known_slopes[j] = (slopes[0], slopes[1], slopes[2])
+        return self._known_slopes[j]
+
+    @property
+    def gravity(self) -> Array:
+        """Acceleration of gravity in the base frame, shape (3,), [m/s²]."""
+        return self.chain.gravity
+
+    def weight(self, gravity: Array) -> Array:
+        """Torque that holds the links still in a uniform gravity.
+
+        Args:
+            gravity: Acceleration in the base frame, shape (3,), [m/s²].
+
+        Returns:
+            Torque, shape (N, n), [N·m].
+        """
+        rest = np.zeros_like(self.motion.q)
+        chain = replace(self.chain, gravity=gravity)
+        return inverse_dynamics(chain, self.inertial, self.motion.q, rest, rest)
+
+    def wrench_columns(self, link: int) -> Array:
+        """Jacobian transposed: drive torque per unit of what a link exerts.
+
+        Args:
+            link: Index of the link.
+
+        Returns:
+            Torque, shape (N, n, 6), per force [N] and moment [N·m] along the axes of
+            the base frame, about the origin of the link's frame.
+        """
+        q = np.ascontiguousarray(self.motion.q.T)
+        rest, columns = np.zeros_like(q), np.zeros((*q.shape, 6))
+        for k, direction in enumerate(np.eye(3)):
+            # A still link that weighs against a direction accelerates along it.
+            chain = replace(self.chain, gravity=-direction)
+            at = next(islice(link_motions(chain, q, rest, rest), link, None))
+            columns[: link + 1, :, k] = np.einsum("cjn,cn->jn", at.linear, at.accel)
+            columns[: link + 1, :, 3 + k] = np.einsum(
+                "cjn,cn->jn", at.angular, at.accel
+            )
+        return columns.transpose(1, 0, 2)
 
     def _torque(self, q: Array, v: Array, a: Array) -> Array:
         return inverse_dynamics(self.chain, self.inertial, q, v, a)

@@ -6,7 +6,7 @@ contiguous samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,7 +57,7 @@ def link_motions(chain: Chain, q: Array, v: Array, a: Array) -> Iterator[LinkMot
             moved[c, 3 + 2 * k] = turning * axis[c]
             moved[c, 4 + 2 * k] = (1.0 - turning) * axis[c]
         # Relative motion of the joint; ω×axis is the same with or without its own spin.
-        spin = _cross_constant(omega, axis)
+        spin = cross(omega, axis)
         if chain.revolute[k]:
             alpha += spin * v[k] + axis[:, None] * a[k]
             omega += axis[:, None] * v[k]
@@ -78,9 +78,9 @@ def _shift_and_turn(chain: Chain, k: int, q: Array, state: Array) -> Array:
         arm = [offset[c] + direction[c] * q for c in range(3)]
     omega, alpha = state[:, 0], state[:, 1]
     if not chain.revolute[k] or np.any(offset):
-        lever = _cross(omega, arm)
-        shifted[:, 2] += _cross(alpha, arm) + _cross(omega, lever)
-        shifted[:, 4::2] += _cross(state[:, 3::2], arm)
+        lever = cross(omega, arm)
+        shifted[:, 2] += cross(alpha, arm) + cross(omega, lever)
+        shifted[:, 4::2] += cross(state[:, 3::2], arm)
     return _turn(chain, k, q, shifted)
 
 
@@ -115,7 +115,7 @@ def _clean(matrix: Array) -> Array:
     return np.where(np.abs(matrix) < 1e-15, 0.0, matrix)
 
 
-def _cross(x: Array, y: list[Array | float] | Array) -> Array:
+def cross(x: Array, y: Sequence[Array | float] | Array) -> Array:
     """Cross product over the first axis; y may hold numbers."""
     return np.stack(
         [
@@ -124,7 +124,3 @@ def _cross(x: Array, y: list[Array | float] | Array) -> Array:
             x[0] * y[1] - x[1] * y[0],
         ]
     )
-
-
-def _cross_constant(x: Array, y: Array) -> Array:
-    return _cross(x, list(y))

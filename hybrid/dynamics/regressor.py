@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid.dynamics.kinematics import LinkMotion, link_motions
+from hybrid.dynamics.kinematics import LinkMotion, cross, link_motions
 from hybrid.robot.chain import Array, Chain
 
 # Samples worked on at a time: the intermediate arrays then stay in the cache.
@@ -70,21 +70,11 @@ def _wrench(link: LinkMotion, inertial: Array) -> tuple[Array, Array]:
     m, mc = inertial[0], inertial[1:4, None]
     xx, xy, yy, xz, yz, zz = inertial[4:]
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    lever = _cross(link.omega, np.broadcast_to(mc, link.omega.shape))
-    force = m * link.accel + _cross(link.alpha, np.broadcast_to(mc, lever.shape))
-    force += _cross(link.omega, lever)
-    moment = inertia @ link.alpha + _cross(link.omega, inertia @ link.omega)
-    return force, moment + _cross(np.broadcast_to(mc, lever.shape), link.accel)
-
-
-def _cross(x: Array, y: Array) -> Array:
-    return np.stack(
-        [
-            x[1] * y[2] - x[2] * y[1],
-            x[2] * y[0] - x[0] * y[2],
-            x[0] * y[1] - x[1] * y[0],
-        ]
-    )
+    lever = cross(link.omega, np.broadcast_to(mc, link.omega.shape))
+    force = m * link.accel + cross(link.alpha, np.broadcast_to(mc, lever.shape))
+    force += cross(link.omega, lever)
+    moment = inertia @ link.alpha + cross(link.omega, inertia @ link.omega)
+    return force, moment + cross(np.broadcast_to(mc, lever.shape), link.accel)
 
 
 def _link_block(link: LinkMotion, out: Array) -> None:

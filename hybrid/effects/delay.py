@@ -24,10 +24,6 @@ class Delay(Effect):
         slope = np.gradient(body.load[:, self.joints], motion.t, axis=0)
         return -slope[:, :, None]
 
-    def torque(self, motion: Motion, body: Body) -> Array:
-        """Nothing: the delay acts through :meth:`report`."""
-        return np.zeros((len(motion.t), len(self.joints)))
-
     def report(self, t: Array, torque: Array) -> Array:
         """The torque of an earlier time; before the first sample it is held."""
         late = t - self.values["time"]

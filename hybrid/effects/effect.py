@@ -6,11 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.effects.quantity import Quantity, Scale
+from hybrid.effects.state import Array, Body, JointState
 from hybrid.errors import EffectError
 from hybrid.parameters import Parameter
 from hybrid.signals import Motion
@@ -18,7 +19,18 @@ from hybrid.signals import Motion
 if TYPE_CHECKING:
     import mujoco
 
-Array = NDArray[np.float64]
+__all__ = [
+    "Array",
+    "Body",
+    "Effect",
+    "JointEffect",
+    "JointState",
+    "Port",
+    "Quantity",
+    "Scale",
+    "Scope",
+]
+
 Scope = Literal["joint", "coupling", "arm"]
 
 
@@ -34,93 +46,15 @@ class Port(StrEnum):
 
 
 @dataclass(frozen=True)
-class Scale:
-    """Size of one joint, in which the usual sizes of effects are stated.
-
-    Attributes:
-        torque: Rated torque, [N·m].
-        speed: Rated speed, [rad/s].
-    """
-
-    torque: float
-    speed: float
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A parameter of a law before it has a value.
-
-    Attributes:
-        name: Field's standard term.
-        unit: SI unit.
-        typical: Usual size, in multiples of ``per``.
-        lower: Smallest physically plausible value, in multiples of ``per``.
-        upper: Largest physically plausible value, in multiples of ``per``.
-        per: What the numbers are multiples of: powers of the joint's rated torque and
-            speed, e.g. ``(1, -1)`` for torque/speed; ``(0, 0)`` for plain SI.
-    """
-
-    name: str
-    unit: str
-    typical: float
-    lower: float
-    upper: float
-    per: tuple[int, int] = (0, 0)
-
-    def scaled(self, scale: Scale) -> Quantity:
-        """The same with numbers in SI units for a joint of this size."""
-        size = scale.torque ** self.per[0] * scale.speed ** self.per[1]
-        return replace(
-            self,
-            typical=self.typical * size,
-            lower=self.lower * size,
-            upper=self.upper * size,
-            per=(0, 0),
-        )
-
-
-@dataclass(frozen=True)
-class JointState:
-    """What a law of one joint may depend on; arrays of one shape.
-
-    Attributes:
-        t: Time, [s].
-        q: Position, [rad].
-        v: Speed, [rad/s].
-        a: Acceleration, [rad/s²].
-        sign: Direction of motion, −1, 0 or 1. A plant may pass its own idea of it.
-        load: Torque transmitted to the link, [N·m].
-    """
-
-    t: Array
-    q: Array
-    v: Array
-    a: Array
-    sign: Array
-    load: Array
-
-
-class Body(Protocol):
-    """Rigid-body quantities along a motion, as far as effects need them."""
-
-    @property
-    def load(self) -> Array:
-        """Torque transmitted to the links, shape (N, n), [N·m]."""
-
-    def link_columns(self, link: int) -> Array:
-        """Torque per inertial parameter of one link, shape (N, n, 10)."""
-
-    def response(self, dq: Array, dv: Array, da: Array) -> Array:
-        """Change of rigid torque along a change of motion, shape (N, n), [N·m]."""
-
-
-@dataclass(frozen=True)
 class Effect(ABC):
     """One unmodelled effect at given joints with given values.
 
     The torque is ``columns(motion, body) @ gain values``: linear in the gains,
     nonlinear in the shapes. Effects that change signals rather than add torque override
-    :meth:`observe`, and give their first-order columns for screening.
+    :meth:`observe` or :meth:`report`; their columns are first order, for screening, and
+    their :meth:`torque` is nothing. Effects between command and torque leave no trace
+    in the torque that is logged: their columns are zero, and what they do is seen in
+    :func:`hybrid.effects.loop.commanded_torque`.
 
     Attributes:
         joints: Indices of the joints it acts on: one (scope ``joint``), two or more
@@ -227,21 +161,38 @@ class Effect(ABC):
             for x in (y.scaled(scale) for y in (*self.gains, *self.shapes))
         )
 
+    def reaches(self, size: int) -> tuple[int, ...]:
+        """Joints whose torque it changes, r of them: those it acts on.
+
+        A change of one joint's position is felt along the whole arm.
+
+        Args:
+            size: Number of joints n of the arm.
+        """
+        return self.joints
+
     @abstractmethod
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Torque per unit of each gain, at the joints it acts on.
+        """Torque per unit of each gain, at the joints that it reaches.
 
         Args:
             motion: Motion of N samples of the whole arm.
             body: Rigid-body quantities along it.
 
         Returns:
-            Columns, shape (N, len(joints), p), in [N·m per unit of the gain].
+            Columns, shape (N, r, p), in [N·m per unit of the gain].
         """
 
     def torque(self, motion: Motion, body: Body) -> Array:
-        """Torque of the effect at its joints, shape (N, len(joints)), [N·m]."""
+        """Torque that it adds at the joints it reaches, shape (N, r), [N·m]."""
+        if self.observes or self.reports:
+            return np.zeros((len(motion.t), len(self.reaches(motion.q.shape[1]))))
         return self.columns(motion, body) @ self.gain_values
+
+    @property
+    def observes(self) -> bool:
+        """Whether :meth:`observe` changes the motion."""
+        return type(self).observe is not Effect.observe
 
     def observe(self, motion: Motion, body: Body) -> Motion:
         """The motion as the rigid body made it, from the motion as measured."""
@@ -266,6 +217,7 @@ class Effect(ABC):
         return torque
 
     # How a simulated plant realises the effect; each hook is the identity by default.
+    # B trajectories run at once; k is the number of joints that the effect acts on.
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Put into a MuJoCo spec what MuJoCo itself can simulate.
@@ -276,9 +228,53 @@ class Effect(ABC):
         """
         return  # by default nothing
 
+    def command(self, t: Array, signal: Array) -> Array:
+        """A commanded signal, shape (N, k), as the controller gets to see it."""
+        return signal
+
+    def tune(self, kp: Array, kd: Array) -> tuple[Array, Array]:
+        """Stiffness and damping of the servo, shape (k,), as they really are."""
+        return kp, kd
+
     def deliver(self, torque: Array) -> Array:
         """Torque the drive delivers for a torque it believes to deliver; shape (B,)."""
         return torque
+
+    def follow(self, torque: Array, before: Array, step: float) -> Array:
+        """The same for a drive with memory.
+
+        Args:
+            torque: Torque it believes to deliver, shape (B,), [N·m].
+            before: Torque it delivered a step ago, shape (B,), [N·m].
+            step: Length of the step, [s].
+        """
+        return self.deliver(torque)
+
+    @property
+    def lag(self) -> float:
+        """Time for which the drive holds back torque, which limits the servo, [s]."""
+        return 0.0
+
+    def resist(self, state: JointState, before: Array, step: float) -> Array:
+        """Torque against the drive that depends on the past, shape (B, k), [N·m].
+
+        Args:
+            state: State of the motors, arrays of shape (B, k).
+            before: This torque a step ago, 0 at the start, shape (B, k), [N·m].
+            step: Length of the step, [s].
+        """
+        return np.zeros_like(before)
+
+    def push(self, t: float) -> Array:
+        """Force and moment of the last link on its surroundings at a time, shape (6,).
+
+        In the base frame, the moment about the origin of the link's frame.
+        """
+        return np.zeros(6)
+
+    def sense(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Position and speed that the encoders show for the true ones; shape (B, k)."""
+        return q, v
 
     def measure(self, t: Array, signals: dict[str, Array]) -> dict[str, Array]:
         """Turn true signals ``q``, ``v``, ``tau``, shape (N, n), into measured ones."""
@@ -316,9 +312,11 @@ class JointEffect(Effect):
         """See :meth:`Effect.columns`; shape (N, 1, p)."""
         (j,) = self.joints
         v = motion.v[:, j]
+        warm = None if motion.temperature is None else motion.temperature[:, j]
         state = JointState(
-            motion.t, motion.q[:, j], v, motion.a[:, j], np.sign(v), body.load[:, j]
-        )
+            motion.t, motion.q[:, j], v, motion.a[:, j], np.sign(v), body.load[:, j],
+            warm,
+        )  # fmt: skip
         unit = np.ones_like(v)
         laws = [unit * x for x in self.law(state, **self.shape_values)]
         return np.stack(laws, axis=-1)[:, None, :]

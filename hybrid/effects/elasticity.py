@@ -31,15 +31,18 @@ class Elasticity(Effect):
     sentence = "The gear of {joints} twists under load."
     remedy = "Add a joint spring between motor and link in the simulator."
 
+    def reaches(self, size: int) -> tuple[int, ...]:
+        """The whole arm: see :meth:`Effect.reaches`."""
+        return tuple(range(size))
+
     def columns(self, motion: Motion, body: Body) -> Array:
         """First order: rigid torque along the deflection −τ_load of unit compliance."""
         (j,) = self.joints
         twist = np.zeros_like(motion.q)
         twist[:, j] = -body.load[:, j]
         speed = np.gradient(twist, motion.t, axis=0)
-        return body.response(twist, speed, np.gradient(speed, motion.t, axis=0))[
-            :, self.joints, None
-        ]
+        rush = np.gradient(speed, motion.t, axis=0)
+        return body.response(twist, speed, rush)[:, :, None]
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Add a deflection joint behind the motor joint, on the same axis.

@@ -67,8 +67,8 @@ class LinkInertia(Effect):
         about -= mass * (center @ center * np.eye(3) - np.outer(center, center))
         if np.linalg.eigvalsh(about)[0] <= 0:
             raise EffectError(f"{self.id}: the inertia is not physical")
-        name = names[self.joints[-1]]
-        body = spec.body(name).add_body(name=f"{name}/{self.id}")
+        # Without a name, so that one link may carry several.
+        body = spec.body(names[self.joints[-1]]).add_body()
         body.explicitinertial = True
         body.mass, body.ipos = mass, center
         body.fullinertia = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]

@@ -9,7 +9,7 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from inspect import isabstract
 from pathlib import Path
 from types import ModuleType
@@ -24,8 +24,8 @@ _added: dict[str, type[Effect]] = {}
 
 
 def effect_classes() -> Mapping[str, type[Effect]]:
-    """Effect classes by id, in alphabetical order of the files that hold them."""
-    return _shipped() | _added
+    """Effect classes by id, in alphabetical order."""
+    return dict(sorted((_shipped() | _added).items()))
 
 
 @cache
@@ -34,18 +34,44 @@ def _shipped() -> dict[str, type[Effect]]:
     for info in pkgutil.iter_modules([str(Path(__file__).parent)]):
         found |= _classes_in(importlib.import_module(f"{__package__}.{info.name}"))
     for point in entry_points(group=_ENTRY_POINT_GROUP):
-        found |= _classes_in(point.load())
+        found |= _classes_of(point, known=found)
     return found
 
 
-def _classes_in(module: ModuleType) -> dict[str, type[Effect]]:
+def _classes_of(
+    point: EntryPoint, known: Mapping[str, type[Effect]]
+) -> dict[str, type[Effect]]:
+    """Effects of another package, which names a module of effects or one effect.
+
+    Raises:
+        EffectError: It cannot be loaded, holds no effect, or one that exists already.
+    """
+    where = f"entry point {point.name} = {point.value}"
+    try:
+        target = point.load()
+        found = _classes_in(target)
+    except EffectError as error:
+        raise EffectError(f"{where}: {error}") from error
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise EffectError(f"{where}: {reason}") from error
+    if not found:
+        raise EffectError(f"{where}: no concrete subclass of Effect")
+    if taken := sorted(found.keys() & known.keys()):
+        raise EffectError(f"{where}: {', '.join(taken)} exists already")
+    return found
+
+
+def _classes_in(target: ModuleType | type[Effect]) -> dict[str, type[Effect]]:
+    """Effects that a module defines; or the one effect itself."""
+    whole = isinstance(target, ModuleType)
     found = [
         item
-        for item in vars(module).values()
+        for item in (vars(target).values() if whole else [target])
         if isinstance(item, type)
         and issubclass(item, Effect)
         and not isabstract(item)
-        and item.__module__ == module.__name__
+        and (not whole or item.__module__ == target.__name__)
     ]
     for cls in found:
         missing = [name for name in _STATED if not hasattr(cls, name)]

@@ -21,6 +21,10 @@ class TorqueGain(Effect):
         """First order: the transmitted torque; see :meth:`Effect.columns`."""
         return body.load[:, self.joints][:, :, None]
 
+    def report(self, t: Array, torque: Array) -> Array:
+        """All that the drive delivers, rotor and friction too, times 1 + g."""
+        return torque * (1.0 + self.values["gain"])
+
     def deliver(self, torque: Array) -> Array:
         """Torque delivered for a believed one."""
         return torque / (1.0 + self.values["gain"])

@@ -44,7 +44,7 @@ def nearest_above(
     Raises:
         IdentificationError: The solver failed.
     """
-    import clarabel  # type: ignore[import-not-found, import-untyped]
+    import clarabel
 
     bounded = np.isfinite(least)
     cones = [clarabel.PSDTriangleConeT(4)] * n

@@ -72,7 +72,8 @@ class CrossProducts:
         """
         if factor == 1:
             return self
-        label, last, seen = np.zeros(len(self.counts), dtype=int), -1, {}
+        label, last = np.zeros(len(self.counts), dtype=int), -1
+        seen: dict[int, int] = {}
         for b, r in enumerate(self.recording):
             position = seen[int(r)] = seen.get(int(r), -1) + 1
             if position % factor == 0:
@@ -148,8 +149,8 @@ def accumulate(
 ) -> CrossProducts:
     """Cross-products over motions, columns and torque filtered alike.
 
-    A joint that stands still may be held by any friction below break-away, so its torque
-    says nothing: its rows are left out while it stands.
+    A joint that stands still may be held by any friction below break-away, so its
+    torque says nothing: its rows are left out while it stands.
 
     Args:
         problem: Unknowns and layout.
@@ -197,9 +198,10 @@ def _one_motion(
     length = max(1, round(block_seconds * motion.rate / sampler.factor))
     sizes = np.diff(problem.offsets)
     found: dict[tuple[int, int], tuple[Array, Array]] = {}
+    everywhere = moving_samples(motion, sampler, standing)
     for first, D in sampled_chunks(problem.rows, motion, sampler):
         samples = slice(first, first + D.shape[1])
-        moving = moving_samples(motion, sampler, standing)[samples].T.astype(float)
+        moving = everywhere[samples].T.astype(float)
         if known is not None:
             D[np.array(problem.offsets[1:]) - 1] -= known[samples].T
         D *= np.repeat(moving, sizes, axis=0)

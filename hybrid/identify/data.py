@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.errors import IdentificationError
+from hybrid.errors import IdentificationError, RecordingError
 from hybrid.identify.cross_products import (
     CrossProducts,
     accumulate,
@@ -26,6 +27,7 @@ _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
 _STANDING = 0.01  # of the highest speed
 FOLDS = 4
 _BLOCK_SECONDS = 1.0
+_FEWEST_PERIODS = 3.0  # of the cut-off in a recording: its edges take 2.3 of them
 
 
 @dataclass(frozen=True)
@@ -37,12 +39,23 @@ class Data:
         folds: Fold of every sample for cross-validation, shape (N,) for each motion.
         cutoff: Cut-off of the filter of columns and torque, [Hz].
         standing: Speed of each joint below which it stands, shape (n,), [rad/s].
+
+    Raises:
+        RecordingError: A motion comes without torque.
     """
 
     motions: tuple[Motion, ...]
     folds: tuple[NDArray[np.intp], ...]
     cutoff: float
     standing: Array
+
+    def __post_init__(self) -> None:
+        for motion in self.motions:
+            if not np.isfinite(motion.tau).all():
+                raise RecordingError(
+                    f"{motion.source or 'recording'}: no torque; valid is a log of "
+                    "time, positions and torques"
+                )
 
     def products(
         self, problem: Problem, known: Sequence[Array] | None = None
@@ -57,7 +70,7 @@ class Data:
             known=known,
         )
 
-    def split(self, samples: Array) -> list[Array]:
+    def split(self, samples: NDArray[Any]) -> list[NDArray[Any]]:
         """Decimated samples of all motions, stacked, apart again."""
         sizes = [
             -(-len(m.t) // Sampler.for_rate(m.rate, self.cutoff).factor)
@@ -131,7 +144,7 @@ class Rest:
     def squares(self, joint: int, predicted: Array | float) -> Array:
         """Sum of squares of a joint on each fold less some torque, shape (F,)."""
         left = np.where(self.moving[:, joint], self.tau[:, joint] - predicted, 0.0)
-        return np.bincount(self.fold, weights=left**2)
+        return np.asarray(np.bincount(self.fold, weights=left**2), dtype=np.float64)
 
     def rms(self) -> Array:
         """RMS of each joint over its moving samples, shape (n,), [N·m]."""
@@ -164,7 +177,8 @@ def prepare_motions(
         Motions at full rate and the cut-off.
 
     Raises:
-        IdentificationError: There is no recording.
+        IdentificationError: There is no recording, or the cut-off is too low for the
+            shortest.
         RecordingError: A recording does not fit the arm.
     """
     if not recordings:
@@ -175,6 +189,12 @@ def prepare_motions(
     if cutoff is None:
         chosen = [choose_cutoff(x) for x in logs if isinstance(x, Recording)]
         cutoff = float(np.median(chosen)) if chosen else np.inf
+    shortest = min(float(x.t[-1] - x.t[0]) for x in logs)
+    if not cutoff * shortest >= _FEWEST_PERIODS:
+        raise IdentificationError(
+            f"cutoff is {cutoff:g} Hz; valid is {_FEWEST_PERIODS / shortest:.3g} Hz or "
+            f"more for a recording of {shortest:.3g} s"
+        )
     motions = [
         motion_from_recording(x, cutoff=_POSITION_CUTOFF * cutoff)
         if isinstance(x, Recording)
@@ -190,7 +210,8 @@ def prepare(
     """Motions dealt into folds, each of which scores what the others fitted.
 
     Whole recordings make the folds when there are four or more, else blocks of a
-    second: neighbouring samples are too alike to score on.
+    second (shorter ones in recordings below eight): neighbouring samples are too alike
+    to score on.
 
     Args:
         robot: The arm.
@@ -198,15 +219,19 @@ def prepare(
         cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
     """
     motions, cutoff = prepare_motions(robot, recordings, cutoff)
+    motions = [m for m in motions if m.mask.any()]
+    if not motions:
+        raise IdentificationError("no usable sample: every one is masked")
+    usable = min(float(np.ptp(m.t[m.mask])) for m in motions)
+    seconds = max(1e-3, min(_BLOCK_SECONDS, usable / (2 * FOLDS)))
     folds = []
     for r, motion in enumerate(motions):
         if len(motions) >= FOLDS:
             block = np.full(len(motion.t), r)
         else:
-            block = ((motion.t - motion.t[0]) // _BLOCK_SECONDS).astype(int)
+            block = ((motion.t - motion.t[0]) // seconds).astype(int)
         folds.append(block % FOLDS)
-    fastest = np.max([np.abs(m.v[m.mask]).max(axis=0) for m in motions], axis=0)
-    return Data(tuple(motions), tuple(folds), cutoff, _STANDING * fastest)
+    return Data(tuple(motions), tuple(folds), cutoff, _STANDING * _fastest(motions))
 
 
 def visited(data: Data) -> dict[str, Array]:
@@ -215,8 +240,14 @@ def visited(data: Data) -> dict[str, Array]:
     return {
         "q_min": np.min([x.min(axis=0) for x in q], axis=0),
         "q_max": np.max([x.max(axis=0) for x in q], axis=0),
-        "v_max": np.max([np.abs(m.v[m.mask]).max(axis=0) for m in data.motions], axis=0),
+        "v_max": _fastest(data.motions),
     }
+
+
+def _fastest(motions: Sequence[Motion]) -> Array:
+    """Highest speed of each joint, shape (n,)."""
+    each = [np.abs(m.v[m.mask]).max(axis=0) for m in motions]
+    return np.asarray(np.max(each, axis=0))
 
 
 def predictions(model: DynamicModel, data: Data) -> list[Array]:

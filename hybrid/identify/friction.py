@@ -1,10 +1,12 @@
 """Nonlinear friction of one joint: threshold, width and non-negative coefficients.
 
-The law is linear in its coefficients once threshold λ and width are given. Every pair on
-a fine grid is a set of columns in one dictionary, whose cross-products are accumulated
-once; the search over λ is then a search over small non-negative least-squares problems.
+The law is linear in its coefficients once threshold λ and width are given. Every pair
+on a fine grid is a set of columns in one dictionary, whose cross-products are
+accumulated once; the search over λ is then a search over small non-negative
+least-squares problems.
 
-Source: Lawson and Hanson 1974, doi 10.1137/1.9781611971217 (non-negative least squares).
+Source: Lawson and Hanson 1974, doi 10.1137/1.9781611971217 (non-negative least
+squares).
 """
 
 from __future__ import annotations
@@ -83,9 +85,7 @@ def fit_friction(
     fastest = max(float(np.abs(m.v[m.mask, joint]).max()) for m in motions)
     ratios = np.geomspace(_SMALLEST_THRESHOLD, 1.0, _THRESHOLDS)
     grid = _Dictionary(fastest * ratios, fastest * np.array(_WIDTHS))
-    sums = _products(
-        joint, motions, rest, load, known, grid, cutoff, standing, folds
-    )
+    sums = _products(joint, motions, rest, load, known, grid, cutoff, standing, folds)
     own = [np.arange(8 * k, 8 * k + 8) for k in range(len(grid.shapes))]
     loaded = [np.append(rows, 8 * len(grid.shapes)) for rows in own]
     errors = np.array([[_cross_validated(sums, r) for r in x] for x in (own, loaded)])
@@ -130,7 +130,9 @@ def _products(
         moving = moving_samples(motion, sampler, np.full(motion.q.shape[1], standing))
         start = motion.t[0]
 
-        def rows(part: Motion, y: Array = y, carried: Array = carried, start: float = start) -> Array:
+        def rows(
+            part: Motion, y: Array = y, carried: Array = carried, start: float = start
+        ) -> Array:
             first = round((part.t[0] - start) * part.rate)
             here = slice(first, first + len(part.t))
             v = part.v[:, joint]

@@ -7,10 +7,13 @@ correlated within).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.optimize import lsq_linear
 from scipy.stats import t as student
@@ -23,6 +26,7 @@ Estimator = Literal["ls", "wls", "irls"]
 ESTIMATORS: tuple[Estimator, ...] = ("ls", "wls", "irls")
 
 _RANK = 1e-13  # smallest eigenvalue of the scaled normal matrix that still counts
+_ROUNDING = 1e-12  # of the power of torque: least variance that can be told from zero
 _TOLERANCE = 1e-6
 _MOST_ITERATIONS = 60
 _FEWEST_BLOCKS = 24
@@ -59,6 +63,7 @@ class Estimate:
         covariance: Their covariance, honest under correlated residuals, shape (p, p).
         sigma: Residual covariance across joints, shape (n, n), [N²·m²].
         weight: Weight across joints of the last step, shape (n, n).
+        share: Weight of each block in the last step, from 0 to 1, shape (B,).
         condition: Condition number of the whitened, column-scaled columns.
         iterations: Reweightings done.
         converged: False if the iteration limit came first.
@@ -70,6 +75,7 @@ class Estimate:
     covariance: Array
     sigma: Array
     weight: Array
+    share: Array
     condition: float
     iterations: int
     converged: bool
@@ -96,8 +102,8 @@ def solve(
 ) -> Estimate:
     """Least squares over the joints of an arm.
 
-    ``ls`` weighs all joints alike, ``wls`` by the variance of each, ``irls`` by the full
-    covariance of the residual across joints, iterated until it agrees with itself.
+    ``ls`` weighs all joints alike, ``wls`` by the variance of each, ``irls`` by the
+    full covariance of the residual across joints, iterated until it agrees with itself.
 
     Args:
         products: Accumulated data.
@@ -115,13 +121,15 @@ def solve(
             f"{products.samples} samples of {n} joints cannot determine {p} unknowns; "
             "longer recordings are needed"
         )
-    weight, share = np.eye(n), np.ones(len(products.counts))
+    weight: Array = np.eye(n)
+    share = np.ones(len(products.counts))
     theta = _step(products, weight, share, bounded)
     converged, iterations = estimator == "ls", 0
     limit = {"ls": 0, "wls": 2, "irls": _MOST_ITERATIONS}[estimator]
     while iterations < limit and not converged:
         share = _shares(products, theta, weight) if robust else share
-        weight = np.linalg.inv(_sigma(products, theta, share, estimator == "irls"))
+        sigma = _sigma(products, theta, share, estimator == "irls")
+        weight = np.asarray(np.linalg.inv(sigma), dtype=np.float64)
         before, theta = theta, _step(products, weight, share, bounded)
         change = np.abs(theta - before).max() / (np.abs(theta).max() + 1e-12)
         converged, iterations = bool(change < _TOLERANCE), iterations + 1
@@ -134,6 +142,7 @@ def solve(
         covariance=covariance,
         sigma=_sigma(products, theta, np.ones(len(products.counts)), True),
         weight=weight,
+        share=share,
         condition=condition,
         iterations=iterations,
         converged=converged,
@@ -143,7 +152,11 @@ def solve(
 
 
 def cross_validate(
-    products: CrossProducts, estimate: Estimate, *, bounded: bool = False
+    products: CrossProducts,
+    estimate: Estimate,
+    *,
+    bounded: bool = False,
+    optimum: Callable[[Array, Array], Array] | None = None,
 ) -> CrossValidation:
     """Solve without each fold in turn, at the estimate's weight, and score on it.
 
@@ -151,14 +164,18 @@ def cross_validate(
         products: Accumulated data with folds.
         estimate: Solution on all of it.
         bounded: Whether that kept gains at their physical side.
+        optimum: Unknowns, shape (p,), for a normal matrix and its right side, if they
+            are to be found in another way.
     """
+    if optimum is None:
+        optimum = partial(_optimum, lower=products.problem.lower if bounded else None)
     folds = np.unique(products.fold)
     A, b = products.normal(estimate.weight)
     theta, squares, moving = [], [], []
     for fold in folds:
         part = products.some(products.fold == fold)
         A_k, b_k = part.normal(estimate.weight)
-        found = _optimum(A - A_k, b - b_k, products.problem.lower if bounded else None)
+        found = optimum(A - A_k, b - b_k)
         theta.append(found)
         squares.append(part.squares(found))
         moving.append(part.moving)
@@ -217,13 +234,16 @@ def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> A
     counts = np.tensordot(share, products.counts, axes=1)
     freedom = np.maximum(1.0, counts - products.problem.size / n)
     sigma = products.residual_products(theta, sums) / freedom
-    variance = np.clip(np.diag(sigma), 0.0, None)
-    floor = 1e-12 * max(variance.max(), 1e-12)
+    # A difference of cross-products cannot show less than their rounding.
+    total = products.total if sums is None else sums
+    torque = np.array(products.problem.offsets[1:]) - 1
+    power = np.diag(total)[torque] / np.diag(freedom)
+    floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max(initial=1e-300))
     if not full:
-        return np.diag(variance + floor)
-    # Joints stand at different times, so the pairwise covariance may miss being positive.
+        return np.asarray(np.diag(np.clip(np.diag(sigma), 0.0, None) + floor))
+    # Joints stand at different times: the pairwise covariance may not be positive.
     values, vectors = eigh(sigma)
-    return np.asarray(vectors * np.maximum(values, floor) @ vectors.T)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T + np.diag(floor))
 
 
 def _shares(products: CrossProducts, theta: Array, weight: Array) -> Array:
@@ -231,17 +251,32 @@ def _shares(products: CrossProducts, theta: Array, weight: Array) -> Array:
     residual = products.residual_products(theta, products.blocks)
     samples = np.trace(products.counts, axis1=1, axis2=2)
     misfit = np.einsum("bij,ij->b", residual, weight) / samples
-    return np.minimum(1.0, _OUTLYING * np.median(misfit) / np.maximum(misfit, 1e-300))
+    limit = _OUTLYING * np.median(misfit)
+    return np.asarray(np.minimum(1.0, limit / np.maximum(misfit, 1e-300)))
 
 
 def _excitation(A: Array) -> tuple[float, tuple[int, ...]]:
     """Condition number of the scaled columns, and unknowns they leave open."""
-    values, vectors = eigh(_scaled(A)[0])
-    values = np.clip(values, 0.0, None)
+    values = np.clip(np.linalg.eigvalsh(_scaled(A)[0]), 0.0, None)
     condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
-    open_directions = vectors[:, values <= _RANK * values[-1]]
-    share = (open_directions**2).sum(axis=1)
+    share = (weak_directions(A, np.sqrt(_RANK)) ** 2).sum(axis=1)
     return condition, tuple(int(k) for k in np.flatnonzero(share > 0.01))
+
+
+def weak_directions(A: Array, weakest: float) -> Array:
+    """Directions of the unknowns in which the scaled columns hardly move.
+
+    Args:
+        A: Normal matrix, shape (p, p).
+        weakest: Largest singular value that counts as weak, as a share of the
+            largest of all.
+
+    Returns:
+        Orthonormal directions in the unknowns scaled to columns of unit length, shape
+        (p, any number).
+    """
+    values, vectors = eigh(_scaled(A)[0])
+    return np.asarray(vectors[:, values <= weakest**2 * values[-1]])
 
 
 def _covariance(
@@ -269,7 +304,7 @@ def _covariance(
 
 
 def _independent_blocks(
-    products: CrossProducts, theta: Array, weight: Array, free: Array
+    products: CrossProducts, theta: Array, weight: Array, free: NDArray[np.intp]
 ) -> CrossProducts:
     """Merge neighbours until the scores of successive blocks are uncorrelated."""
     factor = 1

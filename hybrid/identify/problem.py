@@ -1,4 +1,4 @@
-"""The linear problem: rigid body and effects stacked, reduced to what can be told apart.
+"""Rigid body and effects stacked, and reduced to what can be told apart.
 
 ``tau_i = Σ_k columns_ik · theta_k`` for every joint i, theta being the base inertial
 parameters followed by the gains of the effects.
@@ -13,12 +13,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.dynamics import BaseParameters, RigidBody, base_parameters, inertial_labels
+from hybrid.dynamics import (
+    BaseParameters,
+    RigidBody,
+    effect_gains,
+    rich_motion,
+    stacked_base,
+    stacked_columns,
+)
 from hybrid.effects import Effect
 from hybrid.robot.chain import Array, Chain
 from hybrid.signals import Motion
 
-_STRUCTURE_SAMPLES = 600
 _WEIGHTLESS = 1e-9
 
 
@@ -67,15 +73,18 @@ class Problem:
         """Smallest physical value of each unknown, shape (p,); −inf without one."""
         lower = np.full(self.size, -np.inf)
         for unknown, e, g in self.gains:
-            if self.effects[e].gains[g].lower >= 0:
-                lower[unknown] = 0.0
+            effect, gain = self.effects[e], self.effects[e].gains[g]
+            if gain.lower >= 0:
+                # Of an effect that changes signals it is the change that is unknown.
+                changes = effect.reports or effect.observes
+                lower[unknown] = -effect.values[gain.name] if changes else 0.0
         return lower
 
     @cached_property
     def support(self) -> tuple[NDArray[np.intp], ...]:
         """Unknowns that ever move joint i's torque, for each joint."""
         motion = rich_motion(self.chain)
-        stacked = _stacked(self.chain, self.effects, self.columns, motion)
+        stacked = stacked_columns(self.chain, self.effects, self.columns, motion)
         size = np.abs(stacked[:, :, list(self.base.kept)]).max(axis=0)
         return tuple(np.flatnonzero(row > _WEIGHTLESS * row.max()) for row in size)
 
@@ -92,7 +101,12 @@ class Problem:
             For joint i, rows ``offsets[i]`` on hold its columns in the order of
             ``support[i]``, then its measured torque; shape (P, N).
         """
+        tau = motion.tau
         body = RigidBody(self.chain, motion, self.inertial)
+        for effect in self.effects:
+            if effect.observes:
+                motion = effect.observe(motion, body)
+                body = RigidBody(self.chain, motion, self.inertial)
         out = np.empty((self.offsets[-1], len(motion.t)))
         kept = np.array(self.base.kept)
         rigid = 10 * self.chain.size
@@ -111,7 +125,7 @@ class Problem:
             )
             for row, column in enumerate(columns[~inertial], start + count):
                 out[row] = effects[int(column), i]
-            out[start + len(support)] = motion.tau[:, i]
+            out[start + len(support)] = tau[:, i]
             for effect in self.effects:
                 if effect.reports and i in effect.joints:
                     part = out[start : start + len(support)]
@@ -123,7 +137,7 @@ class Problem:
     ) -> Iterator[tuple[tuple[int, int], Array]]:
         values = [effect.columns(motion, body) for effect in self.effects]
         for column, (e, g) in enumerate(self.columns, 10 * self.chain.size):
-            for at, joint in enumerate(self.effects[e].joints):
+            for at, joint in enumerate(self.effects[e].reaches(self.chain.size)):
                 yield (column, joint), values[e][:, at, g]
 
     def fitted(self, theta: Array) -> tuple[BaseParameters, tuple[Effect, ...]]:
@@ -135,8 +149,9 @@ class Problem:
         effects = list(self.effects)
         for unknown, e, g in self.gains:
             effect, name = effects[e], effects[e].gains[g].name
-            # What the columns of a reporting effect measure is the change still due.
-            before = effect.values[name] if effect.reports else 0.0
+            # Columns of an effect that changes signals measure the change still due.
+            changes = effect.reports or effect.observes
+            before = effect.values[name] if changes else 0.0
             effects[e] = effect.at({name: before + theta[unknown]})
         return self.base.with_values(theta), tuple(effects)
 
@@ -162,59 +177,7 @@ def build_problem(
             chain's own by default.
         without: Gains that stay as they are: index of the effect, name of the gain.
     """
-    labels, units = inertial_labels(chain.size)
-    columns = tuple(
-        (e, g)
-        for e, effect in enumerate(effects)
-        for g, gain in enumerate(effect.gains)
-        if (e, gain.name) not in without
-    )
-    for e, g in columns:
-        effect, gain = effects[e], effects[e].gains[g]
-        where = "+".join(chain.joints[j] for j in effect.joints)
-        where = "arm" if effect.scope == "arm" else where
-        labels += (f"{effect.id}.{gain.name}[{where}]",)
-        units += (gain.unit,)
-    stacked = _stacked(chain, effects, columns, rich_motion(chain))
-    base = base_parameters(stacked.reshape(-1, stacked.shape[2]), labels, units)
+    columns = effect_gains(effects, without)
+    base = stacked_base(chain, effects, columns)
     own = chain.inertial if inertial is None else inertial
     return Problem(chain, tuple(effects), base, own, columns)
-
-
-def _stacked(
-    chain: Chain,
-    effects: Sequence[Effect],
-    columns: Sequence[tuple[int, int]],
-    motion: Motion,
-) -> Array:
-    """All columns of all joints, shape (N, n, 10n + gains)."""
-    # A robot file without inertias must not hide effects that need a load.
-    inertial = np.where(np.any(chain.inertial), chain.inertial, 1.0)
-    body = RigidBody(chain, motion, inertial)
-    rigid = 10 * chain.size
-    stacked = np.zeros((len(motion.t), chain.size, rigid + len(columns)))
-    stacked[:, :, :rigid] = body.columns
-    values = [effect.columns(motion, body) for effect in effects]
-    for column, (e, g) in enumerate(columns, rigid):
-        stacked[:, list(effects[e].joints), column] = values[e][:, :, g]
-    return stacked
-
-
-def rich_motion(chain: Chain) -> Motion:
-    """A motion on which nothing stays hidden: six incommensurate tones a joint.
-
-    Only its structure counts, so it keeps to no limits and is always the same.
-    """
-    rng = np.random.default_rng(20080523)
-    n = chain.size
-    t = np.linspace(0.0, 20.0, _STRUCTURE_SAMPLES)
-    frequency = rng.uniform(0.3, 6.0, (6, 1, n))
-    phase = rng.uniform(0, 2 * np.pi, (6, 1, n))
-    size = rng.uniform(0.2, 0.6, (6, 1, n))
-    angle = frequency * t[:, None] + phase
-    q = (size * np.sin(angle)).sum(axis=0)
-    v = (size * frequency * np.cos(angle)).sum(axis=0)
-    a = -(size * frequency**2 * np.sin(angle)).sum(axis=0)
-    mask = np.ones(len(t), dtype=bool)
-    temperature = 25 + 10 * rng.random((len(t), n)).cumsum(axis=0) / len(t)
-    return Motion(t, q, v, a, np.zeros_like(q), mask, temperature, chain.joints)

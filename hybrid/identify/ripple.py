@@ -1,114 +1,113 @@
 """Torque that repeats with a joint's position: which orders a residual holds.
 
-Every whole number of periods a turn is tried, as gears, cogging and eccentric shafts all
-repeat with the joint or with a motor that is geared to it in whole numbers.
+Every whole number of periods a turn is tried, as gears, cogging and eccentric shafts
+all repeat with the joint or with a motor that is geared to it in whole numbers. A slow
+wave looks much like gravity: each order is judged with all other terms fitted anew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.effects import Effect
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.identify.cross_products import part
-from hybrid.identify.data import FOLDS, Data, Rest, helps
+from hybrid.identify.cross_products import moving_samples, part, sampled_chunks
+from hybrid.identify.data import Data, helps
+from hybrid.identify.partial_regression import PartialRegression
+from hybrid.identify.solution import Solution
 from hybrid.robot.chain import Array
 from hybrid.signals import Sampler
 
 _MOST_PERIODS = 400
 _MOST_RIPPLES = 4
 _WORTH = 0.02  # least relative fall of squares for a ripple to stay
+_FALSE_ALARMS = 0.01  # chance that one of all orders passes on a joint without ripple
+_BLOCK_SECONDS = 1.0  # apart for the scores of samples to be independent
 _BATCH = 50  # orders filtered at a time
 _MOST_SECONDS = 120.0  # of data to search; the gains are then found on all of it
 
 
-def find_ripples(data: Data, rest: Rest, joint: int) -> tuple[Effect, ...]:
-    """Ripples of one joint that lower its residual on every fold, strongest first.
+def find_ripples(data: Data, solution: Solution, joint: int) -> tuple[Effect, ...]:
+    """Ripples of one joint that lower its error on every fold, strongest first.
 
     Args:
         data: Motions with folds.
-        rest: What the physical terms leave on folds they were not fitted on.
+        solution: The physical terms so far.
         joint: The joint.
     """
-    pieces = _pieces(data, rest, joint)
-    left = np.concatenate([p[1] for p in pieces])
-    fold = np.concatenate([p[2] for p in pieces])
+    pieces = _pieces(data, solution, joint)
+    rows = np.concatenate([p.rows for p in pieces], axis=1)
+    terms = PartialRegression.of(solution, joint, rows)
+    fold = np.concatenate([p.fold for p in pieces])
+    block = np.concatenate([1000 * r + p.block for r, p in enumerate(pieces)])
     periods = np.arange(1, _MOST_PERIODS + 1)
-    waves = _waves(pieces, periods, data.cutoff)
+    waves = np.concatenate([_waves(p, periods, data.cutoff) for p in pieces], axis=2)
+    chance = _FALSE_ALARMS / _MOST_PERIODS
     found: list[Effect] = []
     while len(found) < _MOST_RIPPLES:
-        before, _ = _cross_validated(waves[:1, 2:], left, fold)
-        after, gains = _cross_validated(waves, left, fold)
+        before, after = terms.cross_validated(waves, fold)
         best = int(after.sum(axis=1).argmin())
-        if not helps(before[0], after[best], _WORTH):
+        wave = waves[best].astype(float)
+        if not (
+            helps(before, after[best], _WORTH) and terms.shows(wave, block, chance)
+        ):
             break
-        left = left - gains[best] @ waves[best]
-        shape = {"periods": float(periods[best])}
-        found.append(TorqueRipple((joint,), shape))
+        terms = terms.with_wave(wave)
+        found.append(TorqueRipple((joint,), {"periods": float(periods[best])}))
     return tuple(found)
 
 
-Piece = tuple[Array, Array, NDArray[np.intp], NDArray[np.bool_], float]
+@dataclass(frozen=True)
+class _Piece:
+    """Moving samples of a joint in one motion.
+
+    Attributes:
+        q: Position at full rate, shape (N,), [rad].
+        rate: Samples of it per second, [Hz].
+        use: Which decimated samples the following are.
+        rows: Columns of the joint, and what the solution leaves last, (d + 1, M).
+        fold: Fold of each sample, shape (M,).
+        block: Block in time of each sample, shape (M,).
+    """
+
+    q: Array
+    rate: float
+    use: NDArray[np.bool_]
+    rows: Array
+    fold: NDArray[np.intp]
+    block: NDArray[np.intp]
 
 
-def _pieces(data: Data, rest: Rest, joint: int) -> list[Piece]:
-    """Positions at full rate, residual and fold where the joint moves, and the rate."""
-    pieces: list[Piece] = []
-    left, fold = data.split(rest.tau[:, joint]), data.split(rest.fold)
-    moving = data.split(rest.moving[:, joint])
+def _pieces(data: Data, solution: Solution, joint: int) -> list[_Piece]:
+    problem = solution.problem
+    own = slice(problem.offsets[joint], problem.offsets[joint + 1])
+    theta = solution.estimate.theta[problem.support[joint]]
     share = _MOST_SECONDS / sum(m.t[-1] - m.t[0] for m in data.motions)
-    for motion, y, k, use in zip(data.motions, left, fold, moving, strict=True):
+    pieces = []
+    for motion, fold in zip(data.motions, data.folds, strict=True):
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
-        count = len(y) if share >= 1 else int(share * len(y))
-        q = part(motion, slice(0, count * sampler.factor)).q[:, joint]
-        count = -(-len(q) // sampler.factor)
-        use = use[:count]
-        pieces.append((q, y[:count][use], k[:count][use], use, motion.rate))
+        motion = part(motion, slice(0, int(min(1.0, share) * len(motion.t))))
+        chunks = sampled_chunks(lambda m: problem.rows(m)[own], motion, sampler)
+        rows = np.concatenate([D for _, D in chunks], axis=1)
+        rows[-1] -= theta @ rows[:-1]
+        use = moving_samples(motion, sampler, data.standing)[:, joint]
+        own_fold = fold[: len(motion.t) : sampler.factor][use]
+        t = motion.t[:: sampler.factor][use] - motion.t[0]
+        block = (t // _BLOCK_SECONDS).astype(int)
+        q = motion.q[:, joint]
+        pieces.append(_Piece(q, motion.rate, use, rows[:, use], own_fold, block))
     return pieces
 
 
-def _waves(pieces: Sequence[Piece], periods: NDArray[np.intp], cutoff: float) -> Array:
-    """Filtered sine and cosine of every order, and a constant, shape (K, 3, M).
-
-    What is left of the torque has lost the mean of a slow wave to the other terms; the
-    constant gives it back.
-    """
-    columns = []
-    for q, _, _, use, rate in pieces:
-        sampler = Sampler.for_rate(rate, cutoff)
-        rows = []
-        for start in range(0, len(periods), _BATCH):
-            angle = periods[start : start + _BATCH, None] * q
-            pair = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-            rows.append(sampler(pair, axis=2)[:, :, use].astype(np.float32))
-        pairs = np.concatenate(rows)
-        columns.append(np.pad(pairs, ((0, 0), (0, 1), (0, 0)), constant_values=1.0))
-    return np.concatenate(columns, axis=2)
-
-
-def _cross_validated(
-    waves: Array, left: Array, fold: NDArray[np.intp]
-) -> tuple[Array, Array]:
-    """Squares on each fold by gains from the others (K, F), and gains on all (K, d)."""
-    G, c, y = [], [], []
-    for k in range(FOLDS):
-        own = waves[:, :, fold == k].astype(float)
-        G.append(own @ own.transpose(0, 2, 1))
-        c.append(own @ left[fold == k])
-        y.append(left[fold == k] @ left[fold == k])
-    after = []
-    for k in range(FOLDS):
-        gains = _gains(sum(G) - G[k], sum(c) - c[k])
-        fit = np.einsum("ki,ki->k", gains, c[k])
-        power = np.einsum("ki,kij,kj->k", gains, G[k], gains)
-        after.append(y[k] - 2 * fit + power)
-    return np.stack(after, axis=1), _gains(sum(G), sum(c))
-
-
-def _gains(G: Array, c: Array) -> Array:
-    """Least-squares gains; a trace of ridge keeps columns that hardly differ apart."""
-    ridge = 1e-6 * np.trace(G, axis1=1, axis2=2)[:, None, None] + 1e-12
-    return np.asarray(np.linalg.solve(G + ridge * np.eye(G.shape[1]), c[:, :, None])[:, :, 0])
+def _waves(piece: _Piece, periods: NDArray[np.intp], cutoff: float) -> Array:
+    """Filtered sine and cosine of every order, shape (K, 2, M)."""
+    sampler = Sampler.for_rate(piece.rate, cutoff)
+    found = []
+    for start in range(0, len(periods), _BATCH):
+        angle = periods[start : start + _BATCH, None] * piece.q
+        pair = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+        found.append(sampler(pair, axis=2)[:, :, piece.use].astype(np.float32))
+    return np.concatenate(found)

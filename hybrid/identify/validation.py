@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from hybrid.errors import RecordingError
 from hybrid.identify.data import Data, predictions, prepare_motions
 from hybrid.identify.model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
+
 
 @dataclass(frozen=True)
 class ValidationRow:
@@ -159,7 +160,7 @@ def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
         high = motion.tau - Sampler(motion.rate, edge, 1)(motion.tau)
         density = high[motion.mask].var(axis=0) / (motion.rate / 2 - edge)
         power.append(density * cutoff)
-    return np.sqrt(np.mean(power, axis=0))
+    return np.asarray(np.sqrt(np.mean(power, axis=0)))
 
 
 def predict(model: DynamicModel, recording: Recording) -> Array:
@@ -169,10 +170,17 @@ def predict(model: DynamicModel, recording: Recording) -> Array:
 
     Args:
         model: The model.
-        recording: Log of the arm; its torque is not used.
+        recording: Log of the arm; it needs no torque.
 
     Raises:
-        RecordingError: The recording does not fit the arm.
+        RecordingError: The recording does not fit the arm, or has no torque while an
+            effect of the model looks at it.
     """
     (motion,), _ = prepare_motions(model.robot, [recording], model.cutoff)
-    return model.predict(motion)
+    tau = model.predict(motion)
+    if not np.isfinite(tau).all():
+        raise RecordingError(
+            f"{recording.source or 'recording'}: no torque, but the model has an "
+            "effect that depends on the torque measured"
+        )
+    return tau

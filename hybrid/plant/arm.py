@@ -25,7 +25,12 @@ INTEGRATORS = {
 # Dry friction holds a joint as a soft constraint; this is how nearly it is hard. A
 # joint stuck under a torque creeps at (1 − impedance)·step of its free acceleration.
 _IMPEDANCE = 0.9999
-_HOOKS = ("edit_spec", "deliver", "measure", "report")
+_HOOKS = (
+    "edit_spec", "command", "tune", "deliver", "follow", "resist", "push", "sense",
+    "measure", "report",
+)  # fmt: skip
+# Second joints behind a motor joint: its twist, and its lost motion.
+_BEHIND = ("deflection", "play")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +40,11 @@ class Arm:
     Attributes:
         model: MuJoCo model; its dofs are motor joints and deflections, in any order.
         motor: Dof of each motor joint, shape (n,).
-        elastic: Joints that deflect, shape (m,), as indices of the arm.
+        elastic: Joints that deflect, shape (m,), as indices of the arm; one that both
+            twists and has play occurs twice.
         deflection: Dof of each deflection, shape (m,).
         armature: Rotor inertia of each motor joint, shape (n,), [kg·m²].
+        tip: MuJoCo body of the last link.
     """
 
     model: Any
@@ -45,6 +52,7 @@ class Arm:
     elastic: Index
     deflection: Index
     armature: Array
+    tip: int
 
 
 def build_arm(
@@ -96,16 +104,20 @@ def build_arm(
 
 def _indexed(model: Any, joints: Sequence[str]) -> Arm:
     dof = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
-    twisted = [k for k, name in enumerate(joints) if f"{name}/deflection" in dof]
+    behind = [
+        (k, dof[f"{name}/{kind}"])
+        for k, name in enumerate(joints)
+        for kind in _BEHIND
+        if f"{name}/{kind}" in dof
+    ]
     motor = np.array([dof[name] for name in joints], dtype=np.intp)
     return Arm(
         model=model,
         motor=motor,
-        elastic=np.array(twisted, dtype=np.intp),
-        deflection=np.array(
-            [dof[f"{joints[k]}/deflection"] for k in twisted], dtype=np.intp
-        ),
+        elastic=np.array([k for k, _ in behind], dtype=np.intp),
+        deflection=np.array([d for _, d in behind], dtype=np.intp),
         armature=model.dof_armature[motor].copy(),
+        tip=model.body(joints[-1]).id,
     )
 
 
@@ -117,6 +129,11 @@ def overrides(effect: Effect, hook: str) -> bool:
 def has_hook(effect: Effect) -> bool:
     """Whether the effect's class says itself how a plant realises it."""
     return any(overrides(effect, hook) for hook in _HOOKS)
+
+
+def drives(effect: Effect) -> bool:
+    """Whether the drive delivers another torque than it believes to."""
+    return overrides(effect, "deliver") or overrides(effect, "follow")
 
 
 def check_simulable(effects: Sequence[Effect], size: int) -> None:

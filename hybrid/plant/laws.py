@@ -64,7 +64,7 @@ class Laws:
         for group in self._groups:
             key = (group.side == "link", group.joints)
             if key not in parts:
-                parts[key] = _part(link if key[0] else motor, group.where)
+                parts[key] = part(link if key[0] else motor, group.where)
             getattr(self, group.side)[:, group.where] += group.torque(parts[key])
 
 
@@ -106,7 +106,8 @@ def _group(effects: Sequence[JointEffect]) -> _Group:
     )
 
 
-def _part(state: JointState, where: slice | Index) -> JointState:
+def part(state: JointState, where: slice | Index | list[int]) -> JointState:
+    """State of some of the joints."""
     if isinstance(where, slice) and where == slice(0, state.q.shape[1]):
         return state
     return JointState(

@@ -10,8 +10,8 @@ import numpy as np
 
 from hybrid.effects import Effect, JointState
 from hybrid.errors import HybridError
-from hybrid.plant.arm import Arm, overrides
-from hybrid.plant.laws import Laws
+from hybrid.plant.arm import Arm, drives, overrides
+from hybrid.plant.laws import Laws, part
 from hybrid.robot.chain import Array
 
 # Nothing real turns this fast: the simulation has diverged.
@@ -32,13 +32,16 @@ class Lockstep:
         load: Torque transmitted to the links in the last step, shape (B, n), [N·m].
     """
 
-    def __init__(self, arm: Arm, effects: Sequence[Effect], start: Array) -> None:
+    def __init__(
+        self, arm: Arm, effects: Sequence[Effect], start: Array, *, time: float = 0.0
+    ) -> None:
         """Place every trajectory at rest.
 
         Args:
             arm: The arm.
             effects: Effects on it.
             start: Motor position of each trajectory, shape (B, n), [rad].
+            time: Time at the start, [s].
         """
         import mujoco
 
@@ -46,9 +49,16 @@ class Lockstep:
         self._arm = arm
         batch, n = start.shape
         self._laws = Laws(effects, batch, n)
-        self._drives = [e for e in effects if overrides(e, "deliver")]
+        self._drives = [e for e in effects if drives(e)]
+        self._resisting = [e for e in effects if overrides(e, "resist")]
+        self._pushing = [e for e in effects if overrides(e, "push")]
+        # What drives delivered, and effects with a past resisted with, a step ago.
+        self._before: list[Array | None] = [None] * len(self._drives)
+        self._resisted = [np.zeros((batch, len(e.joints))) for e in self._resisting]
         self._models = [copy.copy(arm.model) for _ in range(batch)]
         self._datas = [mujoco.MjData(model) for model in self._models]
+        for data in self._datas:
+            data.time = time
         self._declared = arm.model.dof_frictionloss.copy()
         self._views: dict[str, list[Array]] = {
             name: [getattr(data, name) for data in self._datas]
@@ -66,17 +76,20 @@ class Lockstep:
         self._read()
 
     def _balance(self, start: Array) -> None:
-        """Let elastic joints hang in equilibrium with gravity."""
+        """Let what is behind the motors hang in equilibrium with gravity."""
         import mujoco
 
         arm = self._arm
-        stiffness = arm.model.jnt_stiffness[arm.model.dof_jntid[arm.deflection]]
+        joint = arm.model.dof_jntid[arm.deflection]
+        stiffness, stop = arm.model.jnt_stiffness[joint], arm.model.jnt_range[joint, 1]
+        soft = stiffness > 0
         for model, data, q in zip(self._models, self._datas, start, strict=True):
             data.qpos[arm.motor] = q
             for _ in range(4 if len(arm.deflection) else 1):
                 mujoco.mj_forward(model, data)
                 bias = data.qfrc_bias[arm.deflection]
-                data.qpos[arm.deflection] = -bias / stiffness
+                twist = bias / np.where(soft, stiffness, 1.0)
+                data.qpos[arm.deflection] = -np.where(soft, twist, np.sign(bias) * stop)
 
     def step(self, torque: Array, substeps: int = 1) -> None:
         """Advance with a torque held.
@@ -88,8 +101,8 @@ class Lockstep:
         Raises:
             HybridError: The simulation diverges.
         """
-        delivered = self._delivered(torque)
         for _ in range(substeps):
+            delivered = self._delivered(torque)
             self._act(delivered)
             for model, data in zip(self._models, self._datas, strict=True):
                 self._advance(model, data)
@@ -99,20 +112,24 @@ class Lockstep:
     def _delivered(self, torque: Array) -> Array:
         if not self._drives:
             return torque
-        delivered = torque.copy()
-        for effect in self._drives:
+        delivered, step = torque.copy(), self._arm.model.opt.timestep
+        for k, effect in enumerate(self._drives):
+            before = self._before[k]
+            before = delivered if before is None else before  # it has settled
             for j in effect.joints:
-                delivered[:, j] = effect.deliver(delivered[:, j])
+                delivered[:, j] = effect.follow(delivered[:, j], before[:, j], step)
+            self._before[k] = delivered.copy()
         return delivered
 
     def _act(self, delivered: Array) -> None:
         """Write applied torque and friction levels into MuJoCo."""
         arm, laws, applied = self._arm, self._laws, self._applied
-        if not len(laws):
+        if not len(laws) and not self._resisting:
             applied[:, arm.motor] = delivered
         else:
             motor, link = self._states()
             laws.evaluate(motor, link)
+            self._resist(motor)
             applied[:, arm.motor] = delivered - laws.drive - laws.link
             applied[:, arm.deflection] = -laws.link[:, arm.elastic]
             # One direction's law may be negative; only the sum cannot be.
@@ -122,6 +139,26 @@ class Lockstep:
                 target[:] = row
         for force, row in zip(self._views["qfrc_applied"], applied, strict=True):
             force[:] = row
+        if self._pushing:
+            self._push()
+
+    def _resist(self, motor: JointState) -> None:
+        """Add the torque of effects with a past to that of the drives' laws."""
+        step = self._arm.model.opt.timestep
+        for k, effect in enumerate(self._resisting):
+            j = list(effect.joints)
+            self._resisted[k] = effect.resist(part(motor, j), self._resisted[k], step)
+            self._laws.drive[:, j] += self._resisted[k]
+
+    def _push(self) -> None:
+        """Let the surroundings push back on the last link."""
+        tip, time = self._arm.tip, self._datas[0].time
+        wrench = -np.sum([effect.push(time) for effect in self._pushing], axis=0)
+        for data in self._datas:
+            # MuJoCo wants the moment about the centre of mass.
+            lever = data.xpos[tip] - data.xipos[tip]
+            data.xfrc_applied[tip, :3] = wrench[:3]
+            data.xfrc_applied[tip, 3:] = wrench[3:] + np.cross(lever, wrench[:3])
 
     def _states(self) -> tuple[JointState, JointState]:
         """What the laws see, on the motor's and on the link's side."""
@@ -135,8 +172,9 @@ class Lockstep:
         if not len(elastic):
             return motor, motor
         q, v = self.q.copy(), self.v.copy()
-        q[:, elastic] += self._gather("qpos")[:, self._arm.deflection]
-        v[:, elastic] += self._gather("qvel")[:, self._arm.deflection]
+        for x, name in ((q, "qpos"), (v, "qvel")):
+            behind = self._gather(name)[:, self._arm.deflection]
+            np.add.at(x.T, elastic, behind.T)
         return motor, JointState(self._time, q, v, self.a, np.sign(v), self.load)
 
     def _read(self) -> None:
@@ -161,8 +199,9 @@ class Lockstep:
             + self._gather("qfrc_constraint")[:, motor]
             - arm.armature * self.a
         )  # fmt: skip
-        # Behind a spring the load is what the spring passes on.
-        self.load[:, arm.elastic] = passive[:, arm.deflection]
+        # Behind a spring or a play the load is what these pass on.
+        stops = self._gather("qfrc_constraint")[:, arm.deflection]
+        self.load[:, arm.elastic] = passive[:, arm.deflection] + stops
 
     def _gather(self, name: str) -> Any:
         return np.concatenate(self._views[name]).reshape(len(self._datas), -1)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hybrid.effects import Effect
 from hybrid.errors import HybridError, HybridWarning
-from hybrid.plant.arm import Arm, build_arm, overrides
+from hybrid.plant.arm import Arm, build_arm, drives, overrides
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.noise import Noise
 from hybrid.plant.reference import Reference
@@ -74,8 +74,12 @@ class Plant:
         if self.noise is None:
             set_(self, "noise", Noise.typical(self.robot))
         if self.servo is None:
+            lag = np.zeros(self.robot.size)
+            for effect in self.effects:
+                lag[list(effect.joints)] += effect.lag
             period = 1.0 / self.control_rate
-            set_(self, "servo", Servo.tuned(arm, self._nominal, period=period))
+            servo = Servo.tuned(arm, self._nominal, period=period, lag=lag)
+            set_(self, "servo", servo)
         n = self.robot.size
         if len(self._noise.torque_covariance) != n or len(self._servo.kp) != n:
             raise HybridError(f"noise and servo need {n} joints, as the robot has")
@@ -136,24 +140,54 @@ class Plant:
         samples = 1 + max(_samples(r, self.log_rate) for r in references)
         t = (np.arange((samples - 1) * every + 1 + before) - before) / self.control_rate
         plans = [servo.plan(reference, t) for reference in references]
-        q_ref, v_ref, feed = (np.stack(x, axis=1) for x in zip(*plans, strict=True))
-        state = Lockstep(self.arm, self.effects, q_ref[0])
+        command = np.stack([q for q, _, _ in plans], axis=1)
+        q_ref, v_ref, feed = (
+            np.stack([self._commanded(t, x) for x in signal], axis=1)
+            for signal in zip(*plans, strict=True)
+        )
+        kp, kd = self._gains()
+        state = Lockstep(self.arm, self.effects, q_ref[0], time=t[0])
         weight, lead = self._alignment(substeps)
         log = {x: np.empty((samples, *q_ref.shape[1:])) for x in ("q", "v", "tau")}
         torque, saturated = feed[0], np.zeros(self.robot.size)
         for k in range(len(t)):
-            wanted = feed[k] + servo.kp * (q_ref[k] - state.q)
-            wanted += servo.kd * (v_ref[k] - state.v)
+            q, v = self._sensed(state.q, state.v)
+            wanted = feed[k] + kp * (q_ref[k] - q) + kd * (v_ref[k] - v)
             previous, torque = torque, np.clip(wanted, -servo.limit, servo.limit)
             saturated += (torque != wanted).sum(axis=0)
             sample, rest = divmod(k - before, every)
             if sample >= 0 and rest == 0:
-                log["q"][sample] = state.q
-                log["v"][sample] = state.v + lead * state.a
+                log["q"][sample], log["v"][sample] = self._sensed(
+                    state.q, state.v + lead * state.a
+                )
                 log["tau"][sample] = weight * previous + (1 - weight) * torque
             state.step(torque, substeps)
         self._warn_of_saturation(saturated / (len(t) * len(references)))
-        return t[before::every], log | {"command": q_ref[before::every]}
+        return t[before::every], log | {"command": command[before::every]}
+
+    def _commanded(self, t: Array, signal: Array) -> Array:
+        """A commanded signal, shape (M, n), as the controller gets to see it."""
+        for effect in self.effects:
+            if overrides(effect, "command"):
+                signal, j = signal.copy(), list(effect.joints)
+                signal[:, j] = effect.command(t, signal[:, j])
+        return signal
+
+    def _gains(self) -> tuple[Array, Array]:
+        """Stiffness and damping of the servo as they really are, shape (n,)."""
+        kp, kd = self._servo.kp.copy(), self._servo.kd.copy()
+        for effect in self.effects:
+            j = list(effect.joints)
+            kp[j], kd[j] = effect.tune(kp[j], kd[j])
+        return kp, kd
+
+    def _sensed(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """What the encoders show to controller and log, shape (B, n)."""
+        for effect in self.effects:
+            if overrides(effect, "sense"):
+                q, v, j = q.copy(), v.copy(), list(effect.joints)
+                q[:, j], v[:, j] = effect.sense(q[:, j], v[:, j])
+        return q, v
 
     def _alignment(self, substeps: int) -> tuple[float, float]:
         """How to bring the logged torque and speed to the instant of the position.
@@ -185,7 +219,7 @@ class Plant:
         for effect in self.effects:
             # A drive that delivers other than it believes logs what it believes: its
             # `report`, which a fit uses, has happened already.
-            if overrides(effect, "measure") or not overrides(effect, "deliver"):
+            if overrides(effect, "measure") or not drives(effect):
                 log = effect.measure(t, log)
         log = self._noise.apply(log, rate=self.log_rate, rng=rng)
         return Recording(

@@ -14,6 +14,7 @@ from hybrid.robot.robot import Robot
 DEFAULT_POSITION = np.pi
 DEFAULT_SPEED = 2.0
 DEFAULT_ACCELERATION = 10.0
+_SAMPLES_A_PERIOD = 4  # of the highest harmonic, at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +111,12 @@ def random_fourier(
     _check(duration=duration, rate=rate, order=order, fill=fill)
     lowest = max(0.1, 1.0 / duration) if fundamental is None else fundamental
     periods = max(1, round(duration * lowest))
+    fewest = _SAMPLES_A_PERIOD * order * periods
+    if duration * rate < fewest:
+        raise HybridError(
+            f"{duration:g} s at {rate:g} Hz is too short for {order} harmonics; valid "
+            f"are {fewest} samples or more"
+        )
     omega = 2 * np.pi * periods / duration * np.arange(1.0, order + 1)  # (order,)
     t = np.linspace(0.0, duration, round(duration * rate) + 1)
     sine, cosine = _coefficients(omega, robot.size, rng)
@@ -161,8 +168,8 @@ def _coefficients(
 def _check(*, duration: float, rate: float, order: int, fill: float) -> None:
     if not (np.isfinite(duration) and duration > 0):
         raise HybridError(f"duration is {duration:g} s, above 0 is valid")
-    if not (np.isfinite(rate) and rate * duration >= 10):
-        raise HybridError(f"rate is {rate:g} Hz, at least 10 samples are needed")
+    if not (np.isfinite(rate) and rate > 0):
+        raise HybridError(f"rate is {rate:g} Hz, above 0 is valid")
     if order < 3:
         raise HybridError(f"order is {order}, 3 harmonics or more are valid")
     if not 0 < fill <= 1:

@@ -55,6 +55,7 @@ class Servo:
         robot: Robot,
         *,
         period: float,
+        lag: Array | float = 0.0,
         frequency: float = 8.0,
         damping: float = 1.0,
     ) -> Servo:
@@ -67,16 +68,21 @@ class Servo:
             arm: The arm to control.
             robot: The arm that the controller believes in.
             period: Time between control samples, [s].
+            lag: Time constant of the drives, shape (n,), [s].
             frequency: Natural frequency, [Hz].
             damping: Damping ratio.
         """
-        asked = 2 * np.pi * frequency
+        # Behind a lag T any inertia swings up unless kd > T·kp; half of that is used.
+        quickest = damping / np.maximum(lag, 1e-9)
+        asked = np.minimum(2 * np.pi * frequency, quickest)
         whole, alone = _inertia(arm)
         stable = _LARGEST_STEP * alone / (2 * damping * period)  # omega · inertia
         inertia = np.minimum(whole, stable / asked)
         stiff = _FRICTION / _DROOP * rated_torque(robot)
         omega = np.maximum(asked, np.sqrt(stiff / inertia))
-        omega = np.minimum(omega, stable / inertia)
+        omega = np.minimum(np.minimum(omega, stable / inertia), quickest)
+        # A servo that must be slow for the lag is stiff enough all the same.
+        inertia = np.minimum(np.maximum(inertia, stiff / omega**2), stable / omega)
         return cls(
             kp=omega**2 * inertia,
             kd=2 * damping * omega * inertia,

@@ -37,8 +37,8 @@ def check_recording(recording: Recording, robot: Robot) -> Recording:
 
     Raises:
         RecordingError: Joints do not match or are in another order; positions look
-            like degrees; nothing moves; a torque is constant; the log is too short or
-            has a long gap.
+            like degrees; nothing moves; a measured torque is constant; the log is too
+            short or has a long gap.
 
     Warns:
         HybridWarning: Positions are outside the limits, torques far above the rating;
@@ -49,7 +49,8 @@ def check_recording(recording: Recording, robot: Robot) -> Recording:
     _check_length(recording)
     check_positions(recording, robot)
     _check_motion(recording)
-    _check_torque(recording, robot)
+    if recording.has_torque:
+        _check_torque(recording, robot)
     _check_frozen(recording)
     return resample(recording)
 
@@ -123,7 +124,7 @@ def _check_torque(recording: Recording, robot: Robot) -> None:
 def _check_frozen(recording: Recording) -> None:
     samples = len(recording.t)
     both = np.hstack([recording.q, recording.tau])
-    moved = np.any(np.diff(both, axis=0) != 0, axis=1)
+    moved = np.any(np.diff(both, axis=0) != 0, axis=1)  # NaN differs from itself
     length, row = longest_run(np.concatenate([[0], np.cumsum(moved)]))
     if length > 10:
         _warn(

@@ -61,7 +61,11 @@ class _Column:
 
 
 def match_columns(
-    labels: Sequence[str], *, joints: tuple[str, ...] | None, source: str
+    labels: Sequence[str],
+    *,
+    joints: tuple[str, ...] | None,
+    source: str,
+    torque: bool = True,
 ) -> Layout:
     """Find time and the joint channels among the labels of a table.
 
@@ -74,6 +78,7 @@ def match_columns(
         labels: Column labels.
         joints: Joint names of the robot, base to tip; None if not known.
         source: File name for messages.
+        torque: Whether torques must be there.
 
     Raises:
         RecordingError: Time, positions or torques are missing, a label is repeated, a
@@ -92,7 +97,7 @@ def match_columns(
             f"{', '.join(TIME)}, in seconds"
         )
     columns = _joint_columns(words)
-    for channel in ("q", "tau"):
+    for channel in ("q", "tau") if torque else ("q",):
         if not any(column.channel == channel for column in columns):
             word = "positions" if channel == "q" else "torques"
             raise RecordingError(

@@ -27,13 +27,16 @@ class _Dialect:
     decimal_point: str
 
 
-def read_csv(path: Path, *, joints: tuple[str, ...] | None = None) -> Recording:
+def read_csv(
+    path: Path, *, joints: tuple[str, ...] | None = None, torque: bool = True
+) -> Recording:
     """Read a log with one line of column names and one line for each sample.
 
     Args:
         path: File; comma, semicolon or tab between cells, decimal point or, between
             semicolons or tabs, decimal comma.
         joints: Joint names of the robot, base to tip; None if not known.
+        torque: Refuse a log without torques.
 
     Raises:
         RecordingError: The file is empty, not UTF-8, has a ragged row or a cell that
@@ -44,7 +47,7 @@ def read_csv(path: Path, *, joints: tuple[str, ...] | None = None) -> Recording:
     """
     source = str(path)
     dialect = _dialect_of(path)
-    layout = match_columns(dialect.labels, joints=joints, source=source)
+    layout = match_columns(dialect.labels, joints=joints, source=source, torque=torque)
     columns = _read_columns(path, dialect, layout.used)
     return recording_from_layout(layout, columns.__getitem__, source=source)
 

@@ -18,12 +18,15 @@ from hybrid.recording.table import recording_from_layout
 _DAMAGE = (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error)
 
 
-def read_npz(path: Path, *, joints: tuple[str, ...] | None = None) -> Recording:
+def read_npz(
+    path: Path, *, joints: tuple[str, ...] | None = None, torque: bool = True
+) -> Recording:
     """Read ``t``, ``q``, ``tau``, ... as arrays, or a column for each joint.
 
     Args:
         path: File; ``q`` and the like have shape (N, n), ``joints`` holds n names.
         joints: Joint names of the robot, base to tip; None if not known.
+        torque: Refuse a log without torques.
 
     Raises:
         RecordingError: The file is damaged, or its arrays are not a valid recording.
@@ -44,7 +47,7 @@ def read_npz(path: Path, *, joints: tuple[str, ...] | None = None) -> Recording:
         else:
             columns |= _split(label, values, found, source)
     labels = list(columns)
-    layout = match_columns(labels, joints=joints or found, source=source)
+    layout = match_columns(labels, joints=joints or found, source=source, torque=torque)
 
     def column(index: int) -> NDArray[np.float64]:
         values = columns[labels[index]]

@@ -13,12 +13,15 @@ from hybrid.recording.recording import Recording
 from hybrid.recording.table import labels_of, recording_from_layout
 
 
-def read_parquet(path: Path, *, joints: tuple[str, ...] | None = None) -> Recording:
+def read_parquet(
+    path: Path, *, joints: tuple[str, ...] | None = None, torque: bool = True
+) -> Recording:
     """Read a log with a column for each channel of each joint.
 
     Args:
         path: File.
         joints: Joint names of the robot, base to tip; None if not known.
+        torque: Refuse a log without torques.
 
     Raises:
         RecordingError: The file is damaged or empty, or a column is not of numbers.
@@ -33,7 +36,7 @@ def read_parquet(path: Path, *, joints: tuple[str, ...] | None = None) -> Record
     try:
         with parquet.ParquetFile(path) as file:
             labels = file.schema_arrow.names
-            layout = match_columns(labels, joints=joints, source=source)
+            layout = match_columns(labels, joints=joints, source=source, torque=torque)
             table = file.read(columns=[labels[k] for k in layout.used])
     except (pa.ArrowException, OSError) as error:
         reason = str(error).splitlines()[0]

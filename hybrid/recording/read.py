@@ -20,13 +20,16 @@ READERS = {
 }
 
 
-def read(path: str | Path, *, joints: tuple[str, ...] | None = None) -> Recording:
+def read(
+    path: str | Path, *, joints: tuple[str, ...] | None = None, torque: bool = True
+) -> Recording:
     """Read one recording.
 
     Args:
         path: ``.csv``, ``.tsv``, ``.parquet`` or ``.npz`` file.
         joints: Joint names of the robot, base to tip: columns by name are put in this
             order, columns by number get these names. None keeps the file's.
+        torque: Refuse a log without torques.
 
     Raises:
         RecordingError: The file is missing, of an unknown kind, or not a valid log.
@@ -41,7 +44,7 @@ def read(path: str | Path, *, joints: tuple[str, ...] | None = None) -> Recordin
         )
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
-    return READERS[path.suffix.lower()](path, joints=joints)
+    return READERS[path.suffix.lower()](path, joints=joints, torque=torque)
 
 
 def read_all(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,8 @@ class Recording:
     Attributes:
         t: Time, strictly increasing, shape (N,), [s].
         q: Joint position, shape (N, n), [rad or m].
-        tau: Drive torque at the joint, shape (N, n), [N·m or N].
+        tau: Drive torque at the joint, shape (N, n), [N·m or N]; NaN throughout if it
+            was not measured.
         v: Measured joint speed, shape (N, n), [rad/s], or None.
         command: Commanded joint position, shape (N, n), [rad], or None.
         temperature: Drive temperature, shape (N, n), [°C], or None.
@@ -35,7 +36,7 @@ class Recording:
 
     t: Array
     q: Array
-    tau: Array
+    tau: Array = field(default_factory=lambda: np.zeros(0))
     v: Array | None = None
     command: Array | None = None
     temperature: Array | None = None
@@ -49,11 +50,18 @@ class Recording:
                 set_field(self, name, self._array(name, getattr(self, name)))
         if self.q.ndim != 2 or self.q.shape[1] == 0:
             raise self._error(f"q has shape {self.q.shape}; valid is (N, n), n ≥ 1")
+        if not self.has_torque:
+            set_field(self, "tau", np.full_like(self.q, np.nan))
         names = tuple(str(joint) for joint in self.joints)
         set_field(self, "joints", names or numbered_joints(self.q.shape[1]))
         self._check_shapes()
         self._check_samples()
         self._check_clock()
+
+    @property
+    def has_torque(self) -> bool:
+        """Whether torque was measured."""
+        return not np.isnan(self.tau).all()
 
     @property
     def size(self) -> int:
@@ -74,6 +82,8 @@ class Recording:
     def channels(self) -> dict[str, Array]:
         """The joint channels that are present, by name, each of shape (N, n)."""
         values = {name: getattr(self, name) for name in CHANNELS}
+        if not self.has_torque:
+            del values["tau"]
         return {name: value for name, value in values.items() if value is not None}
 
     def __eq__(self, other: object) -> bool:

@@ -11,6 +11,8 @@ from hybrid.report.page import Section, render_page, write_page
 from hybrid.report.provenance import provenance
 from hybrid.report.table import (
     Table,
+    markdown_table,
+    numbers_table,
     table_from_validation,
     validation_markdown,
     validation_table,
@@ -21,6 +23,8 @@ __all__ = [
     "Table",
     "figure_bytes",
     "friction_figure",
+    "markdown_table",
+    "numbers_table",
     "parameter_figure",
     "provenance",
     "render_page",

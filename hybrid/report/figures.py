@@ -61,8 +61,7 @@ def rms_figure(validation: Validation) -> Figure:
         clean(axes, grid="y")
         bars = []
         for k, (row, height) in enumerate(zip(validation.rows, values, strict=True)):
-            # Counted from the end: the last stage is always the darkest.
-            ink = STAGES[(k - len(rms)) % len(STAGES)]
+            ink = STAGES.get(row.name, BEST)
             left = x - 0.42 + k * width
             bars.append(
                 axes.bar(
@@ -132,11 +131,11 @@ def friction_figure(
     curves: Sequence[tuple[Array, Array]],
     joints: Sequence[str],
 ) -> Figure:
-    """Torque the rigid body leaves, against speed, and the law fitted to it.
+    """Torque that other terms leave, against speed, and the law fitted to it.
 
     Args:
         v: Joint speed, shape (N, n), in [rad/s].
-        residual: Measured torque less the rigid body's, shape (N, n), in [N·m].
+        residual: Measured torque less all terms but the law, shape (N, n), in [N·m].
         curves: Per joint the fitted law: speed, shape (m,), in [rad/s], and torque,
             shape (m,), in [N·m]. NaN breaks the line.
         joints: Joint names, n of them.
@@ -160,7 +159,7 @@ def friction_figure(
         axes.plot(
             v[::step, j], residual[::step, j], ".", color=GREY, markersize=2.5,
             alpha=0.5, markeredgewidth=0, rasterized=True,
-            label="measured − rigid body",
+            label="measured − other terms",
         )  # fmt: skip
         axes.plot(speed, torque, color=BLUE, linewidth=1.6, label="fitted law")
         axes.set_title(joints[j], loc="left", fontsize=9, fontweight="bold")

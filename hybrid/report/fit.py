@@ -37,6 +37,7 @@ def effects_table(fit: Fit) -> Table:
         header=("joint", "effect", "found"),
         rows=tuple(rows),
         caption="Effects found (± is half the 95 % interval)",
+        words=True,
     )
 
 
@@ -55,6 +56,7 @@ def content_from_fit(fit: Fit) -> dict[str, Any]:
         ],
         "left_out": fit.left_out,
         "unidentifiable": fit.unidentifiable,
+        "warnings": fit.warnings,
         "converged": fit.converged,
         "rounds": fit.rounds,
         "condition": fit.condition,

@@ -22,8 +22,15 @@ PALE = "#bdbdbd"
 BLUE = "#0072b2"
 RED = "#d55e00"
 
-# From light to dark as the model grows: greys for the rigid body alone, then blues.
-STAGES = ("#d9d9d9", "#b8b8b8", "#8c8c8c", "#4a97c9", "#08519c")
+# Greys for the rigid body with plain friction, then blues, darker as the model grows.
+STAGES = {
+    "LS": "#d9d9d9",
+    "WLS": "#b8b8b8",
+    "IRLS": "#8c8c8c",
+    "+ friction": "#9ecae1",
+    "+ ripple": "#4a97c9",
+    "+ remainder": "#08519c",
+}
 # On top of a broad grey line; the last prediction, the best one, is dark blue.
 BEST = "#08519c"
 OTHERS = ("#e69f00", "#56b4e9")

@@ -19,17 +19,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Table:
-    """A table as text; the first column holds names, the others numbers.
+    """A table as text; the first column holds names, the others usually numbers.
 
     Attributes:
         header: Column titles.
         rows: Cells, as many per row as there are titles.
         caption: What the numbers are, with unit.
+        words: Whether cells hold words, to be set to the left and wrapped.
     """
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     caption: str = ""
+    words: bool = False
 
 
 def table_from_validation(validation: Validation) -> Table:
@@ -121,7 +123,11 @@ def validation_markdown(validation: Validation) -> str:
     Args:
         validation: Errors of every stage on motions that no fit has seen.
     """
-    table = table_from_validation(validation)
+    return markdown_table(table_from_validation(validation))
+
+
+def markdown_table(table: Table) -> str:
+    """A table as Markdown, the first column to the left; the caption is left out."""
     rule = ["---", *["---:"] * (len(table.header) - 1)]
     lines = [table.header, rule, *table.rows]
     rows = [

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.errors import RobotError
+
 Array = NDArray[np.float64]
 
 INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -31,6 +33,10 @@ class Chain:
             ``INERTIAL_NAMES`` (m, m·c, I), shape (n, 10).
         gravity: Acceleration of gravity in the base frame, shape (3,), [m/s²].
         armature: Declared reflected rotor inertia, shape (n,), [kg·m²].
+
+    Raises:
+        RobotError: There is no joint, two have one name, or an array has another shape
+            or holds NaN or infinity.
     """
 
     joints: tuple[str, ...]
@@ -41,6 +47,25 @@ class Chain:
     inertial: Array
     gravity: Array
     armature: Array
+
+    def __post_init__(self) -> None:
+        n = self.size
+        if not 0 < n == len(set(self.joints)):
+            raise RobotError(
+                f"joints are {', '.join(self.joints)}: one or more "
+                "different names are valid"
+            )
+        shapes = {
+            "rotation": (n, 3, 3), "translation": (n, 3), "axis": (n, 3),
+            "revolute": (n,), "inertial": (n, 10), "gravity": (3,), "armature": (n,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            x = getattr(self, name)
+            if x.shape != shape or not np.isfinite(x).all():
+                raise RobotError(
+                    f"{name} has shape {x.shape}; valid are finite numbers of shape "
+                    f"{shape}"
+                )
 
     @property
     def size(self) -> int:

@@ -54,7 +54,8 @@ class Robot:
         if self.a_max.size == 0:
             object.__setattr__(self, "a_max", np.full(self.chain.size, np.inf))
         for name in _VECTORS:
-            if getattr(self, name).shape != (self.chain.size,):
+            x = getattr(self, name)
+            if x.shape != (self.chain.size,) or np.isnan(x).any():
                 raise RobotError(f"{name} needs one value for each of {self.joints}")
 
     @classmethod
@@ -157,13 +158,13 @@ class Robot:
                 for name in _VECTORS
             }
             return cls(
-                name=content["name"],
-                path=content["path"],
+                name=str(content["name"]),
+                path=str(content["path"]),
                 chain=Chain(joints=tuple(chain["joints"]), **arrays),
                 **limits,
             )
-        except (KeyError, TypeError, ValueError) as error:
-            raise RobotError(f"not a saved robot: {error}") from error
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise RobotError(f"not a saved robot: {error!r}") from error
 
     def fingerprint(self) -> str:
         """Short hash of kinematics and joint order, to tell one arm from another."""

@@ -1,0 +1,93 @@
+"""Kinematic calibration of a MOTOMAN MH6: genetic and tabu search, and least squares.
+
+Tables appear: the 24 recovered errors beside the true and the published ones (its
+Table 3), the pose error on 20 poses left out with evaluations and time, and how near
+least squares comes to the Cramér-Rao bound with noise of 0.05 mm and mrad, and with 5 %
+of the poses wrong by 100 times as much. A figure shows the way down. The objective of
+the search, which the publication leaves open, is the mean over 50 poses of place error
+plus 1 m times orientation error. So is the tabu search's first radius: of 1.5, 3, 5 and
+10 % of the range, tried on other poses and seeds, 3 % was taken; 10 % stands beside it.
+
+    python experiments/kinematic_calibration.py --seeds 5
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+import numpy as np
+from kinematic_calibration_report import write_report
+from mh6 import LABELS, MODEL, TRUE, UNITS, UPPER, measure, pose_errors, random_poses
+
+from hybrid.calibrate import Measurements
+from hybrid.calibrate.solve import solve
+from hybrid.robot.chain import Array
+from hybrid.search import minimise
+from hybrid.search.ranked_genetic import RankedGenetic
+from hybrid.search.tabu import Tabu
+
+GENERATIONS, STEPS = 300, 2500
+NOISE = 5e-5  # m and rad
+RADII = (0.03, 0.1)  # of the range
+POSES, FIRST = 1, 100  # seeds that no setting was tried on
+
+
+def searched(data: Measurements, seed: int) -> dict[str, Any]:
+    """The published search: genetic, then tabu from its best."""
+    rng = np.random.default_rng(seed)
+
+    def objective(x: Array) -> Array:
+        place, turn = pose_errors(x, data)
+        return np.asarray((place + turn).mean(axis=1))
+
+    began = time.perf_counter()
+    genetic = RankedGenetic(-UPPER, UPPER, rng=rng, generations=GENERATIONS)
+    first = minimise(genetic, objective, GENERATIONS)
+    middle, run = time.perf_counter(), {"genetic": genetic.best.point}
+    for radius in RADII:
+        start = time.perf_counter()
+        tabu = Tabu(-UPPER, UPPER, rng=rng, start=genetic.best.point, radius=radius)
+        second = minimise(tabu, objective, STEPS + 1)
+        run[f"tabu {radius:.0%}"] = {
+            "x": tabu.best.point,
+            "history": np.concatenate([first, second]),
+            "evaluations": 40 * GENERATIONS + 1 + 20 * STEPS,
+            "seconds": middle - began + time.perf_counter() - start,
+        }
+    return run
+
+
+def efficiency(q: Array, outliers: float, seeds: int) -> dict[str, float]:
+    """Root-mean-square error over the Cramér-Rao bound, and coverage of intervals."""
+    jacobian = [b.jacobian for b in MODEL.blocks(measure(q, 0, 0, 0), LABELS, TRUE)]
+    J = np.concatenate(jacobian).reshape(-1, len(LABELS)) / NOISE
+    bound = np.diagonal(np.linalg.inv(J.T @ J))
+    error, inside = [], []
+    for seed in range(seeds):
+        solution = solve(MODEL, measure(q, NOISE, outliers, seed), LABELS, UNITS)
+        error.append(solution.x - TRUE)
+        inside.append(np.abs(error[-1]) < 1.96 * solution.std)
+    ratio = np.sqrt((np.array(error) ** 2).mean(axis=0) / bound)
+    pooled, worst = np.sqrt((ratio**2).mean()), ratio.max()
+    return {"pooled": pooled, "worst": worst, "coverage": float(np.mean(inside))}
+
+
+def main() -> None:
+    """Search, solve, compare, print and write."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--seeds", type=int, default=5)
+    seeds = parser.parse_args().seeds
+    q = random_poses(70, np.random.default_rng(POSES))
+    fit, test = measure(q[:50], 0, 0, 0), measure(q[50:], 0, 0, 0)
+    runs = [searched(fit, seed) for seed in range(FIRST, FIRST + seeds)]
+    began = time.perf_counter()
+    ours = solve(MODEL, fit, LABELS, UNITS)
+    exact = ours, time.perf_counter() - began
+    bounds = {share: efficiency(q[:50], share, 100) for share in (0.0, 0.05)}
+    write_report(runs, exact, test, bounds, f"--seeds {seeds}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""The real arms of ``real_arms.py``, how their logs are split, and a split's score."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hybrid import Fit, Motion
+from hybrid.effects import Effect
+from hybrid.effects.transmission_coupling import TransmissionCoupling
+from hybrid.identify import Validation
+from hybrid.robot.chain import Array
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm's logs and how they are split.
+
+    Attributes:
+        name: Its type.
+        folder: Where its robot file and logs are.
+        cutoff: Cut-off of columns and torque, [Hz].
+        standing: Speed above which a sample is scored, [rad/s].
+        block: Length of the blocks, every third of which is held out, [s]; 0 fits on
+            the first log and scores on the second.
+        baseline: RMS of plain least squares, measured independently, [N·m].
+        effects: Terms beyond the usual ones.
+    """
+
+    name: str
+    folder: str
+    cutoff: float
+    standing: float
+    block: float
+    baseline: tuple[float, ...]
+    effects: tuple[Effect, ...] = ()
+
+    def splits(self, motions: list[Motion]) -> Iterator[tuple[str, Motion, Motion]]:
+        """What is held out, in words, and the motions to fit and to score on."""
+        if not self.block:
+            yield Path(motions[1].source).stem, motions[0], motions[1]
+            return
+        (motion,) = motions
+        block = ((motion.t - motion.t[0]) // self.block).astype(int)
+        for phase in range(3):
+            out = block % 3 == phase
+            fitting = replace(motion, mask=motion.mask & ~out)
+            scoring = replace(motion, mask=motion.mask & out)
+            yield f"blocks {phase}, {phase + 3}, …", fitting, scoring
+
+
+ARMS = (
+    Arm("UR10", "ur10_salerno", 10, 0.02, 1.0, (2.90, 2.61, 1.93, 0.53, 0.33, 0.66)),
+    Arm("TX40", "tx40_figaroh", 50, 0.05, 0.5, (1.77, 1.75, 1.51, 0.63, 1.19, 0.64),
+        (TransmissionCoupling((4, 5)),)),
+    Arm("KR300", "kr300_kaiserslautern", 8, 0.02, 0.0, (475, 273, 429, 50, 35, 20)),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Score:
+    """One split of one arm: what was fitted, and its errors on what was held out."""
+
+    arm: Arm
+    held_out: str
+    fit: Fit
+    validation: Validation
+    warnings: tuple[str, ...]
+
+    @property
+    def ratio(self) -> Array:
+        """RMS of the last stage over that of plain least squares, shape (n,)."""
+        rows = self.validation.rows
+        return np.asarray(rows[-1].rms / rows[0].rms)
+
+    def said(self) -> str:
+        """What the identification says of itself."""
+        unknowns, few = len(self.fit.names), len(self.fit.unidentifiable)
+        found = f"condition {self.fit.condition:.0f}, {few} of {unknowns} unknowns open"
+        found = (
+            f"{self.arm.name}, {self.held_out} held out: {found} or not told from zero"
+        )
+        return "; ".join((found, *self.warnings))
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready content."""
+        sources = [Path(path).name for path in self.validation.sources]
+        return {
+            "arm": self.arm.name,
+            "held_out": self.held_out,
+            "independent_baseline": self.arm.baseline,
+            "validation": self.validation.as_dict() | {"sources": sources},
+            "condition": self.fit.condition,
+            "unidentifiable": self.fit.unidentifiable,
+            "warnings": self.warnings,
+        }

@@ -1,0 +1,62 @@
+"""Tables and figure of ``real_arms.py``; it prints nothing by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from real_arms_data import Score
+
+from hybrid.report import Table
+from hybrid.report.style import BLACK, BLUE, GREY, clean, new_figure
+from hybrid.robot.chain import Array
+
+
+def arm_table(scores: Sequence[Score]) -> Table:
+    """Errors on every split of one arm, beside both baselines."""
+    baseline = np.array(scores[0].arm.baseline)
+    independent = float(baseline.mean())
+    decimals = 1 if independent > 50 else 2
+    rows = [_row("plain LS, independent", baseline, ("", "", ""), decimals)]
+    for score in scores:
+        plain, *_, last = score.validation.rows
+        against = (
+            f"{100 * (last.mean / plain.mean - 1):+.1f} %",
+            f"{100 * (score.ratio.max() - 1):+.1f} %",
+            f"{100 * (last.mean / independent - 1):+.1f} %",
+        )
+        rows.append(
+            _row(f"plain LS, {score.held_out}", plain.rms, ("", "", ""), decimals)
+        )
+        rows.append(_row(f"all stages, {score.held_out}", last.rms, against, decimals))
+    numbers = tuple(f"{k + 1}" for k in range(len(baseline)))
+    header = ("joint", *numbers, "mean", "vs plain LS", "worst joint", "vs independent")
+    return Table(
+        header, tuple(rows), f"{scores[0].arm.name}: held-out RMS torque error, N·m"
+    )
+
+
+def ratio_figure(scores: Sequence[Score]) -> Figure:
+    """Error of all stages over that of plain least squares, joint by joint."""
+    arms = list(dict.fromkeys(score.arm.name for score in scores))
+    figure = new_figure(height=2.6)
+    for axes, arm in zip(figure.subplots(1, len(arms), sharey=True), arms, strict=True):
+        ratio = np.array([score.ratio for score in scores if score.arm.name == arm])
+        x = np.arange(1, ratio.shape[1] + 1)
+        clean(axes, grid="y")
+        axes.bar(x, np.median(ratio, axis=0), 0.7, color=BLUE, alpha=0.35)
+        axes.plot(x, ratio.T, "o", color=BLUE, markersize=4)
+        axes.axhline(1.0, color=BLACK, linewidth=0.8)
+        axes.set_title(arm, loc="left", fontsize=9, fontweight="bold", color=GREY)
+        axes.set_xlabel("joint")
+        axes.set_xticks(x)
+    figure.axes[0].set_ylabel("RMS error, all stages / plain LS")
+    return figure
+
+
+def _row(
+    name: str, rms: Array, against: tuple[str, ...], decimals: int
+) -> tuple[str, ...]:
+    numbers = [f"{x:.{decimals}f}" for x in (*rms, rms.mean())]
+    return (name, *numbers, *(x.replace("-", "−") for x in against))

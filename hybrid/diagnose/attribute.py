@@ -1,0 +1,279 @@
+"""Which effects explain the gap: forward-backward selection by evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+
+from hybrid.diagnose.background import background
+from hybrid.diagnose.candidates import Candidate, candidate, candidates, scale_of
+from hybrid.diagnose.evidence import Evidence, Index
+from hybrid.diagnose.gap import Columns, Gap
+from hybrid.diagnose.ripples import ripple_orders
+from hybrid.effects import Effect
+from hybrid.effects.torque_ripple import TorqueRipple
+from hybrid.robot.chain import Array
+
+_WORTH = 12.0  # nats that a term must add
+_RIPPLES = 3  # orders tried at each joint at a time
+_SHORTLIST = 4
+_MOST_TERMS = 40
+_EXACT_PASSES = 4
+# Sizes of the background that are tried: one standard deviation, relative.
+_OFF = (0.003, 0.01, 0.03)
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect in the model of the gap.
+
+    Attributes:
+        candidate: The effect, with its shapes fitted.
+        index: Its columns in the evidence.
+    """
+
+    candidate: Candidate
+    index: Index
+
+    @property
+    def place(self) -> tuple[str, tuple[int, ...]]:
+        """Which effect, and where."""
+        return self.candidate.place
+
+
+class Search:
+    """The terms found so far, and everything that might be added.
+
+    Args:
+        gap: The gap.
+        without: Ids of effects to leave out of the library.
+    """
+
+    def __init__(self, gap: Gap, without: Sequence[str] = ()) -> None:
+        self.gap = gap
+        self.without = tuple(without)
+        self.evidence = Evidence(gap)
+        self.background = np.concatenate(self.evidence.add(*background(gap)))
+        self.tried: list[Term] = []
+        self._take(candidates(gap, without))
+        self.terms: list[Term] = []
+        self.off = _OFF[-1]
+        self.evidence.spread(self.background, self.off)
+        self._take_ripples(3 * _RIPPLES)
+        self.evidence.estimate_noise(np.arange(self.evidence.size))
+
+    def run(self) -> list[Term]:
+        """Terms for the background that makes the gap most probable."""
+        found = []
+        for off in _OFF:
+            self.evidence.spread(self.background, off)
+            self._grow()
+            total = self.evidence.solve(self.base()).evidence
+            found.append((total - _WORTH * len(self.terms), off, self.terms))
+        _, self.off, self.terms = max(found, key=lambda x: x[0])
+        self.evidence.spread(self.background, self.off)
+        return self.terms
+
+    def _grow(self) -> None:
+        """Add, improve, exchange and remove terms until nothing is gained."""
+        self.terms = []
+        for _ in range(_MOST_TERMS):
+            if not self._add():
+                break
+            self._remove()
+        for _ in range(2):
+            if not self._exchange():
+                break
+            self._remove()
+
+    # Columns
+
+    def base(self, without: Term | None = None) -> Index:
+        """Columns of the background and of all terms, or all but one."""
+        parts = [t.index for t in self.terms if t is not without]
+        return np.concatenate([self.background, *parts])
+
+    def _take(self, found: Sequence[Candidate]) -> None:
+        blocks, kept = [], []
+        for c in found:
+            columns = self.gap.columns(c.effect)
+            if blocks and kept[-1].place == c.place and _same(columns, blocks[-1]):
+                continue  # this shape does not show in first order
+            blocks.append(columns)
+            kept.append(c)
+        if kept:
+            index = self.evidence.add(blocks, [c.std for c in kept])
+            self.tried += [Term(c, i) for c, i in zip(kept, index, strict=True)]
+
+    def _take_ripples(self, count: int = _RIPPLES) -> None:
+        if TorqueRipple.id in self.without:
+            return
+        known = {(t.place, *t.candidate.effect.shape_values.values()) for t in self.tried}
+        solution = self.evidence.solve(self.base())
+        sampled, found = self.gap.sampled, []
+        for j, rows in enumerate(self.evidence.rows):
+            left = self.evidence.residual(j, solution.index, solution.gains)
+            q, v = sampled.q[rows, j], sampled.v[rows, j]
+            for k in ripple_orders(left, q, v, self.gap.cutoff, count):
+                effect = TorqueRipple((j,), {"periods": float(k)})
+                new = candidate(self.gap, effect)
+                if (new.place, float(k)) not in known:
+                    found.append(new)
+        self._take(found)
+
+    # Steps
+
+    def _add(self) -> bool:
+        self._take_ripples()
+        best = self.best(self.base())
+        if best is None or best[1] < _WORTH:
+            return False
+        self.terms.append(self._term(best[0]))
+        return True
+
+    def _term(self, c: Candidate) -> Term:
+        (index,) = self.evidence.add([self.gap.columns(c.effect)], [c.std])
+        return Term(c, index)
+
+    def best(self, base: Index) -> tuple[Candidate, float] | None:
+        """The candidate that adds most evidence, with its shapes fitted."""
+        ranked = self.ranked(base)[:_SHORTLIST]
+        if not ranked or ranked[0][1] < _WORTH / 2:
+            return None
+        top = ranked[0][1]
+        close = [c for c, gain in ranked if gain > 0.5 * top]
+        refined = [self.refine(base, c) for c in close]
+        return max(refined, key=lambda x: x[1])
+
+    def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
+        """The best shape of each effect at each place, most evidence first."""
+        taken = {t.place for t in self.terms if t.index[0] in base}
+        terms = [
+            t for t in self.tried
+            if t.place not in taken or t.place[0] == TorqueRipple.id
+        ]  # fmt: skip
+        gains = self.evidence.screen(
+            base, [t.index for t in terms], [t.candidate.lower for t in terms]
+        )
+        best: dict[tuple[str, tuple[int, ...]], tuple[Candidate, float]] = {}
+        for term, gain in zip(terms, gains, strict=True):
+            if term.place not in best or gain > best[term.place][1]:
+                best[term.place] = term.candidate, float(gain)
+        return sorted(best.values(), key=lambda x: -x[1])
+
+    def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
+        """Fit the shapes of a candidate, from those given on."""
+
+        def gain(effect: Effect) -> float:
+            columns = self.gap.columns(effect)
+            return self.evidence.trial(base, columns, c.std, c.lower)[0]
+
+        start = gain(c.effect)
+        effect, best = fit_shapes(c.effect, gain, self.gap)
+        if best < start:
+            effect, best = c.effect, start
+        if (effect.observes or effect.reports) and len(effect.gains) == 1:
+            effect, best = self._exact(base, replace(c, effect=effect))
+        return replace(c, effect=effect), best
+
+    def _exact(self, base: Index, c: Candidate) -> tuple[Effect, float]:
+        """An effect on signals at its own gain, where its columns are not linear."""
+        effect, best, name = c.effect, -np.inf, c.effect.gains[0].name
+        bounds = c.effect.gains[0].scaled(scale_of(self.gap, effect))
+        for _ in range(_EXACT_PASSES):
+            columns = self.gap.columns(effect)
+            best, gains = self.evidence.trial(base, columns, c.std, c.lower)
+            value = float(np.clip(gains[0], bounds.lower, bounds.upper))
+            effect = effect.at({name: value})
+        return effect, best
+
+    def loss(self, term: Term) -> float:
+        """Evidence that would be lost without a term, [nat]."""
+        whole = self.evidence.solve(self.base()).evidence
+        return whole - self.evidence.solve(self.base(term)).evidence
+
+    def _remove(self) -> None:
+        while self.terms:
+            losses = [self.loss(t) for t in self.terms]
+            weakest = int(np.argmin(losses))
+            if losses[weakest] >= _WORTH:
+                return
+            del self.terms[weakest]
+
+    def _exchange(self) -> bool:
+        """Fit each term anew beside the others, as whatever explains most there."""
+        changed = False
+        for term in list(self.terms):
+            base = self.base(term)
+            own, now = self.refine(base, term.candidate)
+            best = self.best(base)
+            if best is not None and best[1] > now + 1.0:
+                own, now = best
+            before = self.loss(term)
+            if now > before + 0.5:
+                self.terms[self.terms.index(term)] = self._term(own)
+                changed = changed or own.place != term.place or now > before + 3.0
+        return changed
+
+
+def fit_shapes(
+    effect: Effect, gain: Callable[[Effect], float], gap: Gap
+) -> tuple[Effect, float]:
+    """Maximise a function of an effect over its shapes, near the given ones.
+
+    Args:
+        effect: The effect with the shapes to start from.
+        gain: What to maximise.
+        gap: For the bounds of the shapes.
+    """
+    scale = gap.scales[effect.joints[-1]]
+    shapes = [s.scaled(scale) for s in effect.shapes]
+    if not shapes:
+        return effect, gain(effect)
+    wide = [s.lower > 0 and s.upper > 8 * s.lower for s in shapes]
+    low = np.array([np.log(s.lower) if w else s.lower for s, w in zip(shapes, wide)])
+    high = np.array([np.log(s.upper) if w else s.upper for s, w in zip(shapes, wide)])
+    span = high - low
+
+    def at(x: Array) -> Effect:
+        raw = low + np.clip(x, 0.0, 1.0) * span
+        values = [np.exp(y) if w else y for y, w in zip(raw, wide)]
+        clipped = np.clip(values, [s.lower for s in shapes], [s.upper for s in shapes])
+        names = [s.name for s in shapes]
+        return effect.at(dict(zip(names, map(float, clipped), strict=True)))
+
+    start = np.array(
+        [
+            ((np.log(effect.values[s.name]) if w else effect.values[s.name]) - lo) / d
+            for s, w, lo, d in zip(shapes, wide, low, span, strict=True)
+        ]
+    )
+    reach = 0.5 / effect.values["periods"] if effect.id == TorqueRipple.id else 0.2
+    if len(shapes) == 1:
+        if effect.id == TorqueRipple.id:
+            reach = reach / span[0]
+        found = minimize_scalar(
+            lambda x: -gain(at(np.array([x]))),
+            bounds=(max(0.0, start[0] - reach), min(1.0, start[0] + reach)),
+            method="bounded",
+            options={"xatol": 1e-3 * reach * 5, "maxiter": 16},
+        )
+        return at(np.array([found.x])), -float(found.fun)
+    simplex = np.vstack([start, start + reach * np.eye(len(start)) / 2])
+    simplex = np.clip(simplex, 0.0, 1.0)
+    simplex[1:] -= reach * np.eye(len(start)) * (simplex[1:] == start)
+    found = minimize(
+        lambda x: -gain(at(x)),
+        start,
+        method="Nelder-Mead",
+        bounds=[(0.0, 1.0)] * len(start),
+        options={"initial_simplex": simplex, "maxfev": 40, "xatol": 0.005, "fatol": 0.1},
+    )
+    return at(found.x), -float(found.fun)
+
+
+def _same(a: Columns, b: Columns) -> bool:
+    return all(np.array_equal(a[j], b[j]) for j in a)

@@ -1,0 +1,68 @@
+"""The simulator's own numbers: a few per cent off everywhere, and not the cause."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid.diagnose.gap import Columns, Gap
+from hybrid.robot.chain import Array
+from hybrid.robot.spatial import central_inertia
+
+
+def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
+    """Columns of link parameters and declared friction, and how far off they may be.
+
+    Returns:
+        A block of ten columns for each link, one for each declared armature, damping
+        and friction loss; and the size of each number, of which it may be a few per cent off.
+    """
+    robot = gap.robot
+    n = robot.size
+    full: list[Array] = []
+    for motion, body, sampler in gap:
+        columns = body.columns  # (N, n, 10n)
+        rows = [sampler(columns[:, i]) for i in range(n)]
+        full.append(np.stack(rows, axis=1))
+    stacked = np.concatenate(full)
+    std = link_spread(robot.chain.inertial)
+    blocks: list[Columns] = [
+        {i: stacked[:, i, 10 * k : 10 * k + 10] for i in range(k + 1)} for k in range(n)
+    ]
+    sizes: list[Array] = list(std)
+    declared = zip(
+        (robot.chain.armature, robot.damping, robot.frictionloss),
+        (lambda m: m.a, lambda m: m.v, lambda m: np.sign(m.v)),
+        strict=True,
+    )
+    for value, signal in declared:
+        for j in np.flatnonzero(value):
+            parts = [s(signal(m)[:, j : j + 1]) for m, _, s in gap]
+            blocks.append({int(j): np.concatenate(parts)})
+            sizes.append(np.array([value[j]]))
+    return blocks, sizes
+
+
+def link_spread(inertial: Array) -> Array:
+    """Scale of each link parameter, by which a relative error of it is meant.
+
+    A coordinate of the centre of mass that the file puts at zero may still be off: its
+    scale is at least a third of the link's radius of gyration.
+
+    Args:
+        inertial: Link parameters, shape (n, 10).
+
+    Returns:
+        Scales in the parameters' units, shape (n, 10).
+    """
+    scale = np.zeros_like(inertial)
+    for k, link in enumerate(inertial):
+        mass = link[0]
+        if mass <= 0:
+            continue
+        centre = link[1:4] / mass
+        own = np.trace(central_inertia(link)[2]) / 2
+        radius = np.sqrt(max(own / mass, 1e-8))
+        scale[k, 0] = mass
+        scale[k, 1:4] = mass * np.maximum(np.abs(centre), radius / 3)
+        scale[k, 4:] = own / 2 + mass * (centre @ centre) + 1e-9
+    return scale

@@ -1,0 +1,117 @@
+"""Every effect that might be the cause, at every joint, on a grid of its shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from hybrid.diagnose.background import link_spread
+from hybrid.diagnose.gap import Gap
+from hybrid.effects import Effect, effect_classes
+from hybrid.effects.effect import Port, Quantity, Scale
+from hybrid.robot.chain import Array
+
+# Laws that sum up others, for fitting.
+_COMPOSITE = {"threshold_friction", "improved_stribeck"}
+_SEARCHED = {"torque_ripple", "contact"}  # their shapes come from the residual
+_GRID = 7
+_COARSE = 4
+_LINK_OFF = 0.15  # a link that is wrong is so by this much
+
+# Of the mass of a middling link: what an arm usually carries, within a hand's breadth.
+_PAYLOAD = (1.0, *[0.1] * 3, *[0.02] * 6)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect with unit gains that may be tried.
+
+    Attributes:
+        effect: The effect; its shapes count, its gains do not.
+        std: Prior standard deviation of each gain, shape (p,).
+        lower: Smallest physical gain, shape (p,); −inf without one.
+    """
+
+    effect: Effect
+    std: Array
+    lower: Array
+
+    @property
+    def place(self) -> tuple[str, tuple[int, ...]]:
+        """Which effect, and where."""
+        return self.effect.id, self.effect.joints
+
+
+def candidates(gap: Gap, without: Sequence[str] = ()) -> list[Candidate]:
+    """All effects that leave a trace in torque, but ripples; see :mod:`.ripples`.
+
+    Args:
+        gap: The gap.
+        without: Ids of effects to leave out of the library.
+    """
+    found = []
+    for cls in effect_classes().values():
+        if cls.port is Port.COMMAND or cls.id in _COMPOSITE | _SEARCHED | {*without}:
+            continue
+        for joints in places(cls, gap.robot.size):
+            found += [candidate(gap, e) for e in _grid(cls, joints, gap)]
+    return found
+
+
+def candidate(gap: Gap, effect: Effect) -> Candidate:
+    """An effect with the priors of its gains."""
+    scale = gap.scales[effect.joints[-1]]
+    gains = [g.scaled(scale) for g in effect.gains]
+    std = np.array([_spread(g) for g in gains])
+    lower = np.array([0.0 if g.lower >= 0 else -np.inf for g in gains])
+    if effect.id == "payload":
+        std = np.array(_PAYLOAD) * max(np.median(gap.robot.chain.inertial[:, 0]), 0.1)
+    if effect.id == "link_inertia":
+        std = _LINK_OFF * link_spread(gap.robot.chain.inertial)[effect.joints[-1]]
+        lower = np.full(len(std), -np.inf)
+    return Candidate(effect, std, lower)
+
+
+def _spread(gain: Quantity) -> float:
+    """Prior standard deviation: twice the usual size, or a third of the largest."""
+    largest = max(abs(gain.lower), abs(gain.upper)) / 3
+    return min(2 * abs(gain.typical), largest) if gain.typical else largest
+
+
+def places(cls: type[Effect], size: int) -> Iterator[tuple[int, ...]]:
+    """Where an effect may sit on an arm of some joints."""
+    if cls.scope == "joint":
+        yield from ((j,) for j in range(size))
+    elif cls.scope == "arm":
+        yield tuple(range(size))
+    elif cls.id == "link_inertia":
+        yield from (tuple(range(k + 1)) for k in range(size))
+    else:
+        yield from ((j, j + 1) for j in range(size - 1))
+
+
+def _grid(cls: type[Effect], joints: tuple[int, ...], gap: Gap) -> Iterator[Effect]:
+    scale = gap.scales[joints[-1]]
+    shapes = [s.scaled(scale) for s in cls.shapes]
+    count = _GRID if len(shapes) == 1 else _COARSE
+    axes = [grid(s, count) for s in shapes]
+    for values in product(*axes):
+        named = {s.name: float(x) for s, x in zip(shapes, values, strict=True)}
+        yield cls(joints, named)
+
+
+def grid(shape: Quantity, count: int) -> Array:
+    """Values between a shape's bounds, even in their logarithm if that is wide."""
+    if shape.lower > 0 and shape.upper > 8 * shape.lower:
+        edges = np.geomspace(shape.lower, shape.upper, count + 2)
+        return edges[1:-1]
+    edges = np.linspace(shape.lower, shape.upper, count + 2)
+    return edges[1:-1]
+
+
+def scale_of(gap: Gap, effect: Effect) -> Scale:
+    """Size of the joint by which an effect's parameters are measured."""
+    return gap.scales[effect.joints[-1]]

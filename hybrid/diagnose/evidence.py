@@ -1,0 +1,316 @@
+"""How much evidence the gap holds for one more effect.
+
+The gap is a sum of terms, ``left = Z β + Σ C γ + noise``. The simulator's own numbers
+(β: link parameters and declared friction) are a few per cent off everywhere, and each
+gain γ has a physical size, so both have Gaussian priors; terms are compared by the
+marginal likelihood of the gap, in which all gains are integrated out.
+
+Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam factor).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from hybrid.diagnose.gap import Columns, Gap
+from hybrid.robot.chain import Array
+
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The most probable gains of some columns.
+
+    Attributes:
+        index: Columns in the solution, shape (k,).
+        gains: Their values, shape (k,).
+        covariance: Their posterior covariance, shape (k, k).
+        evidence: Log marginal likelihood of the gap, up to a constant, [nat].
+    """
+
+    index: Index
+    gains: Array
+    covariance: Array
+    evidence: float
+
+
+class Evidence:
+    """Cross-products of the gap with every column that might explain it.
+
+    Columns are kept joint by joint: most effects reach one joint only. Nothing here
+    depends on the number of samples once a column is in.
+
+    Args:
+        gap: The gap.
+    """
+
+    def __init__(self, gap: Gap) -> None:
+        self.gap = gap
+        n = gap.robot.size
+        rows = [np.flatnonzero(gap.moving[:, i]) for i in range(n)]
+        # Sorted by fold, so that a fold is a slice; stable, so that time runs on.
+        self.rows = [r[np.argsort(gap.fold[r], kind="stable")] for r in rows]
+        self.folds = np.unique(gap.fold)
+        self._edges = [
+            np.searchsorted(gap.fold[r], [*self.folds, self.folds[-1] + 1])
+            for r in self.rows
+        ]
+        self._left = [gap.left[r, i] for i, r in enumerate(self.rows)]
+        self._columns: list[list[Array]] = [[] for _ in range(n)]
+        self._owner: list[list[int]] = [[] for _ in range(n)]
+        F = len(self.folds)
+        self._gram = [np.zeros((F, 0, 0)) for _ in range(n)]
+        self._moment = [np.zeros((F, 0)) for _ in range(n)]
+        self.power = np.array(
+            [
+                [x[a:b] @ x[a:b] for a, b in zip(e[:-1], e[1:], strict=True)]
+                for x, e in zip(self._left, self._edges, strict=True)
+            ]
+        )  # (n, F)
+        self.count = np.array([np.diff(e) for e in self._edges])  # (n, F)
+        self.precision = np.zeros(0)
+        self._size = np.zeros(0)
+        self.noise = np.ones(n)
+        self._factored: tuple[bytes, tuple[Array, bool], Array]
+        self._factored = b"", (np.zeros((0, 0)), False), np.zeros(0)
+
+    @property
+    def size(self) -> int:
+        """Number of columns K."""
+        return len(self.precision)
+
+    def add(self, blocks: Sequence[Columns], std: Sequence[Array]) -> list[Index]:
+        """Take in columns.
+
+        Args:
+            blocks: Columns by joint, shape (M, p) each.
+            std: Prior standard deviation of each gain of a block, shape (p,).
+
+        Returns:
+            Index of the columns of each block.
+        """
+        index, start = [], self.size
+        fresh: list[list[Array]] = [[] for _ in self.rows]
+        names: list[list[int]] = [[] for _ in self.rows]
+        for columns, s in zip(blocks, std, strict=True):
+            own = np.arange(start, start + len(s))
+            for i, x in columns.items():
+                fresh[i].append(x[self.rows[i]])
+                names[i] += own.tolist()
+            index.append(own)
+            start += len(s)
+        size = np.concatenate([np.asarray(s, dtype=float) for s in std])
+        size = np.maximum(size, 1e-12)
+        weight = size**-2.0
+        self._size = np.concatenate([self._size, size])
+        self.precision = np.concatenate([self.precision, weight])
+        for i, parts in enumerate(fresh):
+            if parts:
+                self._extend(i, np.concatenate(parts, axis=1), names[i])
+        return index
+
+    def spread(self, index: Index, relative: float) -> None:
+        """Set the prior of some gains to a fraction of the size they came with."""
+        self.precision[index] = self._size[index] ** -2.0 / relative**2
+        self._factored = b"", self._factored[1], self._factored[2]
+
+    def _extend(self, i: int, new: Array, names: list[int]) -> None:
+        old, k, p = self._columns[i], len(self._owner[i]), new.shape[1]
+        F = len(self.folds)
+        gram = np.zeros((F, k + p, k + p))
+        gram[:, :k, :k] = self._gram[i]
+        moment = np.zeros((F, k + p))
+        moment[:, :k] = self._moment[i]
+        everything = np.concatenate([*old, new], axis=1)
+        for f, (a, b) in enumerate(
+            zip(self._edges[i][:-1], self._edges[i][1:], strict=True)
+        ):
+            cross = everything[a:b].T @ new[a:b]
+            gram[f, :, k:], gram[f, k:, :] = cross, cross.T
+            moment[f, k:] = new[a:b].T @ self._left[i][a:b]
+        self._columns[i] = [everything]
+        self._owner[i] += names
+        self._gram[i], self._moment[i] = gram, moment
+
+    def normal(self, index: Index, folds: Index | None = None) -> tuple[Array, Array]:
+        """Normal matrix (k, k) and vector (k,) of some columns, weighed by noise.
+
+        Args:
+            index: Columns.
+            folds: Which folds count; all by default.
+        """
+        A, b = np.zeros((len(index), len(index))), np.zeros(len(index))
+        folds = np.arange(len(self.folds)) if folds is None else folds
+        where = np.full(self.size, -1)
+        where[index] = np.arange(len(index))
+        for i, owner in enumerate(self._owner):
+            target = where[owner]
+            here = np.flatnonzero(target >= 0)
+            at = target[here]
+            gram = self._gram[i][folds].sum(axis=0)
+            A[np.ix_(at, at)] += gram[np.ix_(here, here)] / self.noise[i]
+            b[at] += self._moment[i][folds].sum(axis=0)[here] / self.noise[i]
+        return A, b
+
+    def solve(self, index: Index, folds: Index | None = None) -> Solution:
+        """Most probable gains of some columns, and the evidence for all of them."""
+        A, b = self.normal(index, folds)
+        prior = self.precision[index]
+        # In units of the prior the matrix is the identity plus what the data say.
+        unit = 1.0 / np.sqrt(prior)
+        factor = cho_factor(np.eye(len(index)) + unit[:, None] * A * unit)
+        gains = unit * cho_solve(factor, unit * b)
+        spread = unit[:, None] * cho_solve(factor, np.diag(unit))
+        occam = np.log(np.diag(factor[0])).sum()
+        return Solution(index, gains, spread, float(0.5 * b @ gains - occam))
+
+    def squares(self, index: Index, gains: Array) -> Array:
+        """Sum of squares left on each joint and fold, shape (n, F), [N²·m²].
+
+        Args:
+            index: Columns.
+            gains: Their gains, shape (k,); or on each fold its own, shape (F, k).
+        """
+        gains = np.broadcast_to(gains, (len(self.folds), len(index)))
+        out = self.power.copy()
+        where = np.full(self.size, -1)
+        where[index] = np.arange(len(index))
+        for i, owner in enumerate(self._owner):
+            target = where[owner]
+            here = np.flatnonzero(target >= 0)
+            g = gains[:, target[here]]
+            gram = self._gram[i][:, here[:, None], here]
+            out[i] += np.einsum("fk,fkl,fl->f", g, gram, g)
+            out[i] -= 2 * np.einsum("fk,fk->f", g, self._moment[i][:, here])
+        return out
+
+    def residual(self, i: int, index: Index, gains: Array) -> Array:
+        """What gains leave of the gap at a joint, in the order of ``rows[i]``."""
+        left = self._left[i]
+        if not self._columns[i]:
+            return left
+        full = np.zeros(self.size)
+        full[index] = gains
+        return np.asarray(left - self._columns[i][0] @ full[self._owner[i]])
+
+    def screen(
+        self, base: Index, blocks: Sequence[Index], lower: Sequence[Array]
+    ) -> Array:
+        """Gain in evidence by each block of columns on top of others, [nat].
+
+        Args:
+            base: Columns that are in already.
+            blocks: Candidates.
+            lower: Smallest physical value of each gain of a candidate.
+        """
+        wanted = np.concatenate([base, *blocks])
+        A, b = self.normal(wanted)
+        k = len(base)
+        factor = cho_factor(A[:k, :k] + np.diag(self.precision[base]))
+        across = A[:k, k:]
+        H = A[k:, k:] - across.T @ cho_solve(factor, across)
+        s = b[k:] - across.T @ cho_solve(factor, b[:k])
+        gains, start = np.empty(len(blocks)), 0
+        for m, (block, low) in enumerate(zip(blocks, lower, strict=True)):
+            own = slice(start, start + len(block))
+            start += len(block)
+            gains[m], _ = _log_bayes(H[own, own], s[own], self.precision[block], low)
+        return gains
+
+    def trial(
+        self, base: Index, columns: Columns, std: Array, lower: Array
+    ) -> tuple[float, Array]:
+        """Gain in evidence, [nat], by columns that are not in, and their gains (p,)."""
+        p = len(std)
+        H, s = np.zeros((p, p)), np.zeros(p)
+        across = np.zeros((len(base), p))
+        where = np.full(self.size, -1)
+        where[base] = np.arange(len(base))
+        for i, x in columns.items():
+            new = x[self.rows[i]]
+            H += new.T @ new / self.noise[i]
+            s += new.T @ self._left[i] / self.noise[i]
+            if self._columns[i]:
+                target = where[self._owner[i]]
+                here = np.flatnonzero(target >= 0)
+                across[target[here]] += (
+                    self._columns[i][0].T @ new
+                )[here] / self.noise[i]
+        factor, b = self._factor(base)
+        H -= across.T @ cho_solve(factor, across)
+        s -= across.T @ cho_solve(factor, b)
+        return _log_bayes(H, s, 1.0 / np.maximum(std, 1e-12) ** 2, lower)
+
+    def _factor(self, base: Index) -> tuple[tuple[Array, bool], Array]:
+        """Cholesky factor and right-hand side of some columns, kept for the next."""
+        key = base.tobytes() + self.noise.tobytes()
+        if key != self._factored[0]:
+            A, b = self.normal(base)
+            factor = cho_factor(A + np.diag(self.precision[base]))
+            self._factored = key, factor, b
+        return self._factored[1], self._factored[2]
+
+    def estimate_noise(self, index: Index) -> None:
+        """Noise of each joint from what all columns together cannot explain.
+
+        The variance counts as often as the residual is alike in a row: the weights then
+        belong to independent samples.
+        """
+        for i, (row, owner) in enumerate(zip(self.rows, self._owner, strict=True)):
+            here = np.flatnonzero(np.isin(owner, index))
+            A = self._gram[i].sum(axis=0)[np.ix_(here, here)]
+            b = self._moment[i].sum(axis=0)[here]
+            size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+            scaled = A / size / size[:, None]
+            values, vectors = np.linalg.eigh(scaled)
+            keep = values > 1e-6 * max(1.0, values[-1])
+            part = vectors[:, keep].T @ (b / size) / values[keep]
+            gains = vectors[:, keep] @ part / size
+            rest = self._left[i] - self._columns[i][0][:, here] @ gains
+            back = np.argsort(row)
+            alike = _memory(rest[back], row[back])
+            freedom = max(0.2, 1.0 - keep.sum() * alike / len(rest))
+            self.noise[i] = max(rest @ rest / len(rest) / freedom, 1e-12) * alike
+
+
+def _memory(x: Array, row: Index) -> float:
+    """Integrated autocorrelation of a residual: samples for an independent one."""
+    power = x @ x
+    if power == 0 or len(x) < 8:
+        return 1.0
+    full = np.zeros(row[-1] - row[0] + 1)
+    full[row - row[0]] = x
+    seen = np.zeros(len(full))
+    seen[row - row[0]] = 1.0
+    size = 1 << int(np.ceil(np.log2(2 * len(full))))
+    lagged = np.fft.irfft(np.abs(np.fft.rfft(full, size)) ** 2, size)[: len(full) // 2]
+    pairs = np.fft.irfft(np.abs(np.fft.rfft(seen, size)) ** 2, size)[: len(full) // 2]
+    correlation = lagged / np.maximum(pairs, 1.0) / (power / len(x))
+    # Geyer: sum pairs of lags while they are positive.
+    even = correlation[: len(correlation) // 2 * 2].reshape(-1, 2).sum(axis=1)
+    stop = int(np.argmax(even < 0)) if np.any(even < 0) else len(even)
+    return float(max(1.0, 2 * even[:stop].sum() - 1.0))
+
+
+def _log_bayes(
+    H: Array, s: Array, precision: Array, lower: Array
+) -> tuple[float, Array]:
+    """Log Bayes factor and gains with a Gaussian prior, cut at their lower bounds."""
+    unit = 1.0 / np.sqrt(precision)
+    A = np.eye(len(s)) + unit[:, None] * H * unit
+    b = unit * s
+    x = np.linalg.solve(A, b)
+    if np.any(x < lower * np.sqrt(precision)):
+        free = x >= lower * np.sqrt(precision)
+        x = np.zeros_like(x)
+        if free.any():
+            x[free] = np.linalg.solve(A[np.ix_(free, free)], b[free])
+            x = np.maximum(x, lower * np.sqrt(precision))
+    _, occam = np.linalg.slogdet(A)
+    return float(b @ x - 0.5 * x @ A @ x - 0.5 * occam), unit * x

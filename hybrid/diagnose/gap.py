@@ -1,0 +1,180 @@
+"""The gap: torque that the arm needed and its simulator does not explain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.dynamics import RigidBody
+from hybrid.effects import Effect
+from hybrid.effects.effect import Scale
+from hybrid.identify.data import prepare_motions
+from hybrid.plant.scale import joint_scales
+from hybrid.recording import Recording
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+from hybrid.signals import Motion, Sampler
+
+Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
+
+_STANDING = 0.01  # of the highest speed
+_BLOCK_SECONDS = 3.0
+_MOST_FOLDS = 8
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Measured less simulated torque along some motions, filtered and decimated.
+
+    M counts the decimated samples of all motions, stacked.
+
+    Attributes:
+        robot: The simulator as it stands.
+        motions: Motions at full rate, with the torque that the simulator needs for
+            them: columns made from measured torque would explain its noise.
+        bodies: The simulator's rigid body along each.
+        cutoff: Cut-off of everything filtered, [Hz].
+        left: Torque left, shape (M, n), [N·m].
+        moving: Where a joint moves and the mask allows, shape (M, n).
+        fold: Fold of each sample for scoring, shape (M,): one trajectory, or some
+            blocks of 3 s where there are fewer than three trajectories.
+        trajectory: Recording of each sample, shape (M,).
+    """
+
+    robot: Robot
+    motions: tuple[Motion, ...]
+    bodies: tuple[RigidBody, ...]
+    cutoff: float
+    left: Array
+    moving: NDArray[np.bool_]
+    fold: NDArray[np.intp]
+    trajectory: NDArray[np.intp]
+
+    @property
+    def samplers(self) -> list[Sampler]:
+        """Filter and decimation of each motion."""
+        return [Sampler.for_rate(m.rate, self.cutoff) for m in self.motions]
+
+    @cached_property
+    def scales(self) -> tuple[Scale, ...]:
+        """Rated torque and speed of each joint."""
+        return joint_scales(self.robot)
+
+    @cached_property
+    def sampled(self) -> Motion:
+        """The motions at the decimated samples, stacked; t runs on in each."""
+        parts = list(zip(self.motions, self.samplers, strict=True))
+
+        def stack(name: str) -> Array:
+            return np.concatenate([getattr(m, name)[:: s.factor] for m, s in parts])
+
+        t, q, v, a, tau, mask = map(stack, ("t", "q", "v", "a", "tau", "mask"))
+        warm = None
+        if all(m.temperature is not None for m in self.motions):
+            warm = stack("temperature")
+        return Motion(t, q, v, a, tau, mask.astype(bool), warm, self.robot.joints)
+
+    @cached_property
+    def load(self) -> Array:
+        """Torque the simulator says is passed to the links, shape (M, n), [N·m]."""
+        parts = zip(self.bodies, self.samplers, strict=True)
+        return np.concatenate([body.load[:: s.factor] for body, s in parts])
+
+    @property
+    def rate(self) -> float:
+        """Decimated samples per second, [Hz]."""
+        return self.motions[0].rate / self.samplers[0].factor
+
+    def columns(self, effect: Effect) -> Columns:
+        """Torque per unit of each gain, filtered as the gap is.
+
+        First order at a gain of zero. Effects that change signals are not linear in
+        their gain: at any other value it is the whole change, per unit of the gain.
+
+        Returns:
+            For each joint that the effect's torque reaches, shape (M, p).
+        """
+        exact = len(effect.gains) == 1 and effect.gain_values[0] != 0.0
+        exact = exact and (effect.observes or effect.reports)
+        parts = []
+        for motion, body, sampler in self:
+            if exact:
+                full = self._change(effect, motion, body) / effect.gain_values[0]
+                parts.append(sampler(full)[:, :, None])
+            else:
+                parts.append(sampler(effect.columns(motion, body)))
+        stacked = np.concatenate(parts)
+        reached = effect.reaches(self.robot.size)
+        return {j: stacked[:, k] for k, j in enumerate(reached)}
+
+    def _change(self, effect: Effect, motion: Motion, body: RigidBody) -> Array:
+        """Change of the simulated torque by an effect on signals, shape (N, r)."""
+        reached = list(effect.reaches(self.robot.size))
+        if effect.reports:
+            return effect.report(motion.t, motion.tau[:, reached]) - motion.tau[:, reached]
+        seen = effect.observe(motion, body)
+        chain = self.robot.chain
+        tau = simulated_torque(self.robot, seen, RigidBody(chain, seen))
+        return (tau - motion.tau)[:, reached]
+
+    def __iter__(self) -> Iterator[tuple[Motion, RigidBody, Sampler]]:
+        return zip(self.motions, self.bodies, self.samplers, strict=True)
+
+
+def measure_gap(
+    robot: Robot,
+    recordings: Sequence[Recording | Motion],
+    *,
+    cutoff: float | None = None,
+) -> Gap:
+    """Compare a simulator with logs, torque by torque.
+
+    Args:
+        robot: The simulator as it stands, with the friction that its file declares.
+        recordings: Logs of the real arm, or motions made from such.
+        cutoff: Cut-off, [Hz]; from the spectrum if not given.
+
+    Raises:
+        IdentificationError: There is no recording.
+        RecordingError: A recording does not fit the arm.
+    """
+    motions, cutoff = prepare_motions(robot, recordings, cutoff)
+    fastest = np.max([np.abs(m.v[m.mask]).max(axis=0) for m in motions], axis=0)
+    bodies = tuple(RigidBody(robot.chain, m) for m in motions)
+    simulated, left, moving, fold, trajectory = [], [], [], [], []
+    for r, (motion, body) in enumerate(zip(motions, bodies, strict=True)):
+        sampler = Sampler.for_rate(motion.rate, cutoff)
+        tau = simulated_torque(robot, motion, body)
+        left.append(sampler(motion.tau - tau))
+        simulated.append(replace(motion, tau=tau))
+        v = motion.v[:: sampler.factor]
+        usable = sampler.keep(motion.mask)[:, None]
+        moving.append((np.abs(v) > _STANDING * fastest) & usable)
+        trajectory.append(np.full(len(v), r))
+        t = motion.t[:: sampler.factor]
+        fold.append(((t - t[0]) // _BLOCK_SECONDS).astype(int))
+    of = np.concatenate(trajectory)
+    blocks = np.concatenate(fold)
+    if len(motions) >= 3:
+        blocks = of % _MOST_FOLDS
+    else:
+        _, blocks = np.unique(of * (blocks.max() + 1) + blocks, return_inverse=True)
+        blocks = blocks % _MOST_FOLDS
+    return Gap(
+        robot, tuple(simulated), bodies, cutoff,
+        np.concatenate(left), np.concatenate(moving), blocks, of,
+    )  # fmt: skip
+
+
+def simulated_torque(robot: Robot, motion: Motion, body: RigidBody) -> Array:
+    """Torque that the simulator's drives need along a motion, shape (N, n), [N·m]."""
+    return (
+        body.load
+        + robot.chain.armature * motion.a
+        + robot.damping * motion.v
+        + robot.frictionloss * np.sign(motion.v)
+    )

@@ -1,0 +1,61 @@
+"""A drive whose torque builds up with a lag."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.signals import Motion
+
+
+class ActuatorLag(Effect):
+    """The torque delivered follows the reported one as a first-order lag.
+
+    So what the log shows leads. A negative time is a log that lags instead: the current
+    it shows went through a filter of that time constant.
+    """
+
+    id = "actuator_lag"
+    port = Port.DRIVE
+    gains = (Quantity("time", "s", 0.005, -0.05, 0.05),)
+    equation = "τ_reported = τ + T · dτ/dt"
+    source = "Siciliano et al. 2009, doi 10.1007/978-1-84628-642-1, section 5.2"
+    sentence = "The torque of {joints} builds up with a lag."
+    remedy = "Give the actuator first-order dynamics with the fitted time constant."
+
+    def columns(self, motion: Motion, body: Body) -> Array:
+        """First order, dτ_load/dt; see :meth:`Effect.columns`."""
+        return np.gradient(body.load[:, self.joints], motion.t, axis=0)[:, :, None]
+
+    def report(self, t: Array, torque: Array) -> Array:
+        """Torque as asked for, ahead of that delivered; or filtered torque."""
+        time = self.values["time"]
+        if time >= 0:
+            slope: Array = np.gradient(torque, t, axis=0)
+            return torque + time * slope
+        return _low_pass(torque, float(t[1] - t[0]), -time)
+
+    @property
+    def lag(self) -> float:
+        """The time constant, unless it is the log's."""
+        return max(self.values["time"], 0.0)
+
+    def follow(self, torque: Array, before: Array, step: float) -> Array:
+        """One implicit Euler step of the lag: its delay is the time, at any step."""
+        time = self.lag
+        return before + (torque - before) * step / (time + step)
+
+    def measure(self, t: Array, signals: dict[str, Array]) -> dict[str, Array]:
+        """A filtered log; a lagging drive logs what was asked of it anyway."""
+        return signals if self.values["time"] >= 0 else super().measure(t, signals)
+
+
+def _low_pass(x: Array, step: float, time: float) -> Array:
+    """First-order filter (trapezoidal rule) that starts at rest on its first input."""
+    from scipy.signal import lfilter
+
+    share = step / (2.0 * time + step)
+    pole = (2.0 * time - step) / (2.0 * time + step)
+    rest = (1.0 - share) * x[:1]
+    filtered: Array = lfilter([share, share], [1.0, -pole], x, axis=0, zi=rest)[0]
+    return filtered

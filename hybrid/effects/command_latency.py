@@ -1,0 +1,33 @@
+"""A command that acts late."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.signals import Motion
+
+
+class CommandLatency(Effect):
+    """The controller follows the command of T ago.
+
+    It shows between command and torque, not between motion and torque; see
+    :func:`hybrid.effects.loop.commanded_torque`.
+    """
+
+    id = "command_latency"
+    port = Port.COMMAND
+    gains = (Quantity("time", "s", 0.01, 0.0, 0.2),)
+    equation = "τ(t) = τ_ff(t − T) + k_p (q_ref(t − T) − q) + k_d (v_ref(t − T) − v)"
+    source = "Tan et al. 2018, doi 10.15607/RSS.2018.XIV.010"
+    sentence = "Commands to {joints} act late."
+    remedy = "Delay the command in the simulator by the fitted time."
+
+    def columns(self, motion: Motion, body: Body) -> Array:
+        """Nothing: motion and torque still agree."""
+        return np.zeros((len(motion.t), 1, 1))
+
+    def command(self, t: Array, signal: Array) -> Array:
+        """The signal of an earlier time; before the first sample it is held."""
+        late = t - self.values["time"]
+        return np.stack([np.interp(late, t, x) for x in signal.T], axis=1)

@@ -1,0 +1,45 @@
+"""Something touched for a while."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.signals import Motion
+
+
+class Contact(Effect):
+    """The last link pushes against something with a constant force and moment.
+
+    They are those of the arm on its surroundings, along the axes of the base frame, the
+    moment about the origin of the last link's frame.
+    """
+
+    id = "contact"
+    port = Port.ENVIRONMENT
+    scope = "arm"
+    gains = (
+        *(Quantity(f"force_{x}", "N", 10.0, -500.0, 500.0) for x in "xyz"),
+        *(Quantity(f"moment_{x}", "N·m", 0.0, -100.0, 100.0) for x in "xyz"),
+    )
+    shapes = (
+        Quantity("start", "s", 1.0, 0.0, 100000.0),
+        Quantity("duration", "s", 0.5, 0.01, 100000.0),
+    )
+    equation = "τ = Jᵀ(q) f for start ≤ t < start + duration"
+    source = "Haddadin et al. 2017, doi 10.1109/TRO.2017.2723903"
+    sentence = "The arm touches something for a while."
+    remedy = "Clear the path, and record again; or cut that time out of the recording."
+
+    def columns(self, motion: Motion, body: Body) -> Array:
+        """See :meth:`Effect.columns`; shape (N, n, 6)."""
+        touching = self._touching(motion.t)
+        return touching[:, None, None] * body.wrench_columns(self.joints[-1])
+
+    def push(self, t: float) -> Array:
+        """The force and moment while in contact."""
+        return self._touching(np.array([t])) * self.gain_values
+
+    def _touching(self, t: Array) -> Array:
+        start, duration = self.values["start"], self.values["duration"]
+        return np.where((t >= start) & (t < start + duration), 1.0, 0.0)

@@ -1,0 +1,37 @@
+"""A servo with other gains than stated."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.signals import Motion
+
+
+class ControllerGain(Effect):
+    """Stiffness and damping of the servo are off by a factor.
+
+    It shows between command and torque, not between motion and torque; see
+    :func:`hybrid.effects.loop.commanded_torque`.
+    """
+
+    id = "controller_gain"
+    port = Port.COMMAND
+    gains = (
+        Quantity("stiffness", "", -0.2, -0.9, 5.0),
+        Quantity("damping", "", -0.2, -0.9, 5.0),
+    )
+    equation = "τ = τ_ff + (1 + p) k_p (q_ref − q) + (1 + d) k_d (v_ref − v)"
+    source = "Siciliano et al. 2009, doi 10.1007/978-1-84628-642-1, section 8.5"
+    sentence = "The servo of {joints} is softer or stiffer than the simulator's."
+    remedy = "Set the simulator's servo gains to the fitted ones."
+
+    def columns(self, motion: Motion, body: Body) -> Array:
+        """Nothing: motion and torque still agree."""
+        return np.zeros((len(motion.t), 1, 2))
+
+    def tune(self, kp: Array, kd: Array) -> tuple[Array, Array]:
+        """Gains as they really are."""
+        return kp * (1.0 + self.values["stiffness"]), kd * (
+            1.0 + self.values["damping"]
+        )

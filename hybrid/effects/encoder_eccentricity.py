@@ -1,0 +1,72 @@
+"""An encoder disc that does not turn about its centre."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.signals import Motion
+
+# The error is a few per cent of a radian at most, and each pass gains as many digits.
+_PASSES = 8
+
+
+class EncoderEccentricity(Effect):
+    """The encoder's error repeats once a turn: q + s·sin q + c·cos q."""
+
+    id = "encoder_eccentricity"
+    port = Port.MEASUREMENT
+    gains = (
+        Quantity("sine", "rad", 0.004, -0.05, 0.05),
+        Quantity("cosine", "rad", 0.002, -0.05, 0.05),
+    )
+    equation = "τ = rigid(q, v, a) with q_measured = q + s · sin q + c · cos q"
+    source = "Sanchez-Brea and Morlanes 2008, doi 10.1088/0957-0233/19/11/115104"
+    sentence = "The encoder of {joints} has an error that repeats once a turn."
+    remedy = "Correct the position by the fitted sine, or centre the encoder disc."
+
+    def reaches(self, size: int) -> tuple[int, ...]:
+        """The whole arm: each joint's torque depends on every position."""
+        return tuple(range(size))
+
+    def columns(self, motion: Motion, body: Body) -> Array:
+        """First order; see :meth:`Effect.columns`; shape (N, n, 2)."""
+        q, v, a = (x[:, self.joints] for x in (motion.q, motion.v, motion.a))
+        sine, cosine = np.sin(q), np.cos(q)
+        errors = (
+            (sine, cosine * v, cosine * a - sine * v**2),
+            (cosine, -sine * v, -sine * a - cosine * v**2),
+        )
+        columns = []
+        for error in errors:
+            change = [np.zeros_like(motion.q) for _ in error]
+            for whole, part in zip(change, error, strict=True):
+                whole[:, self.joints] = -part
+            columns.append(body.response(*change))
+        return np.stack(columns, axis=-1)
+
+    def observe(self, motion: Motion, body: Body) -> Motion:
+        """The true motion, from q_measured = q + e(q) and its derivatives."""
+        j = list(self.joints)
+        measured = true = motion.q[:, j]
+        for _ in range(_PASSES):
+            true = measured - self._error(true)[0]
+        _, slope, bend = self._error(true)
+        q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+        q[:, j] = true
+        v[:, j] /= 1.0 + slope
+        a[:, j] = (a[:, j] - bend * v[:, j] ** 2) / (1.0 + slope)
+        return replace(motion, q=q, v=v, a=a)
+
+    def sense(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """What the encoder shows."""
+        error, slope, _ = self._error(q)
+        return q + error, v * (1.0 + slope)
+
+    def _error(self, q: Array) -> tuple[Array, Array, Array]:
+        """Error at a true position, and its first two derivatives."""
+        s, c = self.values["sine"], self.values["cosine"]
+        error = s * np.sin(q) + c * np.cos(q)
+        return error, s * np.cos(q) - c * np.sin(q), -error

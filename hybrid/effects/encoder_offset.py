@@ -1,0 +1,43 @@
+"""An encoder whose zero is not the robot file's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.signals import Motion
+
+
+class EncoderOffset(Effect):
+    """The encoder shows the true position and a constant: q + δ."""
+
+    id = "encoder_offset"
+    port = Port.MEASUREMENT
+    gains = (Quantity("offset", "rad", 0.01, -0.2, 0.2),)
+    equation = "τ = rigid(q_measured − δ, v, a)"
+    source = "Hollerbach et al. 2016, doi 10.1007/978-3-319-32552-1_6"
+    sentence = "The encoder of {joints} is not zeroed where the simulator's joint is."
+    remedy = "Home the joint again, or put the offset into the joint's reference."
+
+    def reaches(self, size: int) -> tuple[int, ...]:
+        """The whole arm: each joint's torque depends on every position."""
+        return tuple(range(size))
+
+    def columns(self, motion: Motion, body: Body) -> Array:
+        """First order, −∂τ/∂q; see :meth:`Effect.columns`; shape (N, n, 1)."""
+        dq = np.zeros_like(motion.q)
+        dq[:, self.joints] = -1.0
+        still = np.zeros_like(dq)
+        return body.response(dq, still, still)[:, :, None]
+
+    def observe(self, motion: Motion, body: Body) -> Motion:
+        """The motion at the true positions."""
+        q = motion.q.copy()
+        q[:, self.joints] -= self.values["offset"]
+        return replace(motion, q=q)
+
+    def sense(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """What the encoder shows."""
+        return q + self.values["offset"], v

@@ -1,0 +1,62 @@
+"""An arm that does not stand upright."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.signals import Motion
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+class GravityTilt(Effect):
+    """The base is turned by small angles about its two level axes.
+
+    Seen from the base, gravity turns the other way: Δg = g × (roll · e₁ + pitch · e₂).
+    For an arm on the floor, e₁ and e₂ are the base's x and y axes.
+    """
+
+    id = "gravity_tilt"
+    port = Port.BODY
+    scope = "arm"
+    gains = (
+        Quantity("roll", "rad", 0.02, -0.2, 0.2),
+        Quantity("pitch", "rad", 0.01, -0.2, 0.2),
+    )
+    equation = "τ = G(q, g × (α e₁ + β e₂))"
+    source = "Hollerbach et al. 2016, doi 10.1007/978-3-319-32552-1_6"
+    sentence = "The arm's base is not level."
+    remedy = "Level the base, or set the simulator's gravity to the tilted direction."
+
+    def columns(self, motion: Motion, body: Body) -> Array:
+        """See :meth:`Effect.columns`; shape (N, n, 2)."""
+        turned = [np.cross(body.gravity, axis) for axis in level_axes(body.gravity)]
+        return np.stack([body.weight(g) for g in turned], axis=-1)[:, self.joints]
+
+    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+        """Turn the spec's gravity by the whole angle, not to first order."""
+        from scipy.spatial.transform import Rotation
+
+        gravity = np.array(spec.option.gravity)
+        tilt = Rotation.from_rotvec(self.gain_values @ level_axes(gravity))
+        spec.option.gravity = tilt.inv().apply(gravity)
+
+
+def level_axes(gravity: Array) -> Array:
+    """Two unit vectors across gravity, close to the base's own axes, shape (2, 3).
+
+    Args:
+        gravity: Acceleration of gravity in the base frame, shape (3,), [m/s²].
+    """
+    size = np.linalg.norm(gravity)
+    down = gravity / size if size > 0 else np.array([0.0, 0.0, -1.0])
+    first, _ = np.delete(np.eye(3), np.argmax(np.abs(down)), axis=0)
+    first = first - (first @ down) * down
+    first /= np.linalg.norm(first)
+    second = np.cross(first, down)
+    return np.stack([first, second * np.sign(second[np.argmax(np.abs(second))])])

@@ -1,0 +1,77 @@
+"""The controller's side of a gap: from command to torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from hybrid.effects.effect import Array, Effect
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """What a position controller is asked, what it sees, and its gains.
+
+    Attributes:
+        t: Time, shape (N,), [s].
+        q_ref: Commanded position, shape (N, n), [rad].
+        v_ref: Commanded speed, shape (N, n), [rad/s].
+        feedforward: Torque fed forward, shape (N, n), [N·m].
+        q: Position that the encoders show, shape (N, n), [rad].
+        v: Speed that the encoders show, shape (N, n), [rad/s].
+        kp: Stiffness, shape (n,), [N·m/rad].
+        kd: Damping, shape (n,), [N·m·s/rad].
+    """
+
+    t: Array
+    q_ref: Array
+    v_ref: Array
+    feedforward: Array
+    q: Array
+    v: Array
+    kp: Array
+    kd: Array
+
+    def torque(self) -> Array:
+        """Torque that the controller asks for, shape (N, n), [N·m]."""
+        return (
+            self.feedforward
+            + self.kp * (self.q_ref - self.q)
+            + self.kd * (self.v_ref - self.v)
+        )
+
+
+def loop_with(loop: Loop, effects: Sequence[Effect]) -> Loop:
+    """The loop as it is with effects between command and torque.
+
+    Args:
+        loop: The loop as it is thought to be.
+        effects: Effects; those that act elsewhere change nothing here.
+    """
+    for effect in effects:
+        j = list(effect.joints)
+        changed = {}
+        for name in ("q_ref", "v_ref", "feedforward"):
+            signal = getattr(loop, name).copy()
+            signal[:, j] = effect.command(loop.t, signal[:, j])
+            changed[name] = signal
+        kp, kd = loop.kp.copy(), loop.kd.copy()
+        kp[j], kd[j] = effect.tune(kp[j], kd[j])
+        loop = replace(loop, kp=kp, kd=kd, **changed)
+    return loop
+
+
+def commanded_torque(loop: Loop, effects: Sequence[Effect] = ()) -> Array:
+    """Torque that the drives are asked for, to compare with the torque logged.
+
+    An effect between command and torque leaves no trace in the rigid body's residual.
+    Here it does: a fit finds its gains from the difference of this and the log.
+
+    Args:
+        loop: The loop as it is thought to be.
+        effects: Effects on it.
+
+    Returns:
+        Torque, shape (N, n), [N·m].
+    """
+    return loop_with(loop, effects).torque()

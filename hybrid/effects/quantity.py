@@ -1,0 +1,51 @@
+"""Parameters of a law before they have a value, sized to the joint they are for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Size of one joint, in which the usual sizes of effects are stated.
+
+    Attributes:
+        torque: Rated torque, [N·m].
+        speed: Rated speed, [rad/s].
+    """
+
+    torque: float
+    speed: float
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A parameter of a law before it has a value.
+
+    Attributes:
+        name: Field's standard term.
+        unit: SI unit.
+        typical: Usual size, in multiples of ``per``.
+        lower: Smallest physically plausible value, in multiples of ``per``.
+        upper: Largest physically plausible value, in multiples of ``per``.
+        per: What the numbers are multiples of: powers of the joint's rated torque and
+            speed, e.g. ``(1, -1)`` for torque/speed; ``(0, 0)`` for plain SI.
+    """
+
+    name: str
+    unit: str
+    typical: float
+    lower: float
+    upper: float
+    per: tuple[int, int] = (0, 0)
+
+    def scaled(self, scale: Scale) -> Quantity:
+        """The same with numbers in SI units for a joint of this size."""
+        size = scale.torque ** self.per[0] * scale.speed ** self.per[1]
+        return replace(
+            self,
+            typical=self.typical * size,
+            lower=self.lower * size,
+            upper=self.upper * size,
+            per=(0, 0),
+        )

@@ -1,0 +1,58 @@
+"""What a law may depend on: one joint's own state, and the rigid body around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class JointState:
+    """What a law of one joint may depend on; arrays of one shape.
+
+    Attributes:
+        t: Time, [s].
+        q: Position, [rad].
+        v: Speed, [rad/s].
+        a: Acceleration, [rad/s²].
+        sign: Direction of motion, −1, 0 or 1. A plant may pass its own idea of it.
+        load: Torque transmitted to the link, [N·m].
+        temperature: Temperature of the drive, [°C]; None where it is not measured.
+    """
+
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    sign: Array
+    load: Array
+    temperature: Array | None = None
+
+
+class Body(Protocol):
+    """Rigid-body quantities along a motion, as far as effects need them."""
+
+    @property
+    def load(self) -> Array:
+        """Torque transmitted to the links, shape (N, n), [N·m]."""
+
+    def link_columns(self, link: int) -> Array:
+        """Torque per inertial parameter of one link, shape (N, n, 10)."""
+
+    def response(self, dq: Array, dv: Array, da: Array) -> Array:
+        """Change of rigid torque along a change of motion, shape (N, n), [N·m]."""
+
+    @property
+    def gravity(self) -> Array:
+        """Acceleration of gravity in the base frame, shape (3,), [m/s²]."""
+
+    def weight(self, gravity: Array) -> Array:
+        """Torque that holds the links in a gravity, shape (N, n), [N·m]."""
+
+    def wrench_columns(self, link: int) -> Array:
+        """Torque per unit force and moment that a link exerts, shape (N, n, 6)."""

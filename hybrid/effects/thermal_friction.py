@@ -1,0 +1,40 @@
+"""Viscous friction of a gear that is still cold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+_ROOM = 20.0  # °C
+
+
+class ThermalFriction(JointEffect):
+    """Viscous friction of cold oil, over that of warm oil: F·w·v.
+
+    How cold the gear is, w, falls from 1 towards 0. It follows the drive's temperature
+    where that is measured, and the clock of the recording where it is not.
+    """
+
+    id = "thermal_friction"
+    port = Port.DRIVE
+    gains = (Quantity("cold", "N·m·s/rad", 0.04, 0.0, 1.0, per=(1, -1)),)
+    shapes = (
+        Quantity("time_constant", "s", 300.0, 5.0, 10000.0),
+        Quantity("temperature_scale", "K", 20.0, 5.0, 100.0),
+    )
+    equation = "τ = F · w · v, w = exp(−t/t_c) or exp(−(T − 20 °C)/T_c)"
+    source = "Bittencourt and Gunnarsson 2012, doi 10.1115/1.4006589"
+    sentence = "Friction of {joints} falls as it warms up."
+    remedy = "Warm the arm up first, or let damping follow the drive's temperature."
+
+    @staticmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per N·m·s/rad of cold friction."""
+        if state.temperature is None:
+            return (np.exp(-state.t / shapes["time_constant"]) * state.v,)
+        warmth = (state.temperature - _ROOM) / shapes["temperature_scale"]
+        return (np.exp(-warmth) * state.v,)

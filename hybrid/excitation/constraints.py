@@ -1,0 +1,215 @@
+"""Limits that a motion keeps: of position, speed, acceleration, jerk and torque."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.dynamics import inverse_dynamics, torque_gradient
+from hybrid.errors import ExcitationError
+from hybrid.excitation.observation import TURNING_SPEED
+from hybrid.excitation.path import Path
+from hybrid.plant.reference import DEFAULT_ACCELERATION, limits
+from hybrid.robot.chain import Array
+from hybrid.robot.robot import Robot
+
+Index = NDArray[np.intp]
+
+
+class Constraint(Protocol):
+    """K conditions that each sample of a motion has to keep."""
+
+    is_linear: ClassVar[bool]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each condition is, for messages, length K."""
+
+    def excess(self, path: Path) -> Array:
+        """How far each is from being kept, in parts of its limit, shape (N, K).
+
+        Zero at the limit, above it where the condition is not kept.
+        """
+
+    def slope(self, path: Path, which: Index) -> Array:
+        """Derivative of one condition's excess in each sample.
+
+        Args:
+            path: Samples, N of them.
+            which: The condition that is meant in each sample, shape (N,).
+
+        Returns:
+            Derivatives by position, speed, acceleration and jerk, shape (N, 4, n).
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What the joints of an arm may do; infinite where anything is allowed.
+
+    Attributes:
+        low: Lowest position, shape (n,), [rad].
+        high: Highest position, shape (n,), [rad].
+        speed: Highest speed, shape (n,), [rad/s].
+        acceleration: Highest acceleration, shape (n,), [rad/s²].
+        torque: Highest drive torque, shape (n,), [N·m].
+        jerk: Highest jerk, shape (n,), [rad/s³].
+    """
+
+    low: Array
+    high: Array
+    speed: Array
+    acceleration: Array
+    torque: Array
+    jerk: Array
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            x = np.asarray(getattr(self, f.name), dtype=float)
+            object.__setattr__(self, f.name, x)
+            if x.shape != np.shape(self.low) or x.ndim != 1 or np.isnan(x).any():
+                raise ExcitationError(f"limits: {f.name} needs one value for each joint")
+            if f.name not in ("low", "high") and (x <= 0).any():
+                raise ExcitationError(f"limits: {f.name} must be above 0")
+        if not (self.low < self.high).all():
+            raise ExcitationError("limits: low must be below high for each joint")
+        if not np.isfinite([self.low, self.high, self.speed]).all():
+            raise ExcitationError("limits: positions and speeds must be finite")
+
+    @classmethod
+    def of(cls, robot: Robot, *, fill: float = 0.8, jerk: float = np.inf) -> Limits:
+        """A part of what a robot file states, about the middle of each range.
+
+        Args:
+            robot: The arm; a position or speed it does not limit is taken as ±π rad
+                and 2 rad/s, and an acceleration, where it limits no torque either, as
+                10 rad/s².
+            fill: Part of the limits to use, above 0 up to 1.
+            jerk: Highest jerk of all joints, [rad/s³].
+        """
+        if not 0 < fill <= 1:
+            raise ExcitationError(f"fill is {fill:g}, above 0 up to 1 is valid")
+        low, high, speed, _ = limits(robot)
+        middle, half = (low + high) / 2, fill * (high - low) / 2
+        unlimited = ~np.isfinite(robot.a_max) & ~np.isfinite(robot.tau_max)
+        acceleration = np.where(unlimited, DEFAULT_ACCELERATION, robot.a_max)
+        return cls(
+            low=middle - half,
+            high=middle + half,
+            speed=fill * speed,
+            acceleration=fill * acceleration,
+            torque=fill * robot.tau_max,
+            jerk=np.full(robot.size, jerk),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """Position, speed, acceleration and jerk of every joint.
+
+    Attributes:
+        limits: The limits.
+        joints: Joint names, for messages.
+    """
+
+    is_linear: ClassVar[bool] = True
+
+    limits: Limits
+    joints: tuple[str, ...]
+
+    @cached_property
+    def _rows(self) -> tuple[Array, ...]:
+        """Derivative, joint, sign, size and middle of each condition, shape (K,)."""
+        x = self.limits
+        half, middle = (x.high - x.low) / 2, (x.high + x.low) / 2
+        sizes = (half, x.speed, x.acceleration, x.jerk)
+        rows = [
+            (k, j, sign, size[j], middle[j] if k == 0 else 0.0)
+            for k, size in enumerate(sizes)
+            for j in range(len(half))
+            for sign in (-1.0, 1.0)
+            if np.isfinite(size[j])
+        ]
+        return tuple(np.array(column) for column in zip(*rows, strict=True))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See :class:`Constraint`."""
+        kinds = ("position", "speed", "acceleration", "jerk")
+        derivative, joint, sign, _, _ = self._rows
+        return tuple(
+            f"{'lowest' if s < 0 else 'highest'} {kinds[k]} of {self.joints[j]}"
+            for k, j, s in zip(derivative, joint, sign, strict=True)
+        )
+
+    def excess(self, path: Path) -> Array:
+        """See :class:`Constraint`."""
+        derivative, joint, sign, size, middle = self._rows
+        x = np.stack([path.q, path.v, path.a, path.jerk])[derivative, :, joint].T
+        return np.asarray(sign * (x - middle) / size - 1.0)
+
+    def slope(self, path: Path, which: Index) -> Array:
+        """See :class:`Constraint`."""
+        derivative, joint, sign, size, _ = self._rows
+        out = np.zeros((len(which), 4, len(self.joints)))
+        at = np.arange(len(which)), derivative[which], joint[which]
+        out[at] = (sign / size)[which]
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueLimits:
+    """Torque of the nominal arm: rigid body, rotors and the friction its file declares.
+
+    Attributes:
+        robot: The arm.
+        limit: Highest torque, shape (n,), [N·m].
+    """
+
+    is_linear: ClassVar[bool] = False
+
+    robot: Robot
+    limit: Array
+
+    @cached_property
+    def _rows(self) -> tuple[Index, Array]:
+        """Joint and sign of each condition, shape (K,)."""
+        limited = np.flatnonzero(np.isfinite(self.limit))
+        return np.repeat(limited, 2), np.tile([-1.0, 1.0], len(limited))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See :class:`Constraint`."""
+        return tuple(
+            f"{'lowest' if sign < 0 else 'highest'} torque of {self.robot.joints[j]}"
+            for j, sign in zip(*self._rows, strict=True)
+        )
+
+    def torque(self, path: Path) -> Array:
+        """Drive torque along a motion, shape (N, n), [N·m]."""
+        robot, chain = self.robot, self.robot.chain
+        tau = inverse_dynamics(chain, chain.inertial, path.q, path.v, path.a)
+        tau += chain.armature * path.a + robot.damping * path.v
+        return tau + robot.frictionloss * np.tanh(path.v / TURNING_SPEED)
+
+    def excess(self, path: Path) -> Array:
+        """See :class:`Constraint`."""
+        joint, sign = self._rows
+        return np.asarray(sign * (self.torque(path) / self.limit)[:, joint] - 1.0)
+
+    def slope(self, path: Path, which: Index) -> Array:
+        """See :class:`Constraint`."""
+        joint, sign = self._rows
+        j, samples = joint[which], np.arange(len(which))
+        robot, chain = self.robot, self.robot.chain
+        by = torque_gradient(chain, path.q, path.v, path.a, chain.inertial, j)
+        out = np.stack([*by, np.zeros_like(path.q)], axis=1)
+        turn = 1.0 / np.cosh(np.clip(path.v[samples, j] / TURNING_SPEED, -50, 50)) ** 2
+        out[samples, 1, j] += robot.damping[j]
+        out[samples, 1, j] += robot.frictionloss[j] * turn / TURNING_SPEED
+        out[samples, 2, j] += chain.armature[j]
+        return np.asarray(out * (sign[which] / self.limit[j])[:, None, None])

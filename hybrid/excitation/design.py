@@ -1,0 +1,244 @@
+"""The motion to run: designed, verified, and what it will tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hybrid.errors import ExcitationError
+from hybrid.excitation.constraints import (
+    Constraint,
+    Limits,
+    MotionLimits,
+    TorqueLimits,
+)
+from hybrid.excitation.criteria import Condition, Criterion, condition, normalised
+from hybrid.excitation.observation import Observation
+from hybrid.excitation.path import Family, Trajectory, uniform
+from hybrid.excitation.program import MotionProgram
+from hybrid.excitation.solver import Solution, solve
+from hybrid.robot.chain import Array
+from hybrid.robot.robot import Robot
+
+# Sharpness of the criterion and iterations: for each start, then for the best of them.
+_EXPLORE = (4.0, 80)
+_POLISH = ((16.0, 100), (64.0, 200))
+_MARGIN = 1e-3
+_RETRIES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Motions to run one after the other, and the information they bring.
+
+    Attributes:
+        robot: The arm.
+        observation: What is to be identified.
+        criterion: What the motions were chosen by.
+        trajectories: The motions.
+        grams: Information of each on the design grid, shape (b, b).
+        rate: Samples of the design grid per second, [Hz].
+        excess: Largest excess of each limit over all motions, in parts of the limit, on
+            a grid ten times finer than the design grid; 0 or below.
+    """
+
+    robot: Robot
+    observation: Observation
+    criterion: Criterion
+    trajectories: tuple[Trajectory, ...]
+    grams: tuple[Array, ...]
+    rate: float
+    excess: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def gram(self) -> Array:
+        """Information of all motions, shape (b, b)."""
+        return np.asarray(sum(self.grams))
+
+    @property
+    def value(self) -> float:
+        """The criterion, of all motions."""
+        return self.criterion.value(self.gram)
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the observation matrix as it is."""
+        return condition(self.gram)
+
+    @property
+    def normalised_condition(self) -> float:
+        """Condition number with columns of unit length."""
+        return condition(normalised(self.gram))
+
+    @property
+    def log_det(self) -> float:
+        """Natural logarithm of the determinant of the information."""
+        return float(np.linalg.slogdet(self.gram)[1])
+
+    @property
+    def singular_values(self) -> Array:
+        """Of the observation matrix, largest first, shape (b,)."""
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(self.gram)[::-1]))
+
+    def standard_errors(self, independent_rate: float | None = None) -> Array:
+        """Predicted standard error of every unknown, in its own unit, shape (b,).
+
+        Args:
+            independent_rate: Samples per second with independent noise, [Hz]; a log at
+                500 Hz whose noise is correlated over 2 ms has about 230. By default
+                those of the design grid.
+        """
+        rate = self.rate if independent_rate is None else independent_rate
+        covariance = np.linalg.inv(self.gram * rate / self.rate)
+        return np.asarray(np.sqrt(covariance.diagonal()) * self.observation.scale)
+
+    @property
+    def additions(self) -> Array:
+        """Part by which each motion lowers the mean axis of the confidence ellipsoid.
+
+        Shape (T,); the first, which starts from nothing, counts 1.
+        """
+        b = self.observation.size
+        sums = np.cumsum(self.grams, axis=0)
+        volumes = np.array([np.linalg.slogdet(x)[1] for x in sums])
+        return np.append(1.0, 1.0 - np.exp(-np.diff(volumes) / (2 * b)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready results."""
+        base = self.observation.base
+        return {
+            "robot": self.robot.name,
+            "joints": list(self.robot.joints),
+            "criterion": type(self.criterion).__name__,
+            "value": self.value,
+            "condition": self.condition,
+            "condition_of_normalised_columns": self.normalised_condition,
+            "log_det": self.log_det,
+            "singular_values": self.singular_values.tolist(),
+            "unknowns": list(base.names),
+            "standard_errors": self.standard_errors().tolist(),
+            "additions": self.additions.tolist(),
+            "design_rate": self.rate,
+            "excess": dict(self.excess),
+            "trajectories": [x.as_dict() for x in self.trajectories],
+        }
+
+
+def design(
+    robot: Robot,
+    observation: Observation,
+    family: Family,
+    *,
+    rng: np.random.Generator,
+    criterion: Criterion | None = None,
+    limits: Limits | None = None,
+    constraints: Sequence[Constraint] = (),
+    trajectories: int = 1,
+    starts: int = 4,
+    rate: float = 20.0,
+    known: Array | None = None,
+) -> Design:
+    """Design motions that reveal the parameters, one after the other.
+
+    Each motion is chosen for what it adds to those before it. From several random
+    starts the most promising one is followed to the end.
+
+    Args:
+        robot: The arm, whose nominal torque shall stay within the limits.
+        observation: What is to be identified, see :func:`observe`.
+        family: Motions to choose from.
+        rng: Source of the starts.
+        criterion: What makes a motion good; the condition number by default.
+        limits: Limits of the joints; 80 % of the robot file's by default.
+        constraints: What is to be kept besides, e.g. a distance between links.
+        trajectories: Number of motions.
+        starts: Random starts for each.
+        rate: Samples of the design grid per second, [Hz].
+        known: Information of recordings that are there already, shape (b, b).
+
+    Raises:
+        ExcitationError: No motion within the limits was found; the message says which
+            limit of which joint is in the way.
+    """
+    if trajectories < 1 or starts < 1:
+        raise ExcitationError("trajectories and starts need to be 1 or more")
+    bounds = Limits.of(robot) if limits is None else limits
+    kept = (
+        MotionLimits(bounds, robot.joints),
+        TorqueLimits(robot, bounds.torque),
+        *constraints,
+    )
+    b = observation.size
+    total = np.zeros((b, b)) if known is None else np.asarray(known, dtype=float)
+    measure = Condition() if criterion is None else criterion
+    found: list[Trajectory] = []
+    grams: list[Array] = []
+    worst: dict[str, float] = {}
+    for child in rng.spawn(trajectories):
+        program = MotionProgram(
+            observation, measure, family, kept, bounds, total, rate, 1.0, _MARGIN
+        )
+        trajectory, excess = best_motion(program, starts=starts, rng=child)
+        t = uniform(family.duration, rate)
+        grams.append(observation.gram(trajectory.path(t), turning_speed=0.0))
+        total = total + grams[-1]
+        found.append(trajectory)
+        worst = {k: max(x, worst.get(k, -np.inf)) for k, x in excess.items()}
+    return Design(
+        robot, observation, measure, tuple(found), tuple(grams), rate, worst
+    )
+
+
+def best_motion(
+    program: MotionProgram, *, starts: int, rng: np.random.Generator
+) -> tuple[Trajectory, dict[str, float]]:
+    """The best motion of several starts, and how far it stays from every limit.
+
+    Args:
+        program: What is to be minimised.
+        starts: Number of random starts.
+        rng: Their source.
+
+    Raises:
+        ExcitationError: No motion within the limits was found.
+    """
+    power, iterations = _EXPLORE
+    rough = replace(program, power=power)
+    tries = [
+        solve(rough, rough.random(rng), iterations=iterations) for _ in range(starts)
+    ]
+    solution = min(tries, key=_merit)
+    for power, iterations in _POLISH:
+        solution = _continued(replace(program, power=power), solution, iterations)
+    margin = program.margin
+    for _ in range(_RETRIES):
+        excess = program.verified(solution.x)
+        worst = max(excess.values())
+        if worst <= 0:
+            return program.trajectory(solution.x), excess
+        # Between the samples of the design grid the torque may be a little higher.
+        margin += 1.2 * worst
+        sharp = replace(program, power=_POLISH[-1][0], margin=margin)
+        solution = _continued(sharp, solution, _POLISH[-1][1])
+    raise ExcitationError(_infeasible(program.verified(solution.x)))
+
+
+def _merit(solution: Solution) -> tuple[bool, float]:
+    return solution.excess > 0.01, solution.value + 5.0 * solution.excess
+
+
+def _continued(program: MotionProgram, last: Solution, iterations: int) -> Solution:
+    return solve(program, last.x, iterations=iterations, curvature=last.curvature)
+
+
+def _infeasible(excess: Mapping[str, float]) -> str:
+    over = sorted(((x, name) for name, x in excess.items() if x > 0), reverse=True)
+    named = ", ".join(f"{name} by {100 * x:.2g} %" for x, name in over[:4])
+    return (
+        f"no motion within the limits was found; the best one exceeds the {named}. "
+        "Valid are wider limits or a longer motion"
+    )

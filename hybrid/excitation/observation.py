@@ -1,0 +1,227 @@
+"""The observation matrix of a motion: whitened, scaled, and its gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from hybrid.dynamics import (
+    BaseParameters,
+    RigidBody,
+    effect_gains,
+    regressor,
+    regressor_gradient,
+    stacked_base,
+)
+from hybrid.dynamics.regressor import inverse_dynamics
+from hybrid.effects import Effect, JointEffect, JointState
+from hybrid.errors import ExcitationError
+from hybrid.excitation.path import Path
+from hybrid.robot.chain import Array, Chain
+from hybrid.signals import Motion
+
+# Dry friction turns its direction within this speed: a step has no gradient.
+TURNING_SPEED = 0.02  # rad/s
+_STEP = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """Columns of everything that is to be identified, along a motion.
+
+    A row is the torque of one joint at one time per unit of every unknown. Rows are
+    whitened by the noise, W = Ω^(−1/2) Y, and columns scaled, so that a criterion on W
+    weighs what a fit will weigh.
+
+    Attributes:
+        chain: The arm.
+        effects: Effects whose gains are unknown; dry friction, viscous friction, ...
+        base: Independent combinations over all inertial parameters and gains.
+        whitening: Lower triangular L⁻¹ of the noise covariance L Lᵀ, shape (n, n),
+            [1/(N·m)].
+        scale: Size of each unknown, in which its column is counted, shape (b,).
+    """
+
+    chain: Chain
+    effects: tuple[Effect, ...]
+    base: BaseParameters
+    whitening: Array
+    scale: Array
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns b."""
+        return self.base.size
+
+    @cached_property
+    def gains(self) -> tuple[tuple[int, int], ...]:
+        """Effect and gain of each column behind the 10n inertial ones."""
+        return effect_gains(self.effects)
+
+    @cached_property
+    def gravity_columns(self) -> Array:
+        """True for unknowns that move a torque at rest, shape (b,)."""
+        n = self.chain.size
+        q = np.random.default_rng(0).uniform(-np.pi, np.pi, (50, n))
+        rest = np.zeros_like(q)
+        still = self.matrix(Path(np.arange(50.0), q, rest, rest, rest))
+        size = np.abs(still).max(axis=(0, 1))
+        return np.asarray(size > 1e-9 * size.max())
+
+    def matrix(self, path: Path, *, turning_speed: float = TURNING_SPEED) -> Array:
+        """The observation matrix, shape (N, n, b).
+
+        Args:
+            path: Motion, N samples.
+            turning_speed: Speed within which dry friction turns, [rad/s]; 0 for a step.
+        """
+        rigid, gains = self._kept
+        Y = np.empty((len(path.t), self.chain.size, self.size))
+        full = regressor(self.chain, path.q, path.v, path.a)
+        Y[:, :, : len(rigid)] = full[:, :, rigid]
+        if len(gains):
+            Y[:, :, len(rigid) :] = self._effects(path, turning_speed)[:, :, gains]
+        return np.asarray(self.whitening @ Y * self.scale)
+
+    def gram(self, path: Path, *, turning_speed: float = TURNING_SPEED) -> Array:
+        """Information of a motion, Wᵀ W, shape (b, b)."""
+        W = self.matrix(path, turning_speed=turning_speed).reshape(-1, self.size)
+        return np.asarray(W.T @ W)
+
+    def gradient(self, path: Path, weight: Array) -> tuple[Array, Array, Array]:
+        """Derivatives of ``sum(weight * matrix(path))`` by the motion.
+
+        Args:
+            path: Motion, N samples.
+            weight: Weight of each entry, shape (N, n, b).
+
+        Returns:
+            Derivatives by q, v and a, each of shape (N, n).
+        """
+        rigid, gains = self._kept
+        seed = self.whitening.T @ weight * self.scale
+        n = self.chain.size
+        full = np.zeros((len(path.t), n, 10 * n))
+        full[:, :, rigid] = seed[:, :, : len(rigid)]
+        own = np.zeros((3, *path.q.shape))
+        if len(gains):
+            effects = np.zeros((len(path.t), n, len(self.gains)))
+            effects[:, :, gains] = seed[:, :, len(rigid) :]
+            own, load = self._effects_gradient(path, effects)
+            full += load[:, :, None] * self.chain.inertial.ravel()
+        by = regressor_gradient(self.chain, path.q, path.v, path.a, full)
+        return by[0] + own[0], by[1] + own[1], by[2] + own[2]
+
+    @cached_property
+    def _kept(self) -> tuple[list[int], list[int]]:
+        """Columns among the inertial ones, and among the gains."""
+        n = 10 * self.chain.size
+        kept = self.base.kept
+        return [k for k in kept if k < n], [k - n for k in kept if k >= n]
+
+    def _effects(self, path: Path, turning_speed: float) -> Array:
+        """Columns of the effects, not whitened, shape (N, n, gains)."""
+        out = np.zeros((*path.q.shape, len(self.gains)))
+        load = self._load(path)
+        motion = _motion(self.chain, path)
+        body = RigidBody(self.chain, motion)
+        first = 0
+        for effect in self.effects:
+            columns = slice(first, first + len(effect.gains))
+            if isinstance(effect, JointEffect):
+                (j,) = effect.joints
+                state = _states(path, j, load[:, j])
+                out[:, j, columns] = _law(effect, state, turning_speed)
+            else:
+                reached = list(effect.reaches(self.chain.size))
+                out[:, reached, columns] = effect.columns(motion, body)
+            first = columns.stop
+        return out
+
+    def _load(self, path: Path) -> Array:
+        inertial = self.chain.inertial
+        return inverse_dynamics(self.chain, inertial, path.q, path.v, path.a)
+
+    def _effects_gradient(self, path: Path, weight: Array) -> tuple[Array, Array]:
+        """Derivatives by (q, v, a), shape (3, N, n), and by the load, shape (N, n)."""
+        by, by_load = np.zeros((3, *path.q.shape)), np.zeros_like(path.q)
+        load = self._load(path)
+        first = 0
+        for effect in self.effects:
+            if not isinstance(effect, JointEffect):
+                raise ExcitationError(
+                    f"{effect.id} has no law of one joint's state, and a motion can be "
+                    "designed for such effects only"
+                )
+            (j,) = effect.joints
+            seed = weight[:, j, first : first + len(effect.gains)]
+            state = _states(path, j, load[:, j])
+            for k, out in enumerate((by[0], by[1], by[2], by_load)):
+                size = _STEP * (float(np.abs(state[k]).max()) or 1.0)
+                step = np.zeros((4, 1))
+                step[k] = size
+                change = _law(effect, state + step, TURNING_SPEED)
+                change = change - _law(effect, state - step, TURNING_SPEED)
+                out[:, j] += (seed * change).sum(axis=1) / (2 * size)
+            first += len(effect.gains)
+        return by, by_load
+
+
+def observe(
+    chain: Chain,
+    effects: Sequence[Effect] = (),
+    *,
+    covariance: Array | None = None,
+    scale: Array | None = None,
+) -> Observation:
+    """The observation matrix of an arm with some effects.
+
+    Args:
+        chain: The arm.
+        effects: Effects whose gains are to be identified beside the rigid body.
+        covariance: Covariance of the torque noise between joints, shape (n, n),
+            [N²·m²]; by default the unit matrix.
+        scale: Size of each unknown, shape (b,); by default 1 of its unit.
+
+    Raises:
+        ExcitationError: A shape does not fit, or the covariance is not positive.
+    """
+    base = stacked_base(chain, effects, effect_gains(effects))
+    noise = np.eye(chain.size) if covariance is None else np.asarray(covariance)
+    size = np.ones(base.size) if scale is None else np.asarray(scale, dtype=float)
+    if noise.shape != (chain.size, chain.size) or size.shape != (base.size,):
+        raise ExcitationError(
+            f"covariance needs shape {(chain.size, chain.size)}, and scale one value "
+            f"for each of the {base.size} unknowns"
+        )
+    try:
+        lower = np.linalg.cholesky(noise)
+    except np.linalg.LinAlgError as error:
+        raise ExcitationError("the noise covariance must be positive") from error
+    whitening = solve_triangular(lower, np.eye(chain.size), lower=True)
+    return Observation(chain, tuple(effects), base, whitening, size)
+
+
+def _states(path: Path, joint: int, load: Array) -> Array:
+    """Position, speed, acceleration and load of one joint, shape (4, N)."""
+    return np.stack([path.q[:, joint], path.v[:, joint], path.a[:, joint], load])
+
+
+def _law(effect: JointEffect, state: Array, turning_speed: float) -> Array:
+    """Columns of a law, shape (N, p)."""
+    q, v, a, load = state
+    sign = np.tanh(v / turning_speed) if turning_speed > 0 else np.sign(v)
+    t = np.arange(float(len(q)))
+    joint = JointState(t, q, v, a, sign, load)
+    unit = np.ones_like(q)
+    return np.stack([unit * x for x in effect.law(joint, **effect.shape_values)], -1)
+
+
+def _motion(chain: Chain, path: Path) -> Motion:
+    mask = np.ones(len(path.t), dtype=bool)
+    tau = np.zeros_like(path.q)
+    return Motion(path.t, path.q, path.v, path.a, tau, mask, joints=chain.joints)

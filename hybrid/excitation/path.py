@@ -1,0 +1,142 @@
+"""A motion with its derivatives on a grid of times, and families of such motions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from hybrid.errors import ExcitationError
+from hybrid.plant.reference import Reference
+from hybrid.robot.chain import Array
+
+DERIVATIVES = 4  # position, speed, acceleration, jerk
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Samples of a motion.
+
+    Attributes:
+        t: Time, shape (N,), [s].
+        q: Position, shape (N, n), [rad].
+        v: Speed, shape (N, n), [rad/s].
+        a: Acceleration, shape (N, n), [rad/s²].
+        jerk: Jerk, shape (N, n), [rad/s³].
+    """
+
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    jerk: Array
+
+    def at(self, samples: Any) -> Path:
+        """Some of the samples."""
+        return Path(*(x[samples] for x in (self.t, self.q, self.v, self.a, self.jerk)))
+
+    @classmethod
+    def joined(cls, paths: Sequence[Path]) -> Path:
+        """Paths one after the other, as rows of one table; time is not continued."""
+        names = ("t", "q", "v", "a", "jerk")
+        return cls(*(np.concatenate([getattr(p, x) for p in paths]) for x in names))
+
+
+class Family(Protocol):
+    """Motions of one joint that are linear in m coefficients.
+
+    They begin and end at rest: with zero speed and zero acceleration.
+    """
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion, [s]."""
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients m of a joint."""
+
+    def basis(self, t: Array, derivative: int) -> Array:
+        """Derivative of every basis function, shape (N, m), [1/s^derivative]."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready description: name and options."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A motion of n joints out of a family.
+
+    Attributes:
+        family: Basis functions, the same for each joint.
+        coefficients: Their weights, shape (m, n), [rad].
+    """
+
+    family: Family
+    coefficients: Array
+
+    def __post_init__(self) -> None:
+        x = np.asarray(self.coefficients, dtype=float)
+        if x.ndim != 2 or len(x) != self.family.size or not np.isfinite(x).all():
+            raise ExcitationError(
+                f"coefficients need shape ({self.family.size}, joints) and finite "
+                f"values; these have shape {x.shape}"
+            )
+        object.__setattr__(self, "coefficients", x)
+
+    def path(self, t: Array) -> Path:
+        """Samples at the times ``t``, shape (N,), [s]."""
+        bases = [self.family.basis(t, k) for k in range(DERIVATIVES)]
+        return Path(t, *(basis @ self.coefficients for basis in bases))
+
+    def reference(self, rate: float) -> Reference:
+        """The motion to run, at a number of samples per second [Hz]."""
+        if not (np.isfinite(rate) and rate * self.family.duration >= 2):
+            raise ExcitationError(f"rate is {rate:g} Hz, two samples or more are valid")
+        t = uniform(self.family.duration, rate)
+        path = self.path(t)
+        return Reference(t, path.q, path.v, path.a)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready content."""
+        content = {"family": self.family.as_dict()}
+        return content | {"coefficients": self.coefficients.tolist()}
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Basis functions of a family at fixed times.
+
+    Attributes:
+        family: The family.
+        t: Times, shape (N,), [s].
+    """
+
+    family: Family
+    t: Array
+
+    @cached_property
+    def bases(self) -> Array:
+        """Of position, speed, acceleration and jerk, shape (4, N, m)."""
+        return np.stack([self.family.basis(self.t, k) for k in range(DERIVATIVES)])
+
+    def path(self, coefficients: Array) -> Path:
+        """Samples of the motion with these coefficients, shape (m, n)."""
+        return Path(self.t, *(self.bases @ coefficients))
+
+    def gradient(self, *by: Array) -> Array:
+        """Derivatives by the coefficients, shape (m, n), from those by the samples.
+
+        Args:
+            by: Derivatives by q, v, a and jerk as far as needed, shape (N, n) each.
+        """
+        pairs = zip(self.bases, by, strict=False)
+        return np.asarray(sum(basis.T @ x for basis, x in pairs))
+
+
+def uniform(duration: float, rate: float) -> Array:
+    """Times from 0 to the end at about ``rate`` samples per second, [s]."""
+    return np.linspace(0.0, duration, round(duration * rate) + 1)

@@ -1,0 +1,149 @@
+"""The program to be solved for one motion: criterion, limits, and the grids of both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hybrid.excitation.constraints import Constraint, Limits
+from hybrid.excitation.criteria import Criterion
+from hybrid.excitation.observation import Observation
+from hybrid.excitation.path import Family, Grid, Trajectory, uniform
+from hybrid.robot.chain import Array
+
+FINER = 10  # times as fine as the design grid is the one on which limits are verified
+_NEAR = 0.5  # conditions within this part of their limit enter a step
+
+
+@dataclass(frozen=True, eq=False)
+class MotionProgram:
+    """Best motion of a family in scaled coordinates, shape (m·n,).
+
+    Coordinates are multiples of what fills a limit by itself, so that a step of 0.1 is
+    a small one whatever the joint and the harmonic.
+
+    Attributes:
+        observation: What is to be identified.
+        criterion: What makes a motion good.
+        family: Motions to choose from.
+        constraints: What each sample has to keep.
+        limits: Limits of the joints, for the scale of the coordinates.
+        known: Information of motions that will be run besides, shape (b, b).
+        rate: Samples of the design grid per second, [Hz].
+        power: Sharpness of the criterion; see :class:`Criterion`.
+        margin: Part of every limit that is kept free.
+    """
+
+    observation: Observation
+    criterion: Criterion
+    family: Family
+    constraints: Sequence[Constraint]
+    limits: Limits
+    known: Array
+    rate: float
+    power: float
+    margin: float
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The design grid."""
+        return Grid(self.family, uniform(self.family.duration, self.rate))
+
+    @cached_property
+    def fine(self) -> Grid:
+        """The grid on which limits are verified."""
+        return Grid(self.family, uniform(self.family.duration, FINER * self.rate))
+
+    @cached_property
+    def middle(self) -> Array:
+        """Coefficients of the arm standing in the middle of its range, (m, n)."""
+        q = np.tile((self.limits.low + self.limits.high) / 2, (len(self.grid.t), 1))
+        return np.asarray(np.linalg.lstsq(self.grid.bases[0], q, rcond=None)[0])
+
+    @cached_property
+    def scale(self) -> Array:
+        """Coefficients that fill a limit by themselves, shape (m, n)."""
+        x = self.limits
+        sizes = ((x.high - x.low) / 2, x.speed, x.acceleration, x.jerk)
+        reach = np.abs(self.fine.bases).max(axis=1)  # (4, m)
+        return np.asarray(
+            np.min([s / np.maximum(r[:, None], 1e-9) for s, r in zip(sizes, reach)], 0)
+        )
+
+    def coefficients(self, x: Array) -> Array:
+        """Coefficients of a point, shape (m, n)."""
+        return np.asarray(self.middle + self.scale * x.reshape(self.scale.shape))
+
+    def trajectory(self, x: Array) -> Trajectory:
+        """Motion of a point."""
+        return Trajectory(self.family, self.coefficients(x))
+
+    def random(self, rng: np.random.Generator, *, fill: float = 0.8) -> Array:
+        """A random motion that fills a part of the joints' own limits, shape (m·n,)."""
+        x = rng.standard_normal(self.scale.shape)
+        for j in range(x.shape[1]):
+            path = self.fine.bases @ (self.scale[:, j] * x[:, j])  # (4, N)
+            low, high = self.limits.low[j], self.limits.high[j]
+            size = self.limits.speed[j], self.limits.acceleration[j], self.limits.jerk[j]
+            sizes = np.array([(high - low) / 2, *size])
+            x[:, j] *= fill / (np.abs(path).max(axis=1) / sizes).max()
+        return x.ravel()
+
+    def information(self, x: Array) -> Array:
+        """Information of a motion and of those known, shape (b, b)."""
+        path = self.grid.path(self.coefficients(x))
+        return self.known + self.observation.gram(path)
+
+    def objective(self, x: Array) -> tuple[float, Array]:
+        """See :class:`~hybrid.excitation.solver.Program`."""
+        path = self.grid.path(self.coefficients(x))
+        W = self.observation.matrix(path)
+        rows = W.reshape(-1, self.observation.size)
+        value, slope = self.criterion.smooth(self.known + rows.T @ rows, self.power)
+        by = self.observation.gradient(path, 2.0 * (W @ slope))
+        return value, (self.grid.gradient(*by) * self.scale).ravel()
+
+    def conditions(self, x: Array) -> tuple[Array, Array]:
+        """See :class:`~hybrid.excitation.solver.Program`."""
+        values, slopes = [np.zeros(0)], [np.zeros((0, x.size))]
+        for constraint in self.constraints:
+            grid = self.fine if constraint.is_linear else self.grid
+            path = grid.path(self.coefficients(x))
+            excess = constraint.excess(path) + self.margin
+            sample, which = np.nonzero(_peaks(excess) & (excess > -_NEAR))
+            slope = constraint.slope(path.at(sample), which)  # (M, 4, n)
+            by = np.einsum("kMm,Mkj->Mmj", grid.bases[:, sample], slope)
+            values.append(excess[sample, which])
+            slopes.append((by * self.scale).reshape(len(sample), x.size))
+        return np.concatenate(values), np.concatenate(slopes)
+
+    def excess(self, x: Array) -> float:
+        """See :class:`~hybrid.excitation.solver.Program`."""
+        worst = -np.inf
+        for constraint in self.constraints:
+            grid = self.fine if constraint.is_linear else self.grid
+            found = constraint.excess(grid.path(self.coefficients(x)))
+            worst = max(worst, float(found.max(initial=-np.inf)))
+        return worst + self.margin
+
+    def verified(self, x: Array) -> dict[str, float]:
+        """Largest excess of each condition on the fine grid, without the margin."""
+        path = self.fine.path(self.coefficients(x))
+        return {
+            name: float(worst)
+            for constraint in self.constraints
+            for name, worst in zip(
+                constraint.names, constraint.excess(path).max(axis=0), strict=True
+            )
+        }
+
+
+def _peaks(x: Array) -> Array:
+    """True at local maxima along the first axis, and at both ends."""
+    edge = np.full((1, x.shape[1]), -np.inf)
+    rises = x >= np.concatenate([edge, x[:-1]])
+    falls = x > np.concatenate([x[1:], edge])
+    return np.asarray(rises & falls)

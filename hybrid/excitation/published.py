@@ -1,0 +1,190 @@
+"""Two designs of the literature as they are described, to stand beside our own.
+
+Iterated block-weighted design: trajectories are added one by one, each optimised
+jointly with those found, from random starts, until a number of tries brings nothing.
+Population design: a crowding niche genetic algorithm on the condition number, limits as
+a penalty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import minimize as local_minimum
+
+from hybrid.excitation.constraints import Limits
+from hybrid.excitation.criteria import Criterion, condition
+from hybrid.excitation.observation import Observation
+from hybrid.excitation.path import Family, Grid, Path, Trajectory, uniform
+from hybrid.excitation.program import MotionProgram
+from hybrid.robot.chain import Array
+from hybrid.search.niche_genetic import NicheGenetic
+from hybrid.search.search import minimise
+
+_TRIES = 15  # without gain
+_LOCAL_STEPS = 30
+_SHARP = 1e3  # so large a power is the condition number itself
+_PENALTY = 1e3
+
+
+def iterated_design(
+    program: MotionProgram,
+    *,
+    trajectories: int,
+    rng: np.random.Generator,
+    tries: int = _TRIES,
+) -> tuple[Trajectory, ...]:
+    """Trajectories one by one, each with random restarts until nothing is gained.
+
+    Args:
+        program: Criterion, family and limits; its ``known`` is where to begin.
+        trajectories: Number of motions.
+        rng: Source of the starts.
+        tries: Restarts without gain after which to stop.
+    """
+    found = []
+    for _ in range(trajectories):
+        program = replace(program, power=_SHARP)
+        best, lowest, failed = None, np.inf, 0
+        while failed < tries or best is None:
+            x = _local(program, program.random(rng))
+            value = program.criterion.value(program.information(x))
+            if program.excess(x) <= 1e-3 and value < lowest * (1 - 1e-6):
+                best, lowest, failed = x, value, 0
+            else:
+                failed += 1
+                if best is None and failed >= 10 * tries:
+                    best = _shrunk(program, x)
+        found.append(program.trajectory(best))
+        program = replace(program, known=program.information(best))
+    return tuple(found)
+
+
+def _local(program: MotionProgram, x: Array) -> Array:
+    """SLSQP with one constraint for the worst sample of each limit."""
+
+    def conditions(x: Array) -> Array:
+        parts = [
+            -c.excess(program.grid.path(program.coefficients(x))).max(axis=0)
+            for c in program.constraints
+        ]
+        return np.concatenate(parts) - program.margin
+
+    def slopes(x: Array) -> Array:
+        path = program.grid.path(program.coefficients(x))
+        rows = []
+        for c in program.constraints:
+            sample = c.excess(path).argmax(axis=0)
+            slope = c.slope(path.at(sample), np.arange(len(sample)))
+            by = np.einsum("kMm,Mkj->Mmj", program.grid.bases[:, sample], slope)
+            rows.append(-(by * program.scale).reshape(len(sample), x.size))
+        return np.concatenate(rows)
+
+    result = local_minimum(
+        program.objective,
+        x,
+        jac=True,
+        method="SLSQP",
+        constraints={"type": "ineq", "fun": conditions, "jac": slopes},
+        options={"maxiter": _LOCAL_STEPS},
+    )
+    return _shrunk(program, np.asarray(result.x))
+
+
+def _shrunk(program: MotionProgram, x: Array) -> Array:
+    """The motion made smaller about the middle until it keeps the limits."""
+    for _ in range(60):
+        if program.excess(x) <= 0:
+            break
+        x = 0.99 * x
+    return x
+
+
+@dataclass(frozen=True, eq=False)
+class PopulationProgram:
+    """Condition number of whole populations of motions, with limits as a penalty.
+
+    Attributes:
+        observation: What is to be identified.
+        criterion: What makes a motion good.
+        family: Motions to choose from.
+        limits: Limits of position, speed and acceleration.
+        rate: Samples of the design grid per second, [Hz].
+        period: Time over which a motion repeats itself, [s]: one is enough.
+    """
+
+    observation: Observation
+    criterion: Criterion
+    family: Family
+    limits: Limits
+    rate: float
+    period: float
+
+    @cached_property
+    def grid(self) -> Grid:
+        """One period of the design grid."""
+        return Grid(self.family, uniform(self.period, self.rate)[:-1])
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Largest coefficients, shape (m, n): those that fill a limit by themselves."""
+        x = self.limits
+        sizes = ((x.high - x.low) / 2, x.speed, x.acceleration)
+        reach = np.abs(self.grid.bases).max(axis=1)
+        parts = [
+            s / np.maximum(r[:, None], 1e-9) for s, r in zip(sizes, reach, strict=False)
+        ]
+        return np.asarray(np.min(parts, axis=0))
+
+    def trajectory(self, x: Array) -> Trajectory:
+        """Motion of a point, shape (m·n,)."""
+        return Trajectory(self.family, x.reshape(self.bounds.shape))
+
+    def values(self, x: Array) -> Array:
+        """Criterion and penalty of P points, shape (P, m·n) -> (P,)."""
+        bases, limits = self.grid.bases, self.limits
+        coefficients = x.reshape(len(x), *self.bounds.shape)
+        states = [np.matmul(basis, coefficients) for basis in bases]  # (P, N, n)
+        q, v, a = states[:3]
+        size = (limits.high - limits.low) / 2
+        ratios = (
+            np.abs(q - (limits.high + limits.low) / 2) / size,
+            np.abs(v) / limits.speed,
+            np.abs(a) / limits.acceleration,
+        )
+        excess = sum(np.maximum(r.max(axis=1) - 1, 0).sum(axis=1) for r in ratios)
+        flat = [y.reshape(-1, y.shape[2]) for y in states]
+        t = np.tile(self.grid.t, len(x))
+        W = self.observation.matrix(Path(t, *flat))
+        rows = W.reshape(len(x), -1, self.observation.size)
+        grams = np.matmul(rows.transpose(0, 2, 1), rows)
+        value = np.array([self.criterion.value(gram) for gram in grams])
+        return np.asarray(value + _PENALTY * excess)
+
+
+def niche_design(
+    program: PopulationProgram, *, rng: np.random.Generator, generations: int = 400
+) -> Trajectory:
+    """The motion that the crowding niche genetic algorithm finds.
+
+    Args:
+        program: Criterion, family and limits.
+        rng: Source of every random choice.
+        generations: Generations of 50 individuals.
+    """
+    upper = program.bounds.ravel()
+    search = NicheGenetic(-upper, upper, rng=rng)
+    minimise(search, program.values, generations)
+    return program.trajectory(search.best.point)
+
+
+def set_condition(
+    observation: Observation, trajectories: tuple[Trajectory, ...], rate: float
+) -> float:
+    """Condition number of the stacked observation matrices of several motions."""
+    grams = [
+        observation.gram(x.path(uniform(x.family.duration, rate))) for x in trajectories
+    ]
+    return condition(np.asarray(sum(grams)))

@@ -1,0 +1,148 @@
+"""Sequential quadratic programming for smooth objectives under very many conditions.
+
+Only the conditions near their limit enter each quadratic program, which is why limits
+may be given on fine grids. Source: Fletcher 1985, doi 10.1007/978-3-642-82118-9, and
+Nocedal and Wright 2006, doi 10.1007/978-0-387-40065-5, chapter 18 (trust region with
+an ℓ∞ penalty, damped BFGS).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from hybrid.robot.chain import Array
+
+_PENALTY = 5.0  # of the largest excess, against an objective of order 1
+_FIRST_REACH, _MOST_REACH, _LEAST_REACH = 0.1, 0.5, 1e-5
+_ENOUGH = 1e-6  # predicted decrease at which to stop
+
+
+class Program(Protocol):
+    """What is to be minimised, and under which conditions."""
+
+    def objective(self, x: Array) -> tuple[float, Array]:
+        """Value, and gradient of shape (d,)."""
+
+    def conditions(self, x: Array) -> tuple[Array, Array]:
+        """Conditions near their limit: excess, shape (M,), and slope, shape (M, d)."""
+
+    def excess(self, x: Array) -> float:
+        """Largest excess of all conditions; kept where not above zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where a minimisation ended.
+
+    Attributes:
+        x: Best point, shape (d,).
+        value: Objective there.
+        excess: Largest excess there.
+        curvature: Approximate Hessian, shape (d, d).
+        iterations: Steps that were tried.
+        converged: Whether no better step was in sight.
+    """
+
+    x: Array
+    value: float
+    excess: float
+    curvature: Array
+    iterations: int
+    converged: bool
+
+
+def solve(
+    program: Program, x: Array, *, iterations: int, curvature: Array | None = None
+) -> Solution:
+    """Minimise from a start, which need not keep the conditions.
+
+    Args:
+        program: Objective and conditions; coordinates of order 1.
+        x: Start, shape (d,).
+        iterations: Most steps to try.
+        curvature: Hessian to begin with, e.g. of a similar program, shape (d, d).
+    """
+    reach = _FIRST_REACH
+    B = np.eye(len(x)) if curvature is None else curvature
+    value, gradient = program.objective(x)
+    excess = max(0.0, program.excess(x))
+    limits, slopes = program.conditions(x)
+    converged = False
+    k = 0
+    for k in range(1, iterations + 1):
+        step = quadratic_program(B, gradient, limits, slopes, reach)
+        left = (limits + slopes @ step).max(initial=0.0)
+        predicted = _PENALTY * (max(excess, limits.max(initial=0.0)) - left)
+        predicted -= gradient @ step + 0.5 * step @ B @ step
+        if predicted < _ENOUGH or reach < _LEAST_REACH:
+            converged = True
+            break
+        new_value, new_gradient = program.objective(x + step)
+        new_excess = max(0.0, program.excess(x + step))
+        B = _updated(B, step, new_gradient - gradient)
+        gain = value - new_value + _PENALTY * (excess - new_excess)
+        if gain > 0.05 * predicted:
+            x, value, gradient, excess = x + step, new_value, new_gradient, new_excess
+            limits, slopes = program.conditions(x)
+        if gain < 0.25 * predicted:
+            reach /= 2
+        elif gain > 0.7 * predicted and np.abs(step).max() > 0.9 * reach:
+            reach = min(2 * reach, _MOST_REACH)
+    return Solution(x, value, excess, B, k, converged)
+
+
+def quadratic_program(
+    B: Array, gradient: Array, limits: Array, slopes: Array, reach: float
+) -> Array:
+    """The step within ``reach`` that lowers the model; excess is paid for.
+
+    Minimises gᵀs + ½ sᵀBs + c·max(0, limits + slopes·s) with \\|s\\|∞ ≤ reach.
+    """
+    import clarabel  # type: ignore[import-not-found, import-untyped, unused-ignore]
+    from scipy.sparse import csc_matrix
+
+    d = len(gradient)
+    P = np.zeros((d + 1, d + 1))
+    P[:d, :d] = B
+    P[d, d] = 1e-8
+    eye, zero = np.eye(d), np.zeros((d, 1))
+    rows = np.block(
+        [
+            [slopes, -np.ones((len(limits), 1))],
+            [eye, zero],
+            [-eye, zero],
+            [np.zeros((1, d)), -np.ones((1, 1))],
+        ]
+    )
+    bounds = np.concatenate([-limits, np.full(2 * d, reach), [0.0]])
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    solution = clarabel.DefaultSolver(
+        csc_matrix(np.triu(P)),
+        np.append(gradient, _PENALTY),
+        csc_matrix(rows),
+        bounds,
+        [clarabel.NonnegativeConeT(len(bounds))],
+        settings,
+    ).solve()
+    step = np.array(solution.x)[:d]
+    # A solver that stopped early may leave the box by a rounding.
+    return np.clip(np.where(np.isfinite(step), step, 0.0), -reach, reach)
+
+
+def _updated(B: Array, step: Array, change: Array) -> Array:
+    """Damped BFGS: the Hessian stays positive."""
+    along = B @ step
+    curve, seen = step @ along, step @ change
+    if seen < 0.2 * curve:
+        share = 0.8 * curve / (curve - seen)
+        change = share * change + (1 - share) * along
+        seen = step @ change
+    if min(curve, seen) < 1e-14:
+        return B
+    return np.asarray(
+        B - np.outer(along, along) / curve + np.outer(change, change) / seen
+    )

@@ -1,0 +1,116 @@
+"""What is known before the first sample: values, spread and bounds of the unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hybrid.effects import Effect
+from hybrid.identify.problem import Problem
+from hybrid.plant.scale import joint_scales
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+
+REACH = 0.15  # m: usual size of a link, and distance of a payload from the last joint
+
+
+@dataclass(frozen=True)
+class Start:
+    """First estimate of base parameters, gains and shapes.
+
+    Attributes:
+        robot: The arm.
+        problem: Which base parameters and gains count.
+        inertial: First link parameters, shape (n, 10).
+        prior: Relative standard deviation of link parameters and gains.
+        shape_prior: The same for shapes; 0 holds them.
+    """
+
+    robot: Robot
+    problem: Problem
+    inertial: Array
+    prior: float
+    shape_prior: float
+
+    @cached_property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects; gains that base parameters have absorbed are zero."""
+        kept = {(e, g) for _, e, g in self.problem.gains}
+        return tuple(
+            effect.at(
+                {x.name: 0.0 for g, x in enumerate(effect.gains) if (e, g) not in kept}
+            )
+            for e, effect in enumerate(self.problem.effects)
+        )
+
+    @cached_property
+    def theta(self) -> Array:
+        """First values, shape (d,)."""
+        problem = self.problem
+        gains = [problem.effects[e].gain_values[g] for e, g in problem.columns]
+        base = problem.base.mapping @ np.concatenate([self.inertial.ravel(), gains])
+        shapes = [x for e in problem.effects for x in e.shape_values.values()]
+        return np.concatenate([base, shapes])
+
+    @cached_property
+    def root(self) -> Array:
+        """Square root of the first covariance, shape (d, d)."""
+        problem = self.problem
+        spread = self.prior * np.concatenate([self._link_sizes(), self._gain_sizes()])
+        directions = problem.base.mapping * spread  # (p, 10n + gains)
+        shapes = self.theta[problem.size :]
+        d, p = len(self.theta), problem.size
+        root = np.zeros((d, d))
+        root[:p, :p] = np.linalg.qr(directions.T, mode="r").T
+        root[p:, p:] = np.diag(self.shape_prior * np.abs(shapes))
+        return root
+
+    def _link_sizes(self) -> Array:
+        """Sizes of the inertial parameters of every link, shape (10n,)."""
+        sizes = []
+        for link in self.robot.chain.inertial:
+            moment = np.linalg.norm(link[1:4]) + REACH * abs(link[0])
+            turn = abs(link[[4, 6, 9]]).max() + REACH * moment
+            sizes += [max(abs(link[0]), 0.1), *3 * [moment + 0.01], *6 * [turn + 0.001]]
+        return np.array(sizes)
+
+    def _gain_sizes(self) -> Array:
+        """Sizes of the gains: their value, or what is usual for the joint."""
+        scales, sizes = joint_scales(self.robot), []
+        for e, g in self.problem.columns:
+            effect = self.problem.effects[e]
+            usual = effect.gains[g].scaled(scales[effect.joints[-1]])
+            least = max(
+                abs(usual.typical), 0.1 * min(usual.upper, abs(usual.lower) or np.inf)
+            )
+            sizes.append(max(abs(effect.gain_values[g]), least))
+        return np.array(sizes)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Physical bounds of the unknowns, shapes (d,)."""
+        scales, low, high = joint_scales(self.robot), [], []
+        for effect in self.problem.effects:
+            for s in effect.shapes:
+                own = s.scaled(scales[effect.joints[-1]])
+                low.append(min(own.lower, effect.values[s.name]))
+                high.append(max(own.upper, effect.values[s.name]))
+        most = np.full(self.problem.size, np.inf)
+        for unknown, e, g in self.problem.gains:
+            effect = self.problem.effects[e]
+            own = effect.gains[g].scaled(scales[effect.joints[-1]])
+            most[unknown] = max(own.upper, 2 * self.theta[unknown])
+        return np.append(self.problem.lower, low), np.append(most, high)
+
+    def payload_directions(self, sizes: Array) -> Array:
+        """Changes of the unknowns by payload parameters of some sizes, shape (d, 10)."""
+        last = slice(10 * self.robot.size - 10, 10 * self.robot.size)
+        out = np.zeros((len(self.theta), 10))
+        out[: self.problem.size] = self.problem.base.mapping[:, last] * sizes
+        return out
+
+
+def payload_sizes(mass: float) -> Array:
+    """Usual sizes of the inertial parameters of a payload, shape (10,)."""
+    return np.array([mass, *3 * [mass * REACH], *6 * [mass * REACH**2]])

@@ -1,0 +1,106 @@
+"""Noticing that the last link has taken or lost a payload.
+
+Source: Willsky and Jones 1976, doi 10.1109/TAC.1976.1101146 (generalised likelihood
+ratio of a jump, here with fading memory).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.robot.chain import Array
+
+_PARAMETERS = 4  # mass and first moments: what gravity and slow motion show at once
+_THRESHOLD = 60.0
+_HOLD = 1.0  # s after a change in which none is looked for
+_LEARNING = 5.0  # s at first in which none is looked for
+
+
+@dataclass(frozen=True)
+class Change:
+    """A payload grasped (mass above 0) or dropped.
+
+    Attributes:
+        t: When it was noticed, [s].
+        mass: First estimate of the change of mass, [kg].
+        statistic: Likelihood-ratio statistic, about χ² with 4 degrees of freedom while
+            nothing changes.
+    """
+
+    t: float
+    mass: float
+    statistic: float
+
+
+def likely_payload(
+    change: Array, covariance: Array, directions: Array, sizes: Array
+) -> Array:
+    """The likeliest payload behind a change of all unknowns, shape (10,).
+
+    Args:
+        change: Change of the unknowns, shape (d,).
+        covariance: Its covariance, shape (d, d).
+        directions: Change by usual payload parameters, shape (d, 10).
+        sizes: Those usual parameters, shape (10,).
+    """
+    used = np.any(directions != 0, axis=1)
+    D = directions[used]
+    whole = covariance[np.ix_(used, used)] + D @ D.T
+    return np.asarray(sizes * (D.T @ np.linalg.solve(whole, change[used])))
+
+
+class PayloadChange:
+    """Fading sums of what torque errors say about mass and first moments held.
+
+    Args:
+        memories: Time constants of the sums, [s]: short for heavy, long for light.
+        rate: Updates per second, [Hz].
+        mass: Usual payload, [kg].
+        reach: Usual distance of its centre from the last joint, [m].
+    """
+
+    def __init__(
+        self,
+        *,
+        rate: float,
+        mass: float,
+        reach: float,
+        memories: tuple[float, ...] = (0.1, 0.4),
+    ) -> None:
+        self._fade = np.exp(-1.0 / (rate * np.array(memories)))
+        usual = np.array([mass, *3 * [mass * reach]])
+        self._prior = np.diag(1.0 / usual**2)
+        self._information = np.zeros((len(memories), _PARAMETERS, _PARAMETERS))
+        self._score = np.zeros((len(memories), _PARAMETERS))
+        self._quiet_until: float | None = None
+
+    def update(self, t: float, J: Array, error: Array) -> Change | None:
+        """Take in one sample.
+
+        Args:
+            t: Time, [s].
+            J: Torque per unit of the last link's parameters over its standard
+                deviation, shape (n, 10).
+            error: Torque less its prediction over that, shape (n,).
+
+        Returns:
+            The change, when one is noticed.
+        """
+        J = J[:, :_PARAMETERS]
+        fade = self._fade[:, None]
+        self._information = fade[:, :, None] * self._information + J.T @ J
+        self._score = fade * self._score + J.T @ error
+        # The variance of a sum with fading weights is 1/(1 + fade) of its information.
+        whole = self._information + self._prior
+        jump = np.linalg.solve(whole, self._score[..., None])[..., 0]
+        statistic = (1.0 + self._fade) * np.einsum("ij,ij->i", jump, self._score)
+        if self._quiet_until is None:
+            self._quiet_until = t + _LEARNING
+        k = int(np.argmax(statistic))
+        if statistic[k] < _THRESHOLD or t < self._quiet_until:
+            return None
+        self._information[:], self._score[:] = 0.0, 0.0
+        self._quiet_until = t + _HOLD
+        return Change(t, float(jump[k, 0]), float(statistic[k]))

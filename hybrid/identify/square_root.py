@@ -1,0 +1,80 @@
+"""Recursive least squares in square-root form that forgets only what it hears anew.
+
+Source: Kaminski, Bryson and Schmidt 1971, doi 10.1109/TAC.1971.1099816 (square roots);
+Kulhavý and Kárný 1984, doi 10.1016/S1474-6670(17)61051-6, and Cao and Schwartz 2000,
+doi 10.1016/S0005-1098(00)00093-5 (directional forgetting); Simon and Chia 2002,
+doi 10.1109/7.993234 (projection on bounds).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid.robot.chain import Array
+
+
+class SquareRootFilter:
+    """Estimate and square root S of its covariance P = S·Sᵀ, which never leaves PSD.
+
+    A sample brings information σ² in each of the directions it looks in. In such a
+    direction, old information 1 is discounted to max(λ, 1 − σ²): by no more than is
+    brought. So the covariance never grows by itself, whatever the excitation (no
+    windup), and where excitation persists it settles at (1 − λ) of the noise, which
+    keeps the gain of a memory of about 1/(1 − λ) samples.
+
+    Args:
+        mean: First estimate, shape (d,).
+        root: Square root of its covariance, shape (d, d).
+    """
+
+    def __init__(self, mean: Array, root: Array) -> None:
+        self.mean = np.array(mean, dtype=float)
+        self.root = np.array(root, dtype=float)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the estimate, shape (d, d)."""
+        return np.asarray(self.root @ self.root.T)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation of each unknown, shape (d,)."""
+        return np.asarray(np.sqrt(np.einsum("ij,ij->i", self.root, self.root)))
+
+    def leverage(self, H: Array) -> Array:
+        """Variance that the unknowns give to what ``H`` (m, d) observes, shape (m,)."""
+        seen = H @ self.root
+        return np.asarray(np.einsum("ij,ij->i", seen, seen))
+
+    def update(self, H: Array, error: Array, forgetting: float = 1.0) -> None:
+        """Take in one sample of unit noise.
+
+        Args:
+            H: Derivative of the observation by the unknowns over its noise, (m, d).
+            error: Observation less its prediction over the noise, shape (m,).
+            forgetting: λ, at most 1.
+        """
+        seen = self.root.T @ H.T  # (d, m)
+        power, turn = np.linalg.eigh(seen.T @ seen)
+        power = np.maximum(power, 0.0)
+        total = np.maximum(forgetting + power, 1.0)
+        moved = self.root @ seen
+        self.mean += moved @ (turn @ ((turn.T @ error) / total))
+        shrink = np.divide(
+            1.0 / np.sqrt(total) - 1.0, power, out=np.zeros_like(power), where=total > 1
+        )
+        self.root += (moved @ (turn * shrink)) @ (turn.T @ seen.T)
+
+    def widen(self, directions: Array) -> None:
+        """Add the covariance D·Dᵀ of ``directions`` D (d, r)."""
+        stacked = np.concatenate([self.root, directions], axis=1)
+        self.root = np.linalg.qr(stacked.T, mode="r").T
+
+    def keep_within(self, lower: Array, upper: Array) -> None:
+        """Move the estimate to the nearest point, in its own metric, within bounds."""
+        for k in np.flatnonzero((self.mean < lower) | (self.mean > upper)):
+            target = min(max(self.mean[k], lower[k]), upper[k])
+            gain = self.root @ self.root[k]
+            if gain[k] > 0:
+                self.mean += gain * ((target - self.mean[k]) / gain[k])
+        np.clip(self.mean, lower, upper, out=self.mean)

@@ -1,0 +1,106 @@
+"""What a kinematic calibration found: tables for people, content for other programs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybrid.report.table import Table
+
+if TYPE_CHECKING:
+    from hybrid.calibrate import Calibration, Errors
+
+# What a reader reads: millimetres and milliradians.
+_SHOWN = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/(N·m)": (1e6, "µrad/(N·m)")}
+_UNIT = {"position": "m", "orientation": "rad", "distance": "m"}
+
+
+def errors_table(errors: Errors) -> Table:
+    """Median, RMS and largest error on poses left out, outliers among them."""
+    rows = []
+    for kind, calibrated in errors.calibrated.items():
+        factor, unit = _SHOWN[_UNIT[kind]]
+        numbers = [
+            factor * number
+            for sizes in (errors.nominal[kind], calibrated)
+            for number in _sizes(sizes).values()
+        ]
+        rows.append((f"{kind} [{unit}]", *(f"{x:.4g}" for x in numbers)))
+    sizes_shown = ("median", "RMS", "largest")
+    header = ("", *(f"{arm} {x}" for arm in ("nominal", "new") for x in sizes_shown))
+    return Table(header, tuple(rows), "Error on poses left out of the fit")
+
+
+def corrections_table(calibration: Calibration) -> Table:
+    """Corrections with half their 95 % intervals."""
+    low, high = calibration.interval()
+    rows = []
+    half_widths = (high - low) / 2
+    for parameter, half in zip(calibration.parameters, half_widths, strict=True):
+        factor, unit = _SHOWN.get(parameter.unit, (1.0, parameter.unit))
+        value, width = factor * parameter.value, factor * half
+        rows.append((parameter.name, f"{value:.4f}", f"{width:.4f}", unit))
+    header = ("correction", "value", "± 95 %", "unit")
+    return Table(header, tuple(rows), f"Corrections to {calibration.setup.robot.name}")
+
+
+def content_from_calibration(
+    calibration: Calibration, errors: Errors
+) -> dict[str, Any]:
+    """A calibration in words and numbers, for JSON; SI units."""
+    low, high = calibration.interval()
+    solution, robot = calibration.solution, calibration.setup.robot
+    return {
+        "robot": robot.name,
+        "joints": list(robot.joints),
+        "measured": calibration.data.kind,
+        "poses": calibration.data.size,
+        "errors": {
+            kind: {
+                "unit": _UNIT[kind],
+                "nominal": _sizes(errors.nominal[kind]),
+                "calibrated": _sizes(sizes),
+            }
+            for kind, sizes in errors.calibrated.items()
+        },
+        "parameters": [
+            parameter.as_dict() | {"interval": [low[k], high[k]]}
+            for k, parameter in enumerate(calibration.parameters)
+        ],
+        "unidentifiable": list(calibration.unidentifiable),
+        "rejected": [
+            {"pose": x.pose + 1, "kind": x.kind, "size": x.size}
+            for x in calibration.rejected
+        ],
+        "noise": solution.noise,
+        "observability": calibration.observability,
+        "iterations": solution.iterations,
+        "evaluations": solution.evaluations,
+        "converged": solution.converged,
+        "base": _frame(*calibration.base),
+        "tools": [_frame(*tool) for tool in calibration.tools],
+        "stations": calibration.stations,
+        "chain": robot_chain(calibration),
+    }
+
+
+def robot_chain(calibration: Calibration) -> list[dict[str, Any]]:
+    """Calibrated placement of each joint in its parent link."""
+    chain = calibration.robot.chain
+    return [
+        {"joint": joint} | _frame(chain.rotation[k], chain.translation[k])
+        for k, joint in enumerate(chain.joints)
+    ]
+
+
+def _frame(rotation: Any, translation: Any) -> dict[str, Any]:
+    return {"rotation": rotation, "translation": translation}
+
+
+def _sizes(sizes: Any) -> dict[str, float]:
+    return {
+        "median": float(np.median(sizes)),
+        "rms": float(np.sqrt(np.mean(sizes**2))),
+        "largest": float(np.max(sizes)),
+    }

@@ -1,0 +1,139 @@
+"""Errors of the same stages over many runs: medians, spread, and the way down."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.report.style import BLACK, BLUE, GREY, RED, clean, legend, new_figure
+from hybrid.report.table import Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Study:
+    """Errors of K stages over S runs that differ in their seed.
+
+    Attributes:
+        joints: Joint names, n of them.
+        stages: Names of the stages, K of them; all are compared with the first.
+        rms: RMS torque error, shape (S, K, n), [N·m].
+        relative: RMS error over RMS torque, shape (S, K, n).
+        floor: RMS of the noise that no model predicts, shape (S, n), [N·m].
+        published: Mean RMS of a publication, by stage, to stand beside, [N·m].
+    """
+
+    joints: tuple[str, ...]
+    stages: tuple[str, ...]
+    rms: Array
+    relative: Array
+    floor: Array
+    published: Mapping[str, float]
+
+    @property
+    def mean(self) -> Array:
+        """Mean RMS over the joints, shape (S, K), [N·m]."""
+        return np.asarray(self.rms.mean(axis=2))
+
+    @property
+    def cut(self) -> Array:
+        """Share of the first stage's mean RMS that is gone, shape (S, K)."""
+        return np.asarray(1.0 - self.mean / self.mean[:, :1])
+
+    @property
+    def above_floor(self) -> Array:
+        """Mean RMS over mean noise, shape (S, K)."""
+        return np.asarray(self.mean / self.floor.mean(axis=1)[:, None])
+
+    def table(self) -> Table:
+        """Medians over the runs, with the lowest and highest mean."""
+        first = next(iter(self.published.values()), 1.0)
+        rows = []
+        for k, name in enumerate(self.stages):
+            row = [name, *_numbers(self.rms[:, k]), *_spread(self.mean[:, k])]
+            row += [f"{100 * np.median(self.relative[:, k].mean(axis=1)):.1f} %"]
+            row += [
+                _percent(np.median(self.cut[:, k])),
+                f"{_cut_range(self.cut[:, k])}",
+            ]
+            row += [f"{np.median(self.above_floor[:, k]):.2f}"]
+            if name in self.published:
+                theirs = self.published[name]
+                row += [f"{theirs:.2f} ({_percent(1 - theirs / first)})"]
+            rows.append((*row, *[""] * (len(self.joints) + 8 - len(row))))
+        floor = [
+            "noise floor",
+            *_numbers(self.floor),
+            *_spread(self.floor.mean(axis=1)),
+        ]
+        floor += ["", _percent(np.median(1 - self.floor.mean(1) / self.mean[:, 0]))]
+        rows.append((*floor, "", "1.00", ""))
+        header = ("", *self.joints, "mean", "lowest–highest", "relative")
+        header += (f"vs {self.stages[0]}", "least–most", "× floor", "published mean")
+        caption = f"Held-out RMS torque error, N·m: medians over {len(self.rms)} seeds"
+        return Table(header, tuple(rows), caption)
+
+    def figure(self) -> Figure:
+        """The mean error after each stage, and per joint what is left against noise."""
+        figure = new_figure(height=3.2)
+        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+        self._draw_way_down(left)
+        self._draw_joints(right)
+        legend(figure, left.get_legend_handles_labels()[0])
+        return figure
+
+    def _draw_way_down(self, axes: Axes) -> None:
+        x, share = np.arange(len(self.stages)), 100 * (1 - self.cut)
+        floor = 100 * np.median(self.floor.mean(axis=1) / self.mean[:, 0])
+        clean(axes, grid="y")
+        axes.plot(x, share.T, color=GREY, linewidth=0.6, alpha=0.5)
+        axes.lines[0].set_label("one seed each")
+        axes.plot(x, np.median(share, axis=0), "o-", color=BLUE, label="median")
+        if self.published:
+            values = np.array([*self.published.values()])
+            at = [self.stages.index(name) for name in self.published]
+            axes.plot(
+                at, 100 * values / values[0], "D--", color=RED, linewidth=1.0,
+                markersize=5, label="published",
+            )  # fmt: skip
+        axes.axhline(floor, color=BLACK, linestyle=":", label="noise floor")
+        axes.set_ylim(0, 1.05 * share.max())
+        axes.set_ylabel(f"mean RMS error [% of {self.stages[0]}]", fontsize=8)
+        axes.set_xticks(x, [name.replace("+ ", "+\n") for name in self.stages])
+
+    def _draw_joints(self, axes: Axes) -> None:
+        x, ratio = np.arange(len(self.joints)), self.rms[:, -1] / self.floor
+        clean(axes, grid="y")
+        axes.plot(x, ratio.T, "o", color=GREY, markersize=3, alpha=0.6)
+        axes.plot(x, np.median(ratio, axis=0), "o", color=BLUE)
+        axes.axhline(1.0, color=BLACK, linestyle=":")
+        axes.set_ylim(bottom=min(0.9, 0.95 * float(ratio.min())))
+        axes.set_ylabel("RMS error of the last stage / noise floor", fontsize=8)
+        axes.set_xticks(x, self.joints, rotation=35, ha="right")
+
+
+def _numbers(values: Array) -> list[str]:
+    """Medians over the runs, shape (S, n)."""
+    return [f"{x:.3f}" for x in np.median(values, axis=0)]
+
+
+def _spread(values: Array) -> list[str]:
+    """Median, then lowest and highest, of S values."""
+    return [f"{np.median(values):.3f}", f"{values.min():.3f}–{values.max():.3f}"]
+
+
+def _cut_range(cut: Array) -> str:
+    return f"{100 * cut.min():.1f}–{100 * cut.max():.1f} %" if np.any(cut) else ""
+
+
+def _percent(cut: float) -> str:
+    return f"{-100 * cut:+.1f} %".replace("-", "−") if abs(cut) > 5e-4 else "–"

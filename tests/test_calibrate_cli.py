@@ -1,0 +1,87 @@
+"""``hybrid calibrate``: from poses to measure to a calibrated robot file."""
+
+import json
+
+import numpy as np
+import pytest
+from arms import MODELS
+from test_calibrate import disturbed, flange
+
+from hybrid.cli import main
+from hybrid.robot import Robot
+
+ARM = str(MODELS / "coman_like.urdf")
+
+
+def write_poses(path, q, seed=0):
+    """A tracker's log of a disturbed arm in millimetres; its fourth pose is wrong."""
+    rng = np.random.default_rng(seed)
+    R, p = flange(disturbed(Robot.load(ARM).chain), q)
+    seen = 1e3 * (p + R @ [0.05, 0.02, 0.1] + 5e-5 * rng.normal(size=p.shape))
+    seen[3] += 30.0
+    header = ",".join([f"q{k + 1}" for k in range(6)] + [f"{c} [mm]" for c in "xyz"])
+    np.savetxt(path, np.hstack([q, seen]), "%.9f", ",", header=header, comments="")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("calibrate")
+    plan = f"calibrate --robot {ARM} --choose 40 --out {folder}/plan"
+    assert main(plan.split()) == 0
+    q = np.loadtxt(folder / "plan" / "poses.csv", delimiter=",", skiprows=1)
+    write_poses(folder / "poses.csv", q)
+    command = f"calibrate --robot {ARM} --poses {folder}/poses.csv --out {folder}/new"
+    assert main([*command.split(), "--json", f"{folder}/results.json"]) == 0
+    return folder
+
+
+def test_chosen_poses_keep_to_the_limits(folder):
+    robot = Robot.load(ARM)
+    q = np.loadtxt(folder / "plan" / "poses.csv", delimiter=",", skiprows=1)
+    assert q.shape == (40, 6)
+    assert (q >= robot.q_min - 1e-6).all() and (q <= robot.q_max + 1e-6).all()
+
+
+def test_the_new_file_is_nearer_to_the_true_arm(folder):
+    q = np.random.default_rng(5).uniform(-1, 1, (30, 6))
+    true = disturbed(Robot.load(ARM).chain)
+
+    def shape_error(chain):
+        """Distances between points of the flange: free of base and tool."""
+        a, b = (flange(c, q)[1] for c in (chain, true))
+        apart = np.linalg.norm(a[:15] - a[15:], axis=1)
+        return np.abs(apart - np.linalg.norm(b[:15] - b[15:], axis=1)).max()
+
+    new = Robot.load(folder / "new" / "coman_like.urdf").chain
+    assert shape_error(new) < 0.3 * shape_error(Robot.load(ARM).chain)
+
+
+def test_the_summary_tells_errors_intervals_and_outliers(folder):
+    summary = json.loads((folder / "new" / "calibration.json").read_text())
+    assert summary["measured"] == "position"
+    assert summary["errors"]["position"]["calibrated"]["median"] < 2e-4
+    assert summary["errors"]["position"]["nominal"]["median"] > 1e-3
+    assert [x["pose"] for x in summary["rejected"]] == [4]
+    for x in summary["parameters"]:
+        low, high = x["interval"]
+        assert low < x["value"] < high
+    assert any("theta_base: joins base_rz" in x for x in summary["unidentifiable"])
+    assert summary["provenance"]["inputs"][1]["file"] == "poses.csv"
+    results = json.loads((folder / "results.json").read_text())
+    assert results["parameters"] == summary["parameters"]
+
+
+def test_wrong_columns_are_an_error_and_leave_nothing(folder, tmp_path, capsys):
+    (tmp_path / "bad.csv").write_text("q1,q2,x,y,z\n0,0,1,2,3\n")
+    command = f"calibrate --robot {ARM} --poses {tmp_path}/bad.csv --out {tmp_path}/new"
+    assert main(command.split()) == 2
+    assert "no position of joint 'elbow'" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_metres_read_as_millimetres_are_suspected(folder, tmp_path, capsys):
+    text = (folder / "poses.csv").read_text().replace("[mm]", "[m]")
+    (tmp_path / "poses.csv").write_text(text)
+    command = f"calibrate --robot {ARM} --poses {tmp_path}/poses.csv"
+    assert main([*command.split(), "--out", f"{tmp_path}/new"]) == 0
+    assert "check units and order" in capsys.readouterr().err

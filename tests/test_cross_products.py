@@ -1,0 +1,216 @@
+"""Cross-products: the same numbers as the stacked columns, whatever is done to them."""
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import random_arm
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated import arm, linear_problem, motions, stacked, with_torque
+
+from hybrid.errors import IdentificationError
+from hybrid.identify.cross_products import accumulate
+from hybrid.identify.least_squares import solve
+from hybrid.signals import Sampler
+
+EVERYTHING = -1.0  # no joint is slower: none counts as standing
+
+
+def loaded(robot, *, seed=0, **options):
+    """Motions with a torque that no model explains."""
+    rng = np.random.default_rng(seed)
+    found = motions(robot, seed=seed, **options)
+    return [with_torque(m, rng.normal(size=m.q.shape)) for m in found]
+
+
+def crossed(problem, chosen, *, cutoff=np.inf, standing=EVERYTHING, **options):
+    n = problem.chain.size
+    return accumulate(
+        problem, chosen, cutoff=cutoff, standing=np.full(n, standing), **options
+    )
+
+
+def dense(problem, chosen, weight, *, cutoff=np.inf, standing=EVERYTHING):
+    """Normal equations from columns filtered in one piece and stacked."""
+    A, b = np.zeros((problem.size, problem.size)), np.zeros(problem.size)
+    for motion in chosen:
+        sampler = Sampler.for_rate(motion.rate, cutoff)
+        use = (np.abs(motion.v) > standing) & motion.mask[:, None]
+        use = use[:: sampler.factor]
+        Y = sampler(stacked(problem, motion)) * use[:, :, None]
+        tau = sampler(motion.tau) * use
+        A += np.einsum("nip,ij,njq->pq", Y, weight, Y, optimize=True)
+        b += np.einsum("nip,ij,nj->p", Y, weight, tau, optimize=True)
+    return A, b
+
+
+def some_weight(n, seed):
+    root = np.random.default_rng(seed).normal(size=(n, n))
+    return root @ root.T + np.eye(n)
+
+
+def assert_same(found, expected, tolerance):
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * size)
+
+
+@pytest.mark.parametrize("cutoff", [np.inf, 8.0])
+def test_normal_equations_are_those_of_the_stacked_matrix(cutoff):
+    robot = arm("coman_like")
+    problem, chosen = linear_problem(robot), loaded(robot)
+    weight = some_weight(robot.size, 0)
+    products = crossed(problem, chosen, cutoff=cutoff, standing=0.05)
+    A, b = products.normal(weight)
+    A_dense, b_dense = dense(problem, chosen, weight, cutoff=cutoff, standing=0.05)
+    assert_same(A, A_dense, 1e-12)
+    assert_same(b, b_dense, 1e-12)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_so_they_are_for_random_chains_and_weights(seed):
+    robot = random_arm(seed)
+    problem, chosen = linear_problem(robot), loaded(robot, seed=seed, duration=3.0)
+    weight = some_weight(robot.size, seed)
+    found, expected = (
+        crossed(problem, chosen).normal(weight),
+        dense(problem, chosen, weight),
+    )
+    for x, y in zip(found, expected, strict=True):
+        assert_same(x, y, 1e-11)
+
+
+def test_the_solution_is_that_of_dense_least_squares():
+    robot = arm("coman_like")
+    problem, chosen = linear_problem(robot), loaded(robot)
+    found = solve(crossed(problem, chosen), "ls").theta
+    Y = np.concatenate([stacked(problem, m).reshape(-1, problem.size) for m in chosen])
+    tau = np.concatenate([m.tau.ravel() for m in chosen])
+    size = np.linalg.norm(Y, axis=0)
+    expected = np.linalg.lstsq(Y / size, tau, rcond=None)[0] / size
+    assert_same(found * size, expected * size, 1e-9)
+
+
+@pytest.mark.parametrize("cutoff", [np.inf, 20.0])
+def test_a_log_of_many_chunks_counts_as_one_piece(cutoff):
+    """Sixty thousand samples, far more than are held at a time."""
+    robot = arm("planar")
+    problem = linear_problem(robot)
+    (motion,) = loaded(robot, count=1, duration=60.0, rate=1000.0)
+    products = crossed(problem, [motion], cutoff=cutoff, standing=0.01)
+    weight = some_weight(2, 1)
+    expected = dense(problem, [motion], weight, cutoff=cutoff, standing=0.01)
+    for x, y in zip(products.normal(weight), expected, strict=True):
+        assert_same(x, y, 1e-12 if cutoff == np.inf else 1e-6)
+
+
+def test_recordings_add_up_in_any_order():
+    robot = arm("planar")
+    problem = linear_problem(robot)
+    first, second, third = loaded(robot, count=3)
+    whole = crossed(problem, [first, second, third]).total
+    parts = sum(crossed(problem, [m]).total for m in (third, first, second))
+    assert_same(parts, whole, 1e-13)
+
+
+def test_merging_keeps_sums_and_never_joins_recordings():
+    robot = arm("planar")
+    products = crossed(linear_problem(robot), loaded(robot, count=3))
+    for factor in (1, 2, 3, 7, 10_000):
+        merged = products.merged(factor)
+        assert_same(merged.total, products.total, 1e-13)
+        np.testing.assert_array_equal(merged.counts.sum(0), products.counts.sum(0))
+        for r in range(3):
+            blocks = (products.recording == r).sum()
+            assert (merged.recording == r).sum() == -(-blocks // factor)
+            assert_same(
+                merged.blocks[merged.recording == r].sum(0),
+                products.blocks[products.recording == r].sum(0),
+                1e-13,
+            )
+
+
+def test_folds_add_up_and_hold_their_own_samples_only():
+    robot = arm("planar")
+    problem, chosen = linear_problem(robot), loaded(robot)
+    folds = [(m.t // 0.7).astype(int) % 3 for m in chosen]  # across the blocks
+    products = crossed(problem, chosen, folds=folds)
+    parts = [products.some(products.fold == k) for k in range(3)]
+    assert_same(sum(p.total for p in parts), products.total, 1e-13)
+    for k, found in enumerate(parts):
+        alone = [
+            replace(m, mask=fold == k) for m, fold in zip(chosen, folds, strict=True)
+        ]
+        assert_same(found.total, crossed(problem, alone).total, 1e-13)
+
+
+def test_residual_products_are_those_of_the_residuals():
+    robot = arm("coman_like")
+    problem, chosen = linear_problem(robot), loaded(robot)
+    products = crossed(problem, chosen)
+    theta = np.random.default_rng(0).normal(size=problem.size)
+    left = np.concatenate([m.tau - stacked(problem, m) @ theta for m in chosen])
+    assert_same(products.residual_products(theta), left.T @ left, 1e-11)
+    np.testing.assert_allclose(products.squares(theta), (left**2).sum(0), rtol=1e-9)
+    each = products.residual_products(theta, products.blocks)
+    assert_same(each.sum(axis=0), left.T @ left, 1e-11)
+
+
+def test_torque_that_is_explained_already_is_subtracted():
+    robot = arm("planar")
+    problem, chosen = linear_problem(robot), loaded(robot)
+    known = [
+        np.random.default_rng(k).normal(size=m.q.shape) for k, m in enumerate(chosen)
+    ]
+    less = [with_torque(m, m.tau - x) for m, x in zip(chosen, known, strict=True)]
+    found = crossed(problem, chosen, known=known).total
+    assert_same(found, crossed(problem, less).total, 1e-12)
+
+
+def test_what_a_joint_shows_while_it_stands_or_is_masked_does_not_count():
+    robot = arm("planar")
+    problem, chosen = linear_problem(robot), loaded(robot)
+    chosen = [replace(m, mask=m.t < 8.0) for m in chosen]
+    before = crossed(problem, chosen, standing=0.3)
+    spoiled = []
+    for m in chosen:
+        idle = (np.abs(m.v) <= 0.3) | ~m.mask[:, None]
+        spoiled.append(with_torque(m, np.where(idle, 1e6, m.tau)))
+    after = crossed(problem, spoiled, standing=0.3)
+    np.testing.assert_array_equal(before.total, after.total)
+    moving = sum(((np.abs(m.v) > 0.3) & m.mask[:, None]).sum(0) for m in chosen)
+    np.testing.assert_array_equal(before.moving, moving)
+
+
+def test_nothing_that_moves_is_said_so():
+    robot = arm("planar")
+    problem, (motion,) = linear_problem(robot), loaded(robot, count=1)
+    nothing = np.zeros_like(motion.mask)
+    for chosen, standing in ((replace(motion, mask=nothing), -1.0), (motion, 1e3)):
+        with pytest.raises(IdentificationError, match="no usable sample"):
+            crossed(problem, [chosen], standing=standing)
+
+
+def test_memory_does_not_grow_with_the_length_of_the_log():
+    robot = arm("planar")
+    problem = linear_problem(robot)
+    (motion,) = loaded(robot, count=1, duration=100.0, rate=1000.0)
+    half = slice(0, len(motion.t) // 2)
+    short = replace(
+        motion,
+        **{x: getattr(motion, x)[half] for x in ("t", "q", "v", "a", "tau", "mask")},
+    )
+    crossed(problem, [short], cutoff=20.0)  # what is made once, is made here
+    peaks, sizes = [], []
+    for chosen in (short, motion):
+        tracemalloc.start()
+        try:
+            products = crossed(problem, [chosen], cutoff=20.0)
+            peaks.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+        sizes.append(len(products.counts))
+    assert peaks[1] < 1.3 * peaks[0]
+    assert max(sizes) <= 256

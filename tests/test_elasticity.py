@@ -1,0 +1,48 @@
+"""A joint that twists moves everything beyond it, and every joint feels that."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import arm, motions
+
+from hybrid.dynamics import RigidBody, inverse_dynamics
+from hybrid.effects.elasticity import Elasticity
+
+
+def torque_with_twist(robot, motion, joint, compliance):
+    """Torque of the links where they really are, θ − c·τ."""
+    chain, twist = robot.chain, np.zeros_like(motion.q)
+    for _ in range(3):  # to third order
+        speed = np.gradient(twist, motion.t, axis=0)
+        rush = np.gradient(speed, motion.t, axis=0)
+        tau = inverse_dynamics(
+            chain, chain.inertial, motion.q + twist, motion.v + speed, motion.a + rush
+        )
+        twist[:, joint] = -compliance * tau[:, joint]
+    return tau
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_columns_are_first_order_at_every_joint_of_the_arm(joint):
+    robot = arm("planar")
+    (motion,) = motions(robot, count=1, rate=200.0)
+    motion = replace(motion, v=np.gradient(motion.q, motion.t, axis=0))
+    body = RigidBody(robot.chain, motion)
+    columns = Elasticity((joint,)).columns(motion, body)
+    assert columns.shape == (len(motion.t), 2, 1)
+    inside = slice(20, -20)
+    left = []
+    for compliance in (1e-5, 5e-6):
+        change = torque_with_twist(robot, motion, joint, compliance) - body.load
+        first_order = compliance * columns[:, :, 0]
+        left.append(np.abs(change - first_order)[inside].max(axis=0))
+        assert (left[-1] < 0.1 * np.abs(change)[inside].max(axis=0)).all()
+    # What is left is of second order: a quarter at half the compliance.
+    np.testing.assert_allclose(left[1] / left[0], 0.25, atol=0.02)
+
+
+def test_it_reaches_every_joint_but_acts_on_one():
+    effect = Elasticity((1,), {"compliance": 1e-4})
+    assert effect.joints == (1,)
+    assert effect.reaches(3) == (0, 1, 2)

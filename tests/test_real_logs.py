@@ -1,0 +1,64 @@
+"""Real arms: the whole pipeline beats plain least squares on held-out blocks.
+
+The logs are not shipped. Put them into ``../shared/data`` beside the repository, or
+name their folder in the environment variable ``HYBRID_DATA``.
+"""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated import quiet
+
+from hybrid.effects import effect_class
+from hybrid.identify import identify, validate
+from hybrid.recording import read_all
+from hybrid.robot import Robot
+from hybrid.signals import motion_from_recording
+
+BESIDE = Path(__file__).parents[2] / "shared" / "data"
+DATA = Path(os.environ.get("HYBRID_DATA", BESIDE))
+LEAST_CUT, MOST_LOSS = 0.15, 0.02
+
+
+def blocks(name, *, seconds, cutoff):
+    """An arm, two thirds of its log to fit, and every third block to score."""
+    folder = DATA / name
+    if not (folder / "robot.urdf").is_file():
+        pytest.skip(f"no logs of {name}: set HYBRID_DATA to the folder that has them")
+    robot, _ = quiet(Robot.load, folder / "robot.urdf")
+    (log,), _ = quiet(read_all, [folder], joints=robot.joints)
+    motion = motion_from_recording(log, cutoff=2 * cutoff)
+    held_out = ((motion.t - motion.t[0]) // seconds).astype(int) % 3 == 2
+    fitting, scoring = (
+        replace(motion, mask=motion.mask & use) for use in (~held_out, held_out)
+    )
+    return robot, fitting, scoring
+
+
+def assert_better_than_least_squares(robot, fitting, scoring, slowest, **options):
+    fit, _ = quiet(identify, robot, [fitting], **options)
+    standing = np.full(robot.size, slowest)
+    found = validate(fit.model, [scoring], standing=standing)
+    plain, best = found.rows[0], found.rows[-1]
+    assert plain.name == "LS"
+    assert best.mean <= (1 - LEAST_CUT) * plain.mean
+    assert (best.rms <= (1 + MOST_LOSS) * plain.rms).all()
+    return fit
+
+
+def test_ur10_at_125_hertz():
+    robot, fitting, scoring = blocks("ur10_salerno", seconds=1.0, cutoff=10.0)
+    assert_better_than_least_squares(robot, fitting, scoring, 0.02, cutoff=10.0)
+
+
+def test_tx40_with_its_coupled_wrist():
+    robot, fitting, scoring = blocks("tx40_figaroh", seconds=0.5, cutoff=50.0)
+    wrist = effect_class("transmission_coupling")((4, 5))
+    fit = assert_better_than_least_squares(
+        robot, fitting, scoring, 0.05, cutoff=50.0, effects=[wrist]
+    )
+    (found,) = [e for e in fit.model.effects if e.id == wrist.id]
+    assert (found.gain_values > 3 * np.array(list(found.std.values()))).all()

@@ -1,0 +1,192 @@
+"""Stage three: learned where there is structure, left out where there is none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import (
+    arm,
+    coloured,
+    linear_problem,
+    motions,
+    quiet,
+    stacked,
+    with_torque,
+)
+
+from hybrid.compensator.arm_remainder import ArmRemainder
+from hybrid.identify import identify, validate
+from hybrid.identify.data import Rest
+from hybrid.identify.remainder import fit_remainder
+
+OPTIONS = {"stages": ("rigid", "remainder"), "cutoff": 15.0}
+
+
+def rest(structure, *, seed=0, noise=0.1, n=3, samples=4000):
+    """What physical terms might leave: a smooth walk through the state, four folds."""
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0, 40, samples)[:, None]
+    w = rng.uniform(0.5, 3.0, (4, 1, n))
+    angle = w * t + rng.uniform(0, 2 * np.pi, (4, 1, n))
+    q, v = np.sin(angle).sum(axis=0) / 2, (w * np.cos(angle)).sum(axis=0) / 2
+    tau = structure(q, v) + coloured(rng, samples, noise**2 * np.eye(n), 0.9)
+    return Rest(q, v, tau, np.ones(q.shape, bool), (t[:, 0] // 1.0).astype(int) % 4)
+
+
+def bump(q, v):
+    """Torque of the middle joint that depends on its own position and direction."""
+    tau = np.zeros_like(q)
+    tau[:, 1] = np.cos(3 * q[:, 1]) + 0.5 * np.tanh(3 * v[:, 1])
+    return tau
+
+
+def of_neighbour(q, v):
+    """Torque of the first joint that depends on the position of the second."""
+    tau = np.zeros_like(q)
+    tau[:, 0] = np.sin(2 * q[:, 1])
+    return tau
+
+
+def nothing(q, v):
+    return np.zeros_like(q)
+
+
+@pytest.fixture(scope="module")
+def data():
+    return rest(bump)
+
+
+@pytest.fixture(scope="module")
+def learned(data):
+    return fit_remainder(data)
+
+
+def test_structure_is_learned_at_its_joint_and_nowhere_else(data, learned):
+    (part,) = learned.remainder.parts
+    assert part.joint == 1
+    assert learned.rms[1] < 0.35 * data.rms()[1]
+    assert learned.rms[1] < 2.0 * 0.1  # of the noise
+    np.testing.assert_array_equal(learned.rms[[0, 2]], data.rms()[[0, 2]])
+    assert (learned.cross[:, [0, 2]] == 0).all()
+
+
+def test_what_is_learned_holds_on_other_motion(learned):
+    other = rest(bump, seed=1, noise=1e-9)
+    near = np.abs(other.q[:, 1]) < 0.8
+    error = (learned.remainder.predict(other.q, other.v) - other.tau)[near, 1]
+    assert np.sqrt(np.mean(error**2)) < 0.3 * np.sqrt(np.mean(other.tau[near, 1] ** 2))
+
+
+def test_a_neighbours_position_is_taken_in_where_it_matters():
+    data = rest(of_neighbour)
+    learned = fit_remainder(data)
+    (part,) = learned.remainder.parts
+    assert part.joint == 0 and 1 in part.positions
+    assert learned.rms[0] < 0.5 * data.rms()[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_is_learned_from_noise(seed):
+    """Slow noise looks like structure to one who scores on neighbouring samples."""
+    learned = fit_remainder(rest(nothing, seed=seed))
+    assert learned.remainder.parts == ()
+    assert (learned.cross == 0).all()
+
+
+def test_samples_that_do_not_count_teach_nothing(data, learned):
+    """The middle joint stands, or is held, for a fifth of the time."""
+    still = np.abs(data.q[:, 1]) < 0.2
+    moving, spoiled = data.moving.copy(), data.tau.copy()
+    moving[still, 1], spoiled[still, 1] = False, 50.0
+    among = learned.remainder
+    found, clean = (
+        fit_remainder(replace(data, moving=moving, tau=tau), among=among)
+        for tau in (spoiled, data.tau)
+    )
+    for name, x in clean.remainder.arrays().items():
+        np.testing.assert_array_equal(found.remainder.arrays()[name], x)
+    np.testing.assert_array_equal(found.rms, clean.rms)
+
+
+def test_a_second_round_keeps_to_the_joints_and_inputs_of_the_first(learned):
+    again = fit_remainder(rest(of_neighbour), among=learned.remainder).remainder
+    assert {p.joint for p in again.parts} <= {1}
+
+
+def test_it_fades_to_zero_outside_its_data_and_stays_bounded(data, learned):
+    remainder = learned.remainder
+    inside = np.abs(remainder.predict(data.q, data.v)[:, 1])
+    assert inside.max() <= np.abs(data.tau[:, 1]).max()
+    far = np.full((1, 3), 20.0)
+    for q, v in ((far, 0 * far), (0 * far, 10 * far), (-far, -far)):
+        np.testing.assert_array_equal(remainder.predict(q, v), 0.0)
+    line = np.linspace(0, 20, 4001)[:, None] * np.ones((1, 3))
+    assert np.abs(np.diff(remainder.predict(line, 0 * line)[:, 1])).max() < 0.1
+
+
+def test_variance_is_that_of_the_noise_and_unknown_where_nothing_was_learned(
+    data, learned
+):
+    remainder = learned.remainder
+    mean, variance = remainder.predict_distribution(data.q, data.v)
+    np.testing.assert_array_equal(mean, remainder.predict(data.q, data.v))
+    assert np.isnan(variance[:, [0, 2]]).all()
+    error = (mean - data.tau)[:, 1]
+    inside = np.mean(np.abs(error) < 2 * np.sqrt(variance[:, 1]))
+    assert 0.93 < inside < 0.999
+    assert np.mean(variance[:, 1]) < 0.1 * np.mean(data.tau[:, 1] ** 2)
+
+
+def test_torch_computes_the_same_torque(data, learned):
+    import torch
+
+    (part,) = learned.remainder.parts
+    x = part.inputs(1.5 * data.q, 1.5 * data.v)  # in and outside the data
+    mean, variance = part.regression.to_torch()(torch.tensor(x))
+    expected = part.regression.predict_distribution(x)
+    for found, value in zip((mean, variance), expected, strict=True):
+        np.testing.assert_allclose(found.numpy(), value, rtol=1e-9, atol=1e-12)
+
+
+def test_arrays_and_description_give_the_same_remainder_back(data, learned):
+    remainder = learned.remainder
+    again = ArmRemainder.from_dict(3, remainder.as_dict(), remainder.arrays())
+    np.testing.assert_array_equal(
+        again.predict(data.q, data.v), remainder.predict(data.q, data.v)
+    )
+
+
+# --- through the whole identification -------------------------------------------------
+
+
+def logs(extra, seed=0):
+    """Planar arm with linear friction, some torque over position, and noise."""
+    robot = arm("planar")
+    problem, rng = linear_problem(robot), np.random.default_rng(seed)
+    theta = rng.uniform(0.5, 1.5, problem.size)
+    found = []
+    for motion in motions(robot, count=6, duration=10.0, rate=200, seed=seed):
+        tau = stacked(problem, motion) @ theta
+        tau[:, 1] += extra * np.tanh(4 * motion.q[:, 1]) * np.cos(2 * motion.q[:, 1])
+        tau += coloured(rng, len(tau), 0.01 * np.eye(2), 0.9)
+        found.append(with_torque(motion, tau))
+    return found
+
+
+def test_a_remainder_lowers_the_error_on_motion_it_has_not_seen():
+    recordings = logs(0.8)
+    fit, said = quiet(identify, arm("planar"), recordings[:4], **OPTIONS)
+    assert fit.left_out == () and said == []
+    assert [p.joint for p in fit.model.remainder.parts] == [1]
+    assert fit.held_out["+ remainder"][1] < 0.7 * fit.held_out["IRLS"][1]
+    rows = {row.name: row.rms for row in validate(fit.model, recordings[4:]).rows}
+    assert rows["+ remainder"][1] < 0.8 * rows["IRLS"][1]
+    assert rows["+ remainder"][0] < 1.02 * rows["IRLS"][0]
+
+
+def test_without_structure_the_remainder_is_left_out_with_a_warning():
+    fit, said = quiet(identify, arm("planar"), logs(0.0), **OPTIONS)
+    assert fit.model.remainder is None
+    assert any("remainder" in text for text in fit.left_out)
+    assert any("left out remainder" in text for text in said)
+    np.testing.assert_array_equal(fit.held_out["+ remainder"], fit.held_out["IRLS"])

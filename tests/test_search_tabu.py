@@ -1,0 +1,105 @@
+"""The published search of kinematic calibration: ranked genetic, then tabu."""
+
+import numpy as np
+import pytest
+
+from hybrid.errors import HybridError
+from hybrid.search import minimise
+from hybrid.search.ranked_genetic import RankedGenetic
+from hybrid.search.tabu import Tabu
+
+LOW, HIGH = np.full(4, -2.0), np.full(4, 3.0)
+SEARCHES = {
+    "genetic": lambda rng: RankedGenetic(LOW, HIGH, rng=rng, generations=60),
+    "tabu": lambda rng: Tabu(LOW, HIGH, rng=rng, start=[2.0, -1.5, 1.0, 2.5]),
+}
+
+
+def bowl(x):
+    return np.linalg.norm(x - [0.5, -0.3, 1.0, 0.1], axis=1)
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_points_stay_within_the_bounds(name):
+    search = SEARCHES[name](np.random.default_rng(0))
+    for _ in range(50):
+        x = search.ask()
+        assert (x >= LOW).all() and (x <= HIGH).all()
+        search.tell(bowl(x))
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_the_same_seed_takes_the_same_way(name):
+    runs = [
+        minimise(SEARCHES[name](np.random.default_rng(3)), bowl, 40) for _ in range(2)
+    ]
+    np.testing.assert_array_equal(*runs)
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_the_best_is_the_least_value_told(name):
+    search = SEARCHES[name](np.random.default_rng(1))
+    told = []
+    for _ in range(30):
+        x = search.ask()
+        told += [*zip(bowl(x), x, strict=True)]
+        search.tell(bowl(x))
+    value, point = min(told, key=lambda pair: pair[0])
+    assert search.best.value == value
+    np.testing.assert_array_equal(search.best.point, point)
+
+
+def test_the_genetic_search_comes_near_the_bottom():
+    search = SEARCHES["genetic"](np.random.default_rng(0))
+    assert minimise(search, bowl, 60)[-1] < 0.2
+
+
+def test_rings_shrink_with_the_value_so_that_tabu_converges():
+    search = SEARCHES["tabu"](np.random.default_rng(0))
+    assert minimise(search, bowl, 1500)[-1] < 1e-6
+
+
+def test_the_genetic_search_picks_at_random_first_and_the_fit_last():
+    search = RankedGenetic(LOW, HIGH, rng=np.random.default_rng(0), population=10)
+    search.tell(np.arange(10.0))
+    np.testing.assert_allclose(search._chances(1.0), 0.1)
+    last = search._chances(2.0)
+    assert last.sum() == pytest.approx(1.0)
+    assert set(np.argsort(last)[-2:]) == {
+        0,
+        9,
+    }  # the fittest, and in place of the worst
+    assert last.max() == pytest.approx(0.2)  # twice the mean
+    assert last.min() == 0.0
+
+
+def test_tabu_climbs_out_of_a_hollow_that_it_has_seen():
+    # A shallow hollow at zero, where every step down ends, and a deep one beside it.
+    def hollows(x):
+        at = x[:, 0]
+        return np.minimum(1.0 + 5.0 * np.abs(at), 0.05 + 5.0 * np.abs(at - 0.6))
+
+    search = Tabu(
+        [-1.0], [1.0], rng=np.random.default_rng(0), start=[0.0],
+        radius=0.05, nearness=0.3,
+    )  # fmt: skip
+    minimise(search, hollows, 400)
+    assert search.best.point[0] == pytest.approx(0.6, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rings": 0}, "valid are whole numbers from 1"),
+        ({"start": [0.0]}, "start of shape"),
+    ],
+)
+def test_tabu_refuses_nonsense(options, message):
+    options = {"start": np.zeros(4), **options}
+    with pytest.raises(HybridError, match=message):
+        Tabu(LOW, HIGH, rng=np.random.default_rng(0), **options)
+
+
+def test_the_genetic_search_refuses_an_odd_population():
+    with pytest.raises(HybridError, match="an even number from 4"):
+        RankedGenetic(LOW, HIGH, rng=np.random.default_rng(0), population=5)

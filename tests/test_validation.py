@@ -1,0 +1,149 @@
+"""Scores on held-out motion: of what, over which samples, and how they are kept."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import arm, quiet
+
+from hybrid.dynamics import inverse_dynamics
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.viscous import Viscous
+from hybrid.errors import IdentificationError, ModelFileError, RecordingError
+from hybrid.identify import identify, predict, validate
+from hybrid.identify.validation import noise_floor
+from hybrid.plant import simulate
+from hybrid.recording import Recording
+from hybrid.signals import Sampler, motion_from_recording
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return simulate(arm("planar"), trajectories=4, duration=6, seed=1)
+
+
+@pytest.fixture(scope="module")
+def fit(logs):
+    return quiet(identify, arm("planar"), logs[:3])[0]
+
+
+def test_rows_go_from_the_plainest_model_to_the_fullest(fit, logs):
+    found = validate(fit.model, logs[3:])
+    names = [row.name for row in found.rows]
+    assert names[:3] == ["LS", "WLS", "IRLS"] and names[-1] == fit.model.stage
+    assert len(set(names)) == len(names)
+    assert found.joints == ("shoulder", "elbow") and found.robot == "planar"
+    assert found.reduction == 1 - found.rows[-1].mean / found.rows[0].mean
+
+
+def test_scores_are_those_of_predicted_and_measured_torque(fit, logs):
+    """Worked out here by hand: predict, filter both alike, take moving samples."""
+    model, cutoff = fit.model, fit.model.cutoff
+    motion = motion_from_recording(logs[3], cutoff=2 * cutoff)
+    sampler = Sampler.for_rate(motion.rate, cutoff)
+    found = validate(model, logs[3:])
+    v = motion.v[:: sampler.factor]
+    moving = (np.abs(v) > model.standing) & motion.mask[:: sampler.factor, None]
+    measured = np.where(moving, sampler(motion.tau), np.nan)
+    for row in found.rows:
+        each = model if row.name == model.stage else model.simpler[row.name]
+        left = measured - sampler(each.predict(motion))
+        rms = np.sqrt(np.nanmean(left**2, axis=0))
+        np.testing.assert_allclose(row.rms, rms, rtol=1e-10)
+        size = np.sqrt(np.nanmean(measured**2, axis=0))
+        np.testing.assert_allclose(row.relative, rms / size, rtol=1e-10)
+        assert row.mean == pytest.approx(rms.mean())
+    assert found.samples == moving.sum(axis=0).max()
+    assert found.seconds == pytest.approx(6.0)
+
+
+def test_samples_at_which_a_joint_stands_do_not_count(fit, logs):
+    """A brake holds with any torque: what it shows there changes no score."""
+    motion = motion_from_recording(logs[3], cutoff=np.inf)
+    model = replace(fit.model, cutoff=np.inf, simpler={})
+    standing = np.array([0.2, 0.3])
+    spoiled = np.where(np.abs(motion.v) <= standing, 1e6, motion.tau)
+    before = validate(model, [motion], standing=standing)
+    after = validate(model, [replace(motion, tau=spoiled)], standing=standing)
+    np.testing.assert_array_equal(before.rows[-1].rms, after.rows[-1].rms)
+    assert before.samples < validate(model, [motion]).samples
+
+
+def test_masked_samples_do_not_count(fit, logs):
+    motion = motion_from_recording(logs[3], cutoff=np.inf)
+    model = replace(fit.model, cutoff=np.inf, simpler={})
+    some = replace(motion, mask=motion.mask & (motion.t < 3.0))
+    tau = np.where(some.mask[:, None], motion.tau, 1e6)
+    found, expected = (validate(model, [m]) for m in (replace(some, tau=tau), some))
+    np.testing.assert_array_equal(found.rows[-1].rms, expected.rows[-1].rms)
+
+
+def test_the_truth_leaves_nothing_but_the_noise():
+    robot = arm("planar")
+    log = simulate(robot, trajectories=1, duration=4, seed=0)[0]
+    truth = quiet(identify, robot, [log, log], stages=("rigid",))[0].model
+    friction = [Viscous((j,), {"coefficient": 2.0}) for j in range(2)]
+    friction += [Coulomb((j,), {"level": 1.0}) for j in range(2)]
+    motion = motion_from_recording(log, cutoff=20.0)
+    rigid = truth.base.with_values(
+        truth.base.mapping[:, :20] @ robot.chain.inertial.ravel()
+    )
+    truth = replace(truth, base=rigid, effects=tuple(friction), simpler={})
+    tau = inverse_dynamics(
+        robot.chain, robot.chain.inertial, motion.q, motion.v, motion.a
+    )
+    tau += 2.0 * motion.v + np.sign(motion.v)
+    exact = validate(truth, [replace(motion, tau=tau)])
+    assert exact.rows[-1].rms.max() < 1e-9
+    noise = np.random.default_rng(0).normal(size=tau.shape)
+    noisy = validate(truth, [replace(motion, tau=tau + noise)])
+    np.testing.assert_allclose(noisy.rows[-1].rms, noisy.noise_floor, rtol=0.15)
+
+
+@pytest.mark.parametrize("cutoff", [10.0, 40.0])
+def test_the_noise_floor_is_the_noise_that_the_filter_leaves(logs, cutoff):
+    rng = np.random.default_rng(0)
+    motion = motion_from_recording(logs[3], cutoff=100.0)
+    noise = rng.normal(size=(20, *motion.tau.shape)) * [0.5, 0.1]
+    motions = [replace(motion, tau=motion.tau + e) for e in noise]
+    expected = Sampler(motion.rate, cutoff, 1)(noise, axis=1).std(axis=(0, 1))
+    smooth = Sampler(motion.rate, 20.0, 1)(motion.tau)
+    motions = [replace(motion, tau=smooth + e) for e in noise]
+    np.testing.assert_allclose(noise_floor(motions, cutoff), expected, rtol=0.1)
+
+
+def test_a_slow_log_has_no_noise_floor(fit, logs):
+    motion = motion_from_recording(logs[3], cutoff=20.0)
+    assert noise_floor([motion], motion.rate / 6) is None
+    assert validate(fit.model, [motion]).as_dict()["noise_floor"] is not None
+
+
+def test_the_results_are_plain_json(fit, logs):
+    found = validate(fit.model, logs[2:])
+    content = json.loads(json.dumps(found.as_dict()))
+    assert content["joints"] == ["shoulder", "elbow"]
+    assert [row["name"] for row in content["rows"]] == [r.name for r in found.rows]
+    for row, expected in zip(content["rows"], found.rows, strict=True):
+        assert row["rms"] == expected.rms.tolist()
+        assert row["relative"] == expected.relative.tolist()
+        assert row["mean"] == expected.mean
+    assert content["reduction"] == found.reduction
+    assert content["samples"] == found.samples and content["seconds"] == found.seconds
+    assert len(content["sources"]) == 2
+
+
+def test_prediction_needs_no_torque_of_the_log(fit, logs):
+    log = logs[3]
+    blind = Recording(log.t, log.q, log.tau + 5.0, joints=log.joints)
+    np.testing.assert_array_equal(predict(fit.model, log), predict(fit.model, blind))
+
+
+def test_another_arm_and_other_joints_are_refused(fit, logs):
+    with pytest.raises(ModelFileError, match="the model is of joints"):
+        validate(fit.model, logs[3:], robot=arm("coman_like"))
+    renamed = replace(logs[3], joints=("left", "right"))
+    with pytest.raises(RecordingError, match="missing joints"):
+        validate(fit.model, [renamed])
+    with pytest.raises(IdentificationError, match="no recording"):
+        validate(fit.model, [])
