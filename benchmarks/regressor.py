@@ -4,7 +4,7 @@ Both fill all columns (60 for six axes) of every sample on one core. Runs altern
 that a busy moment hits all; figures are medians with the lowest and highest. The loop
 is timed as it is, and with the copy that it takes to keep its result.
 
-    python benchmarks/regressor.py --json reports/regressor.json
+    python benchmarks/regressor.py --json reports/benchmarks/regressor.json
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Improved Stribeck friction by annealed genetic search, and by separable least squares.
+"""Improved Stribeck friction by annealed genetic search and separable least squares.
 
 Tables appear: the recovered parameters of joints 1-3 of a six-axis arm beside the true
 (published) ones, the squares that the law removes beside the published shares, how far

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from improved_stribeck_solvers import solvers_table, together_table
 from joint_friction_logs import NAMES, ROOT
 from rich.console import Console
 
@@ -53,64 +54,6 @@ def _removed(joints: Sequence[dict[str, Any]]) -> Table:
     return Table(("against", "fitted", "held out", "published"), tuple(rows), caption)
 
 
-def _solvers(joints: Sequence[dict[str, Any]], generations: int) -> Table:
-    rows = []
-    for k, joint in enumerate(joints, 1):
-        for law, solvers in joint["searches"].items():
-            ours = joint["fits"][law]
-            point = ", ".join(f"{x:.4g}" for x in ours["x"])
-            rows.append(
-                (f"{k} {law}: ours", "1", "", str(ours["evaluations"]), "1", point)
-            )
-            for name, runs in solvers.items():
-                worst = [r["history"][-1] / ours["squares"] for r in runs]
-                taken = [r.get("generations") or np.inf for r in runs]
-                steps = f"{np.median(taken):.0f}" if name in INK else ""
-                reached = f" ({np.isfinite(taken).sum()}/{len(runs)})" if steps else ""
-                steps = steps.replace("inf", f">{generations}") + reached
-                time = (
-                    np.median([r.get("seconds", np.nan) for r in runs])
-                    / ours["seconds"]
-                )
-                point = ", ".join(
-                    f"{x:.4g}" for x in np.median([r["x"] for r in runs], 0)
-                )
-                ratio = f"{np.median(worst):.4f} ({max(worst):.3f})"
-                rows.append((f"{k} {law}: {name}", ratio, steps, "",
-                    "" if np.isnan(time) else f"{time:.0f}", point))  # fmt: skip
-    caption = "Solvers: squares over ours, median (worst); generations to within 1 %"
-    header = (
-        "joint, law",
-        "squares",
-        "generations (reached)",
-        "evaluations",
-        "time",
-        "parameters",
-    )
-    return Table(header, tuple(rows), caption)
-
-
-def _together(found: dict[str, Any]) -> Table:
-    rows = []
-    for j, (true, x, ends) in enumerate(
-        zip(found["true"], found["x"], found["interval"], strict=True), 1
-    ):
-        cells = [
-            f"{a:.4g} → {b:.4g} ± {(e[1] - e[0]) / 2:.1g}"
-            for a, b, e in zip(true, x, ends, strict=True)
-        ]
-        rows.append((str(j), *cells))
-    inside = np.mean(
-        [
-            e[0] <= t <= e[1]
-            for a, b in zip(found["true"], found["interval"], strict=True)
-            for t, e in zip(a, b, strict=True)
-        ]
-    )
-    caption = f"Ours, all joints moving, rigid body unknown: true → found; {inside:.0%} of the true values in their 95 % interval"
-    return Table(("joint", *NAMES), tuple(rows), caption)
-
-
 def write_report(
     joints: Sequence[dict[str, Any]],
     together: dict[str, Any],
@@ -125,8 +68,8 @@ def write_report(
     tables = [
         _recovered(joints),
         _removed(joints),
-        _solvers(joints, generations),
-        _together(together),
+        solvers_table(joints, generations),
+        together_table(together),
     ]
     for table in tables:
         console.print(numbers_table(table))

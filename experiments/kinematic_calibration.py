@@ -30,8 +30,7 @@ from hybrid.search.tabu import Tabu
 
 GENERATIONS, STEPS = 300, 2500
 NOISE = 5e-5  # m and rad
-RADII = (0.03, 0.1)  # of the range
-POSES, FIRST = 1, 100  # seeds that no setting was tried on
+RADII, POSES, FIRST = (0.03, 0.1), 1, 100  # shares; seeds that no radius was tried on
 
 
 def searched(data: Measurements, seed: int) -> dict[str, Any]:
@@ -39,13 +38,12 @@ def searched(data: Measurements, seed: int) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
 
     def objective(x: Array) -> Array:
-        place, turn = pose_errors(x, data)
-        return np.asarray((place + turn).mean(axis=1))
+        return np.asarray(np.add(*pose_errors(x, data)).mean(axis=1))
 
     began = time.perf_counter()
     genetic = RankedGenetic(-UPPER, UPPER, rng=rng, generations=GENERATIONS)
     first = minimise(genetic, objective, GENERATIONS)
-    middle, run = time.perf_counter(), {"genetic": genetic.best.point}
+    middle, run = time.perf_counter(), dict[str, Any](genetic=genetic.best.point)
     for radius in RADII:
         start = time.perf_counter()
         tabu = Tabu(-UPPER, UPPER, rng=rng, start=genetic.best.point, radius=radius)
@@ -70,21 +68,20 @@ def efficiency(q: Array, outliers: float, seeds: int) -> dict[str, float]:
         error.append(solution.x - TRUE)
         inside.append(np.abs(error[-1]) < 1.96 * solution.std)
     ratio = np.sqrt((np.array(error) ** 2).mean(axis=0) / bound)
-    pooled, worst = np.sqrt((ratio**2).mean()), ratio.max()
-    return {"pooled": pooled, "worst": worst, "coverage": float(np.mean(inside))}
+    pooled = np.sqrt((ratio**2).mean())
+    return {"pooled": pooled, "worst": ratio.max(), "coverage": np.mean(inside)}
 
 
 def main() -> None:
     """Search, solve, compare, print and write."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=5)
-    seeds = parser.parse_args().seeds
+    seeds: int = parser.parse_args().seeds
     q = random_poses(70, np.random.default_rng(POSES))
     fit, test = measure(q[:50], 0, 0, 0), measure(q[50:], 0, 0, 0)
     runs = [searched(fit, seed) for seed in range(FIRST, FIRST + seeds)]
     began = time.perf_counter()
-    ours = solve(MODEL, fit, LABELS, UNITS)
-    exact = ours, time.perf_counter() - began
+    exact = solve(MODEL, fit, LABELS, UNITS), time.perf_counter() - began
     bounds = {share: efficiency(q[:50], share, 100) for share in (0.0, 0.05)}
     write_report(runs, exact, test, bounds, f"--seeds {seeds}")
 

@@ -57,6 +57,7 @@ def main() -> None:
     parser.add_argument("data", type=Path, help="folder with a folder for each arm")
     data, console, scores = parser.parse_args().data, Console(width=130), []
     text = ""
+    warnings.simplefilter("ignore", HybridWarning)  # columns of the logs not needed
     for arm in ARMS:
         found = []
         for score in measure(arm, data):

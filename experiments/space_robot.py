@@ -4,7 +4,7 @@ Regressor of the reduced dynamics (Slotine and Li 1987, doi 10.1177/027836498700
 in α, β, ε, η; motion under desired torques; searches and fits. Nothing here prints.
 
 The printed argument of the desired torques is ambiguous. Here they are 5 sin and 5 cos
-of 3·2πk/55 N·m, samples 0.1 s apart; they move the arm, and the drives add the friction.
+of 3·2πk/55 N·m, samples 0.1 s apart; they move the arm, the drives add the friction.
 """
 
 from __future__ import annotations
@@ -44,13 +44,17 @@ def motion() -> tuple[Array, Array, Array, Array]:
         return 5 * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
 
     def acceleration(q: Array, v: Array, tau: Array) -> Array:
-        unit = np.stack([rigid_columns(q, 0 * v, np.tile(e, (len(q), 1))) for e in np.eye(2)], 1)  # fmt: skip
+        unit = np.stack(
+            [rigid_columns(q, 0 * v, np.tile(e, (len(q), 1))) for e in np.eye(2)], 1
+        )
         mass = (unit @ TRUE[:4]).transpose(0, 2, 1)
         bias = rigid_columns(q, v, 0 * v) @ TRUE[:4]
         return np.asarray(np.linalg.solve(mass, (tau - bias)[..., None])[..., 0])
 
     def flow(t: float, x: Array) -> Array:
-        return np.append(x[2:], acceleration(x[None, :2], x[None, 2:], desired(t)[None]))
+        return np.append(
+            x[2:], acceleration(x[None, :2], x[None, 2:], desired(t)[None])
+        )
 
     t = STEP * np.arange(SAMPLES)
     path = solve_ivp(flow, (0, t[-1]), [0, 0.5, 0, 0], t_eval=t, rtol=1e-10, atol=1e-12)
@@ -80,10 +84,20 @@ def recursive_search(
 
     first = rng.uniform(LOWER, UPPER, (80, 8))
     start = differential_evolution(
-        lambda p: cost(p.T, OFFLINE), list(zip(LOWER, UPPER, strict=True)), rng=rng,
-        strategy=strategy, init=first, mutation=1.2, recombination=0.9, tol=0, atol=0,
-        maxiter=150, vectorized=True, updating="deferred", polish=False,
-    )  # fmt: skip
+        lambda p: cost(p.T, OFFLINE),
+        list(zip(LOWER, UPPER, strict=True)),
+        rng=rng,
+        strategy=strategy,
+        init=first,
+        mutation=1.2,
+        recombination=0.9,
+        tol=0,
+        atol=0,
+        maxiter=150,
+        vectorized=True,
+        updating="deferred",
+        polish=False,
+    )
     search = RecursiveDifferentialEvolution(
         LOWER, UPPER, rng=rng, population=start.population, detour=detour
     )

@@ -17,9 +17,16 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from space_robot import (
-    LOWER, NAMES, SAMPLES, TRUE, UPPER, motion, predicted, recursive_search,
+    LOWER,
+    NAMES,
+    SAMPLES,
+    TRUE,
+    UPPER,
+    motion,
+    predicted,
+    recursive_search,
     rigid_columns,
-)  # fmt: skip
+)
 from space_robot_ours import track, with_noise
 
 from hybrid.files import atomic_path
@@ -33,20 +40,35 @@ from hybrid.search.adaptive_genetic import AdaptiveGenetic
 
 REPORT = Path(__file__).parents[1] / "reports" / "space_robot"
 PUBLISHED = {
-    "published recursive DE, best": [6.7255, 3.3889, 2.9918, 0, 2.8384, 3.1698, 0.0719, 0.2053],
+    "published recursive DE, best": [
+        6.7255,
+        3.3889,
+        2.9918,
+        0,
+        2.8384,
+        3.1698,
+        0.0719,
+        0.2053,
+    ],
     "published least squares": [6.7370, 3.4202, 3.0092, 0.4917],
     "published genetic": [6.08, 3.07, 2.72],
     "published swarm": [6.7335, 3.4001, 3.0001],
-}  # fmt: skip
-VARIANTS = {"best/2": ("best2bin", 0.0), "best/2, improved": ("best2bin", 0.02),
-    "rand-to-best": ("randtobest1bin", 0.0), "rand-to-best, improved": ("randtobest1bin", 0.02)}  # fmt: skip
+}
+VARIANTS = {
+    "best/2": ("best2bin", 0.0),
+    "best/2, improved": ("best2bin", 0.02),
+    "rand-to-best": ("randtobest1bin", 0.0),
+    "rand-to-best, improved": ("randtobest1bin", 0.02),
+}
 NOISE = 0.01  # N·m
 
 
 def plain(data: tuple[Array, ...]) -> Iterator[tuple[str, Array]]:
     """Least squares with Coulomb and viscous friction only, and a genetic search."""
     q, v, a, tau = data
-    columns = np.concatenate([rigid_columns(q, v, a), np.sign(v)[..., None], v[..., None]], 2)  # fmt: skip
+    columns = np.concatenate(
+        [rigid_columns(q, v, a), np.sign(v)[..., None], v[..., None]], 2
+    )
     x = np.linalg.lstsq(columns.reshape(-1, 6), tau.ravel(), rcond=None)[0]
     yield "least squares, no Stribeck", np.array([*x[:5], np.nan, np.nan, x[5]])
     search = AdaptiveGenetic(LOWER, UPPER, rng=np.random.default_rng(0), population=80)
@@ -69,11 +91,16 @@ def main() -> None:
         console.print(f"{name}: {took:.2f} s a run")
     for label, noise in (("no noise", 0.0), (f"noise {NOISE} N·m", NOISE)):
         for way, offline in (("", True), (", no offline start", False)):
-            many = [track(with_noise(data, noise, s), noise, offline=offline) for s in range(runs if noise else 1)]  # fmt: skip
+            many = [
+                track(with_noise(data, noise, s), noise, offline=offline)
+                for s in range(runs if noise else 1)
+            ]
             found[f"ours, {label}{way}"] = np.array([x for x, _, _ in many])
         console.print(f"ours: {1e6 * np.median([t for *_, t in many]):.0f} µs a sample")
     rows = [("true", *(f"{x:.4f}" for x in TRUE), "")]
-    single = {k: np.array([[*x, *[np.nan] * (8 - len(x))]]) for k, x in PUBLISHED.items()}
+    single = {
+        k: np.array([[*x, *[np.nan] * (8 - len(x))]]) for k, x in PUBLISHED.items()
+    }
     single |= {name: x[None] for name, x in plain(data)}
     for name, points in (single | found).items():
         middle = np.median(points, axis=0)
@@ -88,7 +115,9 @@ def main() -> None:
     figure = new_figure(height=2.6)
     axes = figure.subplots()
     clean(axes, grid="both")
-    for (name, path), ink in zip(paths.items(), (GREY, "black", RED, BLUE), strict=True):
+    for (name, path), ink in zip(
+        paths.items(), (GREY, "black", RED, BLUE), strict=True
+    ):
         axes.semilogy(np.median(path, axis=0), color=ink, label=name)
     axes.set_xlabel("recursion")
     axes.set_ylabel("mean |error| of α, β, ε")

@@ -18,7 +18,9 @@ from hybrid.robot import Robot
 from hybrid.robot.chain import Array, Chain
 from hybrid.signals import Motion
 
-_LINKS = np.array([[1, 0.5, 0, 0, 0, 0, 0, 0, 0, 1 / 3], [2, 1.5, 0, 0, 0, 0, 0, 0, 0, 2.0]])  # fmt: skip
+_LINKS = np.array(
+    [[1, 0.5, 0, 0, 0, 0, 0, 0, 0, 1 / 3], [2, 1.5, 0, 0, 0, 0, 0, 0, 0, 2.0]]
+)
 _FIRST = {"coulomb": 1.0, "static": 1.0, "viscous": 1.0, "velocity": 0.3}
 
 
@@ -35,7 +37,9 @@ def arm() -> Robot:
         armature=np.zeros(2),
     )
     free, zero = np.full(2, np.inf), np.zeros(2)
-    return Robot("space", chain, -free, free, np.full(2, 3.0), np.full(2, 8.0), zero, zero)  # fmt: skip
+    return Robot(
+        "space", chain, -free, free, np.full(2, 3.0), np.full(2, 8.0), zero, zero
+    )
 
 
 class SharedFriction(Effect):
@@ -84,17 +88,26 @@ def track(
         base = build_problem(robot.chain, ()).base
         log = Log(motion, body, motion.tau, body.columns[:, :, list(base.kept)])
         fit = fit_effects(
-            effects, [log], scales=[Scale(8, 3)] * 2,
+            effects,
+            [log],
+            scales=[Scale(8, 3)] * 2,
             bounds={"coulomb": (0, 5), "static": (0, 5)},
-        )  # fmt: skip
+        )
         effects = list(fit.effects)
         known = base.with_values(fit.separable.others).standard()
         inertial = known.reshape(-1, 10)
     tracker = OnlineIdentifier(
-        robot, effects, rate=1 / STEP, inertial=inertial, cutoff=np.inf, memory=1e6,
-        prior=0.3 if offline else 1.0, shape_prior=0.5,
-        standing=np.full(2, 1e-3), noise=np.full(2, max(noise, 1e-4)),
-    )  # fmt: skip
+        robot,
+        effects,
+        rate=1 / STEP,
+        inertial=inertial,
+        cutoff=np.inf,
+        memory=1e6,
+        prior=0.3 if offline else 1.0,
+        shape_prior=0.5,
+        standing=np.full(2, 1e-3),
+        noise=np.full(2, max(noise, 1e-4)),
+    )
     start = time.process_time()
     for k in range(first, SAMPLES):
         tracker.update(Sample(STEP * k, q[k], tau[k], v[k], a[k]))

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hybrid.effects import Effect
     from hybrid.effects import effect_classes as effects
     from hybrid.identify import DynamicModel, Fit, identify, predict, validate
+    from hybrid.identify.online import OnlineIdentifier, Sample
     from hybrid.plant import simulate
     from hybrid.recording import Recording
     from hybrid.recording import read_all as read_recordings
@@ -29,8 +30,10 @@ __all__ = [
     "Effect",
     "Fit",
     "Motion",
+    "OnlineIdentifier",
     "Recording",
     "Robot",
+    "Sample",
     "__version__",
     "calibrate",
     "effects",
@@ -47,8 +50,10 @@ _HOME = {
     "Effect": "hybrid.effects",
     "Fit": "hybrid.identify",
     "Motion": "hybrid.signals",
+    "OnlineIdentifier": "hybrid.identify.online",
     "Recording": "hybrid.recording",
     "Robot": "hybrid.robot",
+    "Sample": "hybrid.identify.online",
     "calibrate": "hybrid.calibrate",
     "effects": "hybrid.effects:effect_classes",
     "identify": "hybrid.identify",

@@ -9,17 +9,28 @@ from argparse import Namespace, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 
 from hybrid import __version__
-from hybrid.cli import calibrate, effects, identify, predict, simulate, validate
+from hybrid.cli import (
+    calibrate,
+    effects,
+    excite,
+    identify,
+    predict,
+    simulate,
+    track,
+    validate,
+)
 from hybrid.cli.options import Parser
 from hybrid.errors import HybridError
 
 OK, BUG, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
 _VERBS = {
+    "excite": excite,
     "simulate": simulate,
     "identify": identify,
     "validate": validate,
     "predict": predict,
+    "track": track,
     "calibrate": calibrate,
     "effects": effects,
 }

@@ -24,13 +24,14 @@ remainder is left out. Writes the columns time (s), one of each parameter, and
 error_JOINT (N·m), ten times a second; the suffix of --out, .csv, .parquet or .npz, says
 how.
 
---json: provenance, robot, joints, samples, changes (t, mass, statistic), taken (ten
-parameters of the last payload), parameters, noise, microseconds (median per sample).
+--json: provenance, robot, joints, samples, changes (t, statistic, and mass, known a
+second later), parameters, noise, microseconds (median per sample).
 
 example:
   hybrid track --model model.json --recording logs/trajectory_1.csv --out track.csv"""
 
 _PER_SECOND = 10
+_WEIGHED = 1.0  # s after which the mass of a payload is read
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -75,11 +76,16 @@ def run(args: Namespace, screen: Screen) -> None:
     rate = (len(recording.t) - 1) / recording.duration
     tracker = OnlineIdentifier.from_model(model, rate=rate, prior=args.prior)
     every, rows, taken = max(1, round(rate / _PER_SECOND)), [], []
+    changes: list[dict[str, float]] = []
     with screen.working(f"tracking {len(recording.t):,} samples"):
         for k, t in enumerate(recording.t.tolist()):
             start = perf_counter_ns()
-            tracker.update(Sample(t, recording.q[k], recording.tau[k]))
+            change = tracker.update(Sample(t, recording.q[k], recording.tau[k]))
             taken.append(perf_counter_ns() - start)
+            if change:
+                changes.append(vars(change) | {"mass": tracker.taken[0]})
+            elif changes and t < changes[-1]["t"] + _WEIGHED:
+                changes[-1]["mass"] = tracker.taken[0]
             if k % every == 0:
                 rows.append(np.concatenate([[t], tracker.theta, tracker.error]))
     parameters = tracker.parameters
@@ -89,16 +95,13 @@ def run(args: Namespace, screen: Screen) -> None:
         "robot": model.robot.name,
         "joints": joints,
         "samples": len(recording.t),
-        "changes": [vars(change) for change in tracker.changes],
-        "taken": tracker.taken if tracker.changes else None,
+        "changes": changes,
         "parameters": [p.as_dict() for p in parameters],
         "noise": tracker.noise,
         "microseconds": np.median(taken) / 1000,
     }
     write_record(args, how, content)
-    for change in tracker.changes:
-        word = "grasped" if change.mass > 0 else "dropped"
-        screen.say(f"{change.t:.2f} s: payload {word}")
-    if tracker.changes:
-        screen.say(f"last change of the mass held: {tracker.taken[0]:+.3g} kg")
+    for found in changes:
+        word = "grasped" if found["mass"] > 0 else "dropped"
+        screen.say(f"{found['t']:.2f} s: {abs(found['mass']):.3g} kg {word}")
     screen.say(f"{len(parameters)} parameters, {len(rows):,} rows in {args.out}")

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 
 from hybrid.diagnose.background import background
@@ -22,11 +23,14 @@ _RIPPLES = 3  # orders tried at each joint at a time
 _SHORTLIST = 4
 _MOST_TERMS = 40
 _EXACT_PASSES = 4
+_NEAR = 10.0
+_PRICE = 2.0  # of choosing one shape; the logarithm of how many differ in effect
+_SHAPE_PRICE = {"torque_ripple": 6.0}  # of several hundred orders
 # Sizes of the background that are tried: one standard deviation, relative.
 _OFF = (0.003, 0.01, 0.03)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Term:
     """An effect in the model of the gap.
 
@@ -49,13 +53,20 @@ class Search:
 
     Args:
         gap: The gap.
+        use: Samples to learn from, shape (M,); all by default.
         without: Ids of effects to leave out of the library.
     """
 
-    def __init__(self, gap: Gap, without: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        gap: Gap,
+        use: NDArray[np.bool_] | None = None,
+        *,
+        without: Sequence[str] = (),
+    ) -> None:
         self.gap = gap
         self.without = tuple(without)
-        self.evidence = Evidence(gap)
+        self.evidence = Evidence(gap, use)
         self.background = np.concatenate(self.evidence.add(*background(gap)))
         self.tried: list[Term] = []
         self._take(candidates(gap, without))
@@ -72,7 +83,8 @@ class Search:
             self.evidence.spread(self.background, off)
             self._grow()
             total = self.evidence.solve(self.base()).evidence
-            found.append((total - _WORTH * len(self.terms), off, self.terms))
+            total -= sum(_WORTH + price(t.candidate.effect) for t in self.terms)
+            found.append((total, off, self.terms))
         _, self.off, self.terms = max(found, key=lambda x: x[0])
         self.evidence.spread(self.background, self.off)
         return self.terms
@@ -160,6 +172,7 @@ class Search:
         )
         best: dict[tuple[str, tuple[int, ...]], tuple[Candidate, float]] = {}
         for term, gain in zip(terms, gains, strict=True):
+            gain -= price(term.candidate.effect)
             if term.place not in best or gain > best[term.place][1]:
                 best[term.place] = term.candidate, float(gain)
         return sorted(best.values(), key=lambda x: -x[1])
@@ -168,8 +181,7 @@ class Search:
         """Fit the shapes of a candidate, from those given on."""
 
         def gain(effect: Effect) -> float:
-            columns = self.gap.columns(effect)
-            return self.evidence.trial(base, columns, c.std, c.lower)[0]
+            return self.gain(base, replace(c, effect=effect))
 
         start = gain(c.effect)
         effect, best = fit_shapes(c.effect, gain, self.gap)
@@ -179,6 +191,11 @@ class Search:
             effect, best = self._exact(base, replace(c, effect=effect))
         return replace(c, effect=effect), best
 
+    def gain(self, base: Index, c: Candidate) -> float:
+        """Evidence that a candidate adds, less the price of its shapes, [nat]."""
+        columns = self.gap.columns(c.effect)
+        return self.evidence.trial(base, columns, c.std, c.lower)[0] - price(c.effect)
+
     def _exact(self, base: Index, c: Candidate) -> tuple[Effect, float]:
         """An effect on signals at its own gain, where its columns are not linear."""
         effect, best, name = c.effect, -np.inf, c.effect.gains[0].name
@@ -186,6 +203,7 @@ class Search:
         for _ in range(_EXACT_PASSES):
             columns = self.gap.columns(effect)
             best, gains = self.evidence.trial(base, columns, c.std, c.lower)
+            best -= price(effect)
             value = float(np.clip(gains[0], bounds.lower, bounds.upper))
             effect = effect.at({name: value})
         return effect, best
@@ -193,7 +211,8 @@ class Search:
     def loss(self, term: Term) -> float:
         """Evidence that would be lost without a term, [nat]."""
         whole = self.evidence.solve(self.base()).evidence
-        return whole - self.evidence.solve(self.base(term)).evidence
+        without = self.evidence.solve(self.base(term)).evidence
+        return whole - without - price(term.candidate.effect)
 
     def _remove(self) -> None:
         while self.terms:
@@ -207,6 +226,11 @@ class Search:
         """Fit each term anew beside the others, as whatever explains most there."""
         changed = False
         for term in list(self.terms):
+            if term not in self.terms:
+                continue
+            if self._merge(term):
+                changed = True
+                continue
             base = self.base(term)
             own, now = self.refine(base, term.candidate)
             best = self.best(base)
@@ -217,6 +241,32 @@ class Search:
                 self.terms[self.terms.index(term)] = self._term(own)
                 changed = changed or own.place != term.place or now > before + 3.0
         return changed
+
+    def _merge(self, term: Term) -> bool:
+        """Let a term take over what another at the same joint explains.
+
+        Two effects that are alike to first order may have been taken in one by one.
+        """
+        for other in [t for t in self.terms if t is not term]:
+            if other.place[1] != term.place[1] or other.place == term.place:
+                continue
+            rest = [t.index for t in self.terms if t is not term and t is not other]
+            base = np.concatenate([self.background, *rest])
+            whole = self.evidence.solve(self.base()).evidence
+            wanted = whole - self.evidence.solve(base).evidence - _WORTH
+            if self.gain(base, term.candidate) < wanted - _NEAR:
+                continue
+            alone, gain = self.refine(base, term.candidate)
+            if gain > wanted:
+                self.terms = [t for t in self.terms if t is not term and t is not other]
+                self.terms.append(self._term(alone))
+                return True
+        return False
+
+
+def price(effect: Effect) -> float:
+    """Evidence that the choice of an effect's shapes has to pay for, [nat]."""
+    return _SHAPE_PRICE.get(effect.id, _PRICE * len(effect.shapes))
 
 
 def fit_shapes(

@@ -25,7 +25,7 @@ _LINK_OFF = 0.15  # a link that is wrong is so by this much
 _PAYLOAD = (1.0, *[0.1] * 3, *[0.02] * 6)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """An effect with unit gains that may be tried.
 

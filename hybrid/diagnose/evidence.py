@@ -23,7 +23,7 @@ from hybrid.robot.chain import Array
 Index = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
     """The most probable gains of some columns.
 
@@ -48,15 +48,17 @@ class Evidence:
 
     Args:
         gap: The gap.
+        use: Samples that count, shape (M,); all by default.
     """
 
-    def __init__(self, gap: Gap) -> None:
+    def __init__(self, gap: Gap, use: NDArray[np.bool_] | None = None) -> None:
         self.gap = gap
         n = gap.robot.size
-        rows = [np.flatnonzero(gap.moving[:, i]) for i in range(n)]
+        moving = gap.moving if use is None else gap.moving & use[:, None]
+        rows = [np.flatnonzero(moving[:, i]) for i in range(n)]
         # Sorted by fold, so that a fold is a slice; stable, so that time runs on.
         self.rows = [r[np.argsort(gap.fold[r], kind="stable")] for r in rows]
-        self.folds = np.unique(gap.fold)
+        self.folds = np.unique(gap.fold if use is None else gap.fold[use])
         self._edges = [
             np.searchsorted(gap.fold[r], [*self.folds, self.folds[-1] + 1])
             for r in self.rows
@@ -67,6 +69,7 @@ class Evidence:
         F = len(self.folds)
         self._gram = [np.zeros((F, 0, 0)) for _ in range(n)]
         self._moment = [np.zeros((F, 0)) for _ in range(n)]
+        self._sums = [(np.zeros((0, 0)), np.zeros(0)) for _ in range(n)]
         self.power = np.array(
             [
                 [x[a:b] @ x[a:b] for a, b in zip(e[:-1], e[1:], strict=True)]
@@ -137,6 +140,7 @@ class Evidence:
         self._columns[i] = [everything]
         self._owner[i] += names
         self._gram[i], self._moment[i] = gram, moment
+        self._sums[i] = gram.sum(axis=0), moment.sum(axis=0)
 
     def normal(self, index: Index, folds: Index | None = None) -> tuple[Array, Array]:
         """Normal matrix (k, k) and vector (k,) of some columns, weighed by noise.
@@ -146,16 +150,18 @@ class Evidence:
             folds: Which folds count; all by default.
         """
         A, b = np.zeros((len(index), len(index))), np.zeros(len(index))
-        folds = np.arange(len(self.folds)) if folds is None else folds
         where = np.full(self.size, -1)
         where[index] = np.arange(len(index))
         for i, owner in enumerate(self._owner):
             target = where[owner]
             here = np.flatnonzero(target >= 0)
             at = target[here]
-            gram = self._gram[i][folds].sum(axis=0)
+            gram, moment = self._sums[i]
+            if folds is not None:
+                gram = self._gram[i][folds].sum(axis=0)
+                moment = self._moment[i][folds].sum(axis=0)
             A[np.ix_(at, at)] += gram[np.ix_(here, here)] / self.noise[i]
-            b[at] += self._moment[i][folds].sum(axis=0)[here] / self.noise[i]
+            b[at] += moment[here] / self.noise[i]
         return A, b
 
     def solve(self, index: Index, folds: Index | None = None) -> Solution:
@@ -264,8 +270,8 @@ class Evidence:
         """
         for i, (row, owner) in enumerate(zip(self.rows, self._owner, strict=True)):
             here = np.flatnonzero(np.isin(owner, index))
-            A = self._gram[i].sum(axis=0)[np.ix_(here, here)]
-            b = self._moment[i].sum(axis=0)[here]
+            gram, moment = self._sums[i]
+            A, b = gram[np.ix_(here, here)], moment[here]
             size = np.sqrt(np.maximum(np.diag(A), 1e-300))
             scaled = A / size / size[:, None]
             values, vectors = np.linalg.eigh(scaled)

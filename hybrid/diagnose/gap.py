@@ -23,10 +23,11 @@ Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
 
 _STANDING = 0.01  # of the highest speed
 _BLOCK_SECONDS = 3.0
+_SHORTEST_BLOCK = 0.5
 _MOST_FOLDS = 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gap:
     """Measured less simulated torque along some motions, filtered and decimated.
 
@@ -41,7 +42,7 @@ class Gap:
         left: Torque left, shape (M, n), [N·m].
         moving: Where a joint moves and the mask allows, shape (M, n).
         fold: Fold of each sample for scoring, shape (M,): one trajectory, or some
-            blocks of 3 s where there are fewer than three trajectories.
+            blocks of 3 s where there are fewer than four trajectories.
         trajectory: Recording of each sample, shape (M,).
     """
 
@@ -155,11 +156,11 @@ def measure_gap(
         usable = sampler.keep(motion.mask)[:, None]
         moving.append((np.abs(v) > _STANDING * fastest) & usable)
         trajectory.append(np.full(len(v), r))
-        t = motion.t[:: sampler.factor]
-        fold.append(((t - t[0]) // _BLOCK_SECONDS).astype(int))
+        t = motion.t[:: sampler.factor] - motion.t[0]
+        fold.append((t // block_seconds(motions)).astype(int))
     of = np.concatenate(trajectory)
     blocks = np.concatenate(fold)
-    if len(motions) >= 3:
+    if len(motions) >= 4:
         blocks = of % _MOST_FOLDS
     else:
         _, blocks = np.unique(of * (blocks.max() + 1) + blocks, return_inverse=True)
@@ -168,6 +169,15 @@ def measure_gap(
         robot, tuple(simulated), bodies, cutoff,
         np.concatenate(left), np.concatenate(moving), blocks, of,
     )  # fmt: skip
+
+
+def block_seconds(motions: Sequence[Motion]) -> float:
+    """Length of the blocks that trajectories are cut into, [s].
+
+    Three seconds; less where that leaves fewer than eight of them.
+    """
+    total = sum(float(m.t[-1] - m.t[0]) for m in motions)
+    return float(np.clip(total / _MOST_FOLDS, _SHORTEST_BLOCK, _BLOCK_SECONDS))
 
 
 def simulated_torque(robot: Robot, motion: Motion, body: RigidBody) -> Array:

@@ -7,6 +7,7 @@ gradient of any function of Y costs a few evaluations of Y, however many joints.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.dynamics.kinematics import LinkMotion, cross, link_motions
 from hybrid.robot.chain import Array, Chain
@@ -33,14 +34,14 @@ def regressor_gradient(
     out = np.empty((3, *q.shape))
     for start in range(0, len(q), _CHUNK):
         part = slice(start, start + _CHUNK)
-        states = [np.ascontiguousarray(x[part].T) for x in (q, v, a)]
+        qt, vt, at = (np.ascontiguousarray(x[part].T) for x in (q, v, a))
         P = np.ascontiguousarray(weight[part].transpose(1, 2, 0))  # (n, 10n, N)
-        out[:, part] = _backward(chain, *states, P).transpose(0, 2, 1)
+        out[:, part] = _backward(chain, qt, vt, at, P).transpose(0, 2, 1)
     return out[0], out[1], out[2]
 
 
 def torque_gradient(
-    chain: Chain, q: Array, v: Array, a: Array, inertial: Array, joint: Array
+    chain: Chain, q: Array, v: Array, a: Array, inertial: Array, joint: NDArray[np.intp]
 ) -> tuple[Array, Array, Array]:
     """Derivatives of one joint's rigid-body torque in each sample by the motion.
 
@@ -175,4 +176,4 @@ def _inertia(P: Array, x: Array) -> Array:
 
 
 def _dot(x: Array, y: Array) -> Array:
-    return np.einsum("cn,cn->n", x, y)
+    return np.asarray(np.einsum("cn,cn->n", x, y))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
@@ -20,8 +19,11 @@ class SampleRegressor:
     """
 
     def __init__(self, robot: Robot) -> None:
+        import pinocchio as pin
+
         self._model = robot.pinocchio()
         self._data = self._model.createData()
+        self._regressor = pin.computeJointTorqueRegressor
 
     def __call__(self, q: Array, v: Array, a: Array) -> Array:
         """Regressor at one instant.
@@ -34,5 +36,4 @@ class SampleRegressor:
         Returns:
             Y, shape (n, 10n); overwritten by the next call.
         """
-        found = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
-        return np.asarray(found)
+        return np.asarray(self._regressor(self._model, self._data, q, v, a))

@@ -11,7 +11,7 @@ from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
 
 
 class ImprovedStribeck(JointEffect):
-    """Friction from break-away to sliding; a straight line through rest below ``width``.
+    """Friction from break-away to sliding; a line through rest below ``width``.
 
     The published law is even where it should be odd and jumps at ±``width`` when it has
     an offset. This one is odd and continuous: within ±``width`` it is the straight line
@@ -37,7 +37,9 @@ class ImprovedStribeck(JointEffect):
     )
     source = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
     sentence = "Friction of {joints} falls from break-away to sliding, then rises."
-    remedy = "Give the joint a Stribeck curve: break-away, sliding and viscous friction."
+    remedy = (
+        "Give the joint a Stribeck curve: break-away, sliding and viscous friction."
+    )
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:

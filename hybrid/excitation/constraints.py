@@ -72,7 +72,9 @@ class Limits:
             x = np.asarray(getattr(self, f.name), dtype=float)
             object.__setattr__(self, f.name, x)
             if x.shape != np.shape(self.low) or x.ndim != 1 or np.isnan(x).any():
-                raise ExcitationError(f"limits: {f.name} needs one value for each joint")
+                raise ExcitationError(
+                    f"limits: {f.name} needs one value for each joint"
+                )
             if f.name not in ("low", "high") and (x <= 0).any():
                 raise ExcitationError(f"limits: {f.name} must be above 0")
         if not (self.low < self.high).all():

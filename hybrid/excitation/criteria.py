@@ -227,7 +227,7 @@ def normalised(gram: Array) -> Array:
 
 def _sizes(gram: Array) -> Array:
     size = np.sqrt(gram.diagonal())
-    return np.maximum(size, 1e-12 * size.max())
+    return np.asarray(np.maximum(size, 1e-12 * size.max()))
 
 
 def _spectrum(gram: Array) -> tuple[Array, Array]:
@@ -247,7 +247,8 @@ def _inverse_mean(gram: Array, power: float) -> tuple[float, Array]:
     eigenvalues, vectors = _spectrum(gram)
     value, by = _log_mean(1.0 / eigenvalues, power)
     value -= np.log(len(gram)) / power
-    return 0.5 * value, -0.5 * (vectors * (by / eigenvalues)) @ vectors.T
+    slope = -0.5 * (vectors * (by / eigenvalues)) @ vectors.T
+    return 0.5 * float(value), np.asarray(slope)
 
 
 def _variation(gram: Array, at: NDArray[np.intp]) -> tuple[float, Array]:

@@ -20,7 +20,7 @@ from hybrid.excitation.criteria import Condition, Criterion, condition, normalis
 from hybrid.excitation.observation import Observation
 from hybrid.excitation.path import Family, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
-from hybrid.excitation.solver import Solution, solve
+from hybrid.excitation.solver import PENALTY, Solution, solve
 from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
@@ -28,7 +28,8 @@ from hybrid.robot.robot import Robot
 _EXPLORE = (4.0, 80)
 _POLISH = ((16.0, 100), (64.0, 200))
 _MARGIN = 1e-3
-_RETRIES = 3
+_RETRIES = 4
+_KEPT = 1e-4  # an excess below is rounding, not a limit in the way
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +168,7 @@ def design(
     if trajectories < 1 or starts < 1:
         raise ExcitationError("trajectories and starts need to be 1 or more")
     bounds = Limits.of(robot) if limits is None else limits
-    kept = (
+    kept: tuple[Constraint, ...] = (
         MotionLimits(bounds, robot.joints),
         TorqueLimits(robot, bounds.torque),
         *constraints,
@@ -182,15 +183,19 @@ def design(
         program = MotionProgram(
             observation, measure, family, kept, bounds, total, rate, 1.0, _MARGIN
         )
+        impossible = program.impossible()
+        if impossible:
+            raise ExcitationError(
+                f"no posture keeps the {', '.join(impossible[:4])}; valid are wider "
+                "limits"
+            )
         trajectory, excess = best_motion(program, starts=starts, rng=child)
         t = uniform(family.duration, rate)
         grams.append(observation.gram(trajectory.path(t), turning_speed=0.0))
         total = total + grams[-1]
         found.append(trajectory)
         worst = {k: max(x, worst.get(k, -np.inf)) for k, x in excess.items()}
-    return Design(
-        robot, observation, measure, tuple(found), tuple(grams), rate, worst
-    )
+    return Design(robot, observation, measure, tuple(found), tuple(grams), rate, worst)
 
 
 def best_motion(
@@ -214,16 +219,19 @@ def best_motion(
     solution = min(tries, key=_merit)
     for power, iterations in _POLISH:
         solution = _continued(replace(program, power=power), solution, iterations)
-    margin = program.margin
+    margin, penalty = program.margin, PENALTY
     for _ in range(_RETRIES):
         excess = program.verified(solution.x)
         worst = max(excess.values())
         if worst <= 0:
             return program.trajectory(solution.x), excess
-        # Between the samples of the design grid the torque may be a little higher.
-        margin += 1.2 * worst
+        if solution.excess > _KEPT:
+            penalty *= 10.0
+        else:
+            # Between the samples of the design grid the torque may be a little higher.
+            margin += 1.2 * worst
         sharp = replace(program, power=_POLISH[-1][0], margin=margin)
-        solution = _continued(sharp, solution, _POLISH[-1][1])
+        solution = _continued(sharp, solution, _POLISH[-1][1], penalty)
     raise ExcitationError(_infeasible(program.verified(solution.x)))
 
 
@@ -231,8 +239,19 @@ def _merit(solution: Solution) -> tuple[bool, float]:
     return solution.excess > 0.01, solution.value + 5.0 * solution.excess
 
 
-def _continued(program: MotionProgram, last: Solution, iterations: int) -> Solution:
-    return solve(program, last.x, iterations=iterations, curvature=last.curvature)
+def _continued(
+    program: MotionProgram,
+    last: Solution,
+    iterations: int,
+    penalty: float = PENALTY,
+) -> Solution:
+    return solve(
+        program,
+        last.x,
+        iterations=iterations,
+        curvature=last.curvature,
+        penalty=penalty,
+    )
 
 
 def _infeasible(excess: Mapping[str, float]) -> str:

@@ -232,9 +232,9 @@ def multisine(
     lines = np.arange(np.ceil(lowest * duration), np.floor(highest * duration) + 1)
     if len(lines) < robot.size or lines[0] < 1 or 2 * highest >= rate:
         raise ExcitationError(
-            f"{len(lines)} tones from {lowest:g} to {highest:g} Hz in {duration:g} s at "
-            f"{rate:g} Hz; valid is one tone or more for each joint, above 0 and below "
-            "half the rate"
+            f"{len(lines)} tones from {lowest:g} to {highest:g} Hz in {duration:g} s; "
+            "valid is one tone or more for each joint, above 0 and below half the rate "
+            f"{rate:g} Hz"
         )
     t = uniform(duration, rate)
     fade = min(1.0, duration / 4)
@@ -279,8 +279,8 @@ def checked(
         if (worst > 1e-9).any():
             k = int(worst.argmax())
             raise ExcitationError(
-                f"the {constraint.names[k]} is exceeded by {100 * worst[k]:.2g} %; valid "
-                "is a slower or smaller motion"
+                f"the {constraint.names[k]} is exceeded by {100 * worst[k]:.2g} %; "
+                "valid is a slower or smaller motion"
             )
     return reference
 

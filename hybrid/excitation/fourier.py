@@ -49,7 +49,7 @@ class Fourier:
         """Series (c₀, s, c) of each basis function, shape (2·order + 1, m)."""
         k = np.arange(1, self.order + 1) / self.order
         sine, cosine = null_space(k[None]), null_space(k[None] ** 2)
-        return np.asarray(block_diag(1.0, sine, cosine))
+        return np.asarray(block_diag(np.eye(1), sine, cosine))
 
     def basis(self, t: Array, derivative: int) -> Array:
         """See :class:`~hybrid.excitation.path.Family`."""

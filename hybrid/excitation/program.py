@@ -7,15 +7,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.excitation.constraints import Constraint, Limits
 from hybrid.excitation.criteria import Criterion
 from hybrid.excitation.observation import Observation
-from hybrid.excitation.path import Family, Grid, Trajectory, uniform
+from hybrid.excitation.path import Family, Grid, Path, Trajectory, uniform
 from hybrid.robot.chain import Array
 
 FINER = 10  # times as fine as the design grid is the one on which limits are verified
 _NEAR = 0.5  # conditions within this part of their limit enter a step
+_NEARLY, _SHRINKS = 0.1, 8  # a start may exceed a limit by so much, or is made smaller
+_POSTURES = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +60,10 @@ class MotionProgram:
         """The grid on which limits are verified."""
         return Grid(self.family, uniform(self.family.duration, FINER * self.rate))
 
-    @cached_property
+    @property
     def middle(self) -> Array:
         """Coefficients of the arm standing in the middle of its range, (m, n)."""
-        q = np.tile((self.limits.low + self.limits.high) / 2, (len(self.grid.t), 1))
-        return np.asarray(np.linalg.lstsq(self.grid.bases[0], q, rcond=None)[0])
+        return np.outer(self.constant, (self.limits.low + self.limits.high) / 2)
 
     @cached_property
     def scale(self) -> Array:
@@ -69,8 +71,9 @@ class MotionProgram:
         x = self.limits
         sizes = ((x.high - x.low) / 2, x.speed, x.acceleration, x.jerk)
         reach = np.abs(self.fine.bases).max(axis=1)  # (4, m)
+        ratios = zip(sizes, reach, strict=True)
         return np.asarray(
-            np.min([s / np.maximum(r[:, None], 1e-9) for s, r in zip(sizes, reach)], 0)
+            np.min([s / np.maximum(r[:, None], 1e-9) for s, r in ratios], 0)
         )
 
     def coefficients(self, x: Array) -> Array:
@@ -82,15 +85,50 @@ class MotionProgram:
         return Trajectory(self.family, self.coefficients(x))
 
     def random(self, rng: np.random.Generator, *, fill: float = 0.8) -> Array:
-        """A random motion that fills a part of the joints' own limits, shape (m·n,)."""
+        """A random motion about a random posture, to start from, shape (m·n,).
+
+        It fills a part of the joints' own limits, less where other limits are tighter.
+        """
         x = rng.standard_normal(self.scale.shape)
         for j in range(x.shape[1]):
             path = self.fine.bases @ (self.scale[:, j] * x[:, j])  # (4, N)
             low, high = self.limits.low[j], self.limits.high[j]
-            size = self.limits.speed[j], self.limits.acceleration[j], self.limits.jerk[j]
+            size = (
+                self.limits.speed[j],
+                self.limits.acceleration[j],
+                self.limits.jerk[j],
+            )
             sizes = np.array([(high - low) / 2, *size])
             x[:, j] *= fill / (np.abs(path).max(axis=1) / sizes).max()
-        return x.ravel()
+        center = self._posture(rng)
+        for factor in 0.7 ** np.arange(_SHRINKS):
+            start = (center + factor * x).ravel()
+            if self.excess(start) < _NEARLY:
+                break
+        return np.asarray(start)
+
+    def _posture(self, rng: np.random.Generator) -> Array:
+        """The arm standing still where nothing is in the way, (m, n)."""
+        if all(constraint.is_linear for constraint in self.constraints):
+            return np.zeros_like(self.scale)
+        still = self._postures(rng, _POSTURES)
+        found = [c.excess(still).max(axis=1, initial=-1.0) for c in self.constraints]
+        best = still.q[np.max(found, axis=0).argmin()]
+        shift = best - (self.limits.low + self.limits.high) / 2
+        return np.asarray(self.constant[:, None] * shift / self.scale)
+
+    def _postures(self, rng: np.random.Generator, count: int) -> Path:
+        """The arm at rest, in postures within the middle half of its range."""
+        low, high = self.limits.low, self.limits.high
+        q = low + (high - low) * rng.uniform(0.25, 0.75, (count, len(low)))
+        rest = np.zeros_like(q)
+        return Path(np.arange(float(count)), q, rest, rest, rest)
+
+    @cached_property
+    def constant(self) -> Array:
+        """Coefficients of a joint standing at 1 rad, shape (m,)."""
+        one = np.ones(len(self.grid.t))
+        return np.asarray(np.linalg.lstsq(self.grid.bases[0], one, rcond=None)[0])
 
     def information(self, x: Array) -> Array:
         """Information of a motion and of those known, shape (b, b)."""
@@ -129,6 +167,19 @@ class MotionProgram:
             worst = max(worst, float(found.max(initial=-np.inf)))
         return worst + self.margin
 
+    def impossible(self) -> tuple[str, ...]:
+        """Conditions that no posture keeps, out of some hundred random ones."""
+        still = self._postures(np.random.default_rng(0), _POSTURES)
+        return tuple(
+            name
+            for constraint in self.constraints
+            if not constraint.is_linear
+            for name, least in zip(
+                constraint.names, constraint.excess(still).min(axis=0), strict=True
+            )
+            if least > 0
+        )
+
     def verified(self, x: Array) -> dict[str, float]:
         """Largest excess of each condition on the fine grid, without the margin."""
         path = self.fine.path(self.coefficients(x))
@@ -141,9 +192,9 @@ class MotionProgram:
         }
 
 
-def _peaks(x: Array) -> Array:
+def _peaks(x: Array) -> NDArray[np.bool_]:
     """True at local maxima along the first axis, and at both ends."""
     edge = np.full((1, x.shape[1]), -np.inf)
     rises = x >= np.concatenate([edge, x[:-1]])
     falls = x > np.concatenate([x[1:], edge])
-    return np.asarray(rises & falls)
+    return np.asarray(rises & falls, dtype=bool)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 from scipy.optimize import minimize as local_minimum
@@ -82,7 +83,7 @@ def _local(program: MotionProgram, x: Array) -> Array:
             rows.append(-(by * program.scale).reshape(len(sample), x.size))
         return np.concatenate(rows)
 
-    result = local_minimum(
+    result: Any = cast(Any, local_minimum)(
         program.objective,
         x,
         jac=True,

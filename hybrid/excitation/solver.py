@@ -15,7 +15,7 @@ import numpy as np
 
 from hybrid.robot.chain import Array
 
-_PENALTY = 5.0  # of the largest excess, against an objective of order 1
+PENALTY = 5.0  # of the largest excess, against an objective of order 1
 _FIRST_REACH, _MOST_REACH, _LEAST_REACH = 0.1, 0.5, 1e-5
 _ENOUGH = 1e-6  # predicted decrease at which to stop
 
@@ -55,7 +55,12 @@ class Solution:
 
 
 def solve(
-    program: Program, x: Array, *, iterations: int, curvature: Array | None = None
+    program: Program,
+    x: Array,
+    *,
+    iterations: int,
+    curvature: Array | None = None,
+    penalty: float = PENALTY,
 ) -> Solution:
     """Minimise from a start, which need not keep the conditions.
 
@@ -64,6 +69,7 @@ def solve(
         x: Start, shape (d,).
         iterations: Most steps to try.
         curvature: Hessian to begin with, e.g. of a similar program, shape (d, d).
+        penalty: Price of the largest excess.
     """
     reach = _FIRST_REACH
     B = np.eye(len(x)) if curvature is None else curvature
@@ -71,19 +77,20 @@ def solve(
     excess = max(0.0, program.excess(x))
     limits, slopes = program.conditions(x)
     converged = False
-    k = 0
-    for k in range(1, iterations + 1):
-        step = quadratic_program(B, gradient, limits, slopes, reach)
+    tried = 0
+    while tried < iterations and not converged:
+        tried += 1
+        step = quadratic_program(B, gradient, limits, slopes, reach, penalty)
         left = (limits + slopes @ step).max(initial=0.0)
-        predicted = _PENALTY * (max(excess, limits.max(initial=0.0)) - left)
+        predicted = penalty * (max(excess, limits.max(initial=0.0)) - left)
         predicted -= gradient @ step + 0.5 * step @ B @ step
         if predicted < _ENOUGH or reach < _LEAST_REACH:
             converged = True
-            break
+            continue
         new_value, new_gradient = program.objective(x + step)
         new_excess = max(0.0, program.excess(x + step))
         B = _updated(B, step, new_gradient - gradient)
-        gain = value - new_value + _PENALTY * (excess - new_excess)
+        gain = value - new_value + penalty * (excess - new_excess)
         if gain > 0.05 * predicted:
             x, value, gradient, excess = x + step, new_value, new_gradient, new_excess
             limits, slopes = program.conditions(x)
@@ -91,15 +98,20 @@ def solve(
             reach /= 2
         elif gain > 0.7 * predicted and np.abs(step).max() > 0.9 * reach:
             reach = min(2 * reach, _MOST_REACH)
-    return Solution(x, value, excess, B, k, converged)
+    return Solution(x, value, excess, B, tried, converged)
 
 
 def quadratic_program(
-    B: Array, gradient: Array, limits: Array, slopes: Array, reach: float
+    B: Array,
+    gradient: Array,
+    limits: Array,
+    slopes: Array,
+    reach: float,
+    penalty: float,
 ) -> Array:
     """The step within ``reach`` that lowers the model; excess is paid for.
 
-    Minimises gᵀs + ½ sᵀBs + c·max(0, limits + slopes·s) with \\|s\\|∞ ≤ reach.
+    Minimises gᵀs + ½ sᵀBs + c·max(0, limits + slopes·s) with every |sᵢ| ≤ reach.
     """
     import clarabel  # type: ignore[import-not-found, import-untyped, unused-ignore]
     from scipy.sparse import csc_matrix
@@ -122,7 +134,7 @@ def quadratic_program(
     settings.verbose = False
     solution = clarabel.DefaultSolver(
         csc_matrix(np.triu(P)),
-        np.append(gradient, _PENALTY),
+        np.append(gradient, penalty),
         csc_matrix(rows),
         bounds,
         [clarabel.NonnegativeConeT(len(bounds))],

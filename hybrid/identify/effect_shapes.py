@@ -67,7 +67,7 @@ class EffectFit:
 
 @dataclass(frozen=True)
 class _Stack:
-    """Columns of effects over several logs: filtered, decimated, moving samples only."""
+    """Columns of effects over logs: filtered, decimated, moving samples only."""
 
     effects: tuple[Effect, ...]
     logs: tuple[Log, ...]

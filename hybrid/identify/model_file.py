@@ -129,7 +129,7 @@ def _model(
 def _base(robot: Robot, content: Any, own: Mapping[str, Array]) -> BaseParameters:
     labels, units = (tuple(map(str, content[key])) for key in ("labels", "units"))
     kept, p = tuple(map(int, content["kept"])), len(labels)
-    if len(units) != p or p < 10 * robot.size or len(set(labels)) < p:
+    if len(units) != p or p < 10 * robot.size:
         raise ModelFileError(f"base parameters have {p} labels and {len(units)} units")
     if not (len(set(kept)) == len(kept) and all(0 <= k < p for k in kept)):
         raise ModelFileError(f"kept parameters are not different ones below {p}")

@@ -246,11 +246,14 @@ class OnlineIdentifier:
         used = part > 0.5
         if not used.any():
             return None
-        size = self._noise.independent[used]
+        repeats = self._noise.repeats
+        size = self._noise.std[used] * np.sqrt(repeats)
         H, error = J[used] / size[:, None], self.error[used] / size
         spread = np.sqrt(1.0 + self._filter.leverage(H))
-        weigh = (size * spread)[:, None]
-        change = self._detector.update(t, last[used] / weigh, error / spread)
+        one = self._noise.std[used] * spread
+        change = self._detector.update(
+            t, last[used] / one[:, None], self.error[used] / one, repeats
+        )
         if change is not None:
             self.changes.append(change)
             self._before = self._filter.mean.copy(), self._filter.covariance

@@ -34,14 +34,13 @@ class TorqueNoise:
         return np.asarray(np.sqrt(self._variance))
 
     @property
-    def independent(self) -> Array:
-        """Standard deviation that independent errors of the same worth would have.
+    def repeats(self) -> float:
+        """Successive errors that tell as much as one independent one.
 
-        Errors that follow each other with correlation ρ tell as much as
-        (1 − ρ)/(1 + ρ) of their number.
+        (1 + ρ)/(1 − ρ) where errors follow each other with correlation ρ.
         """
         rho = min(max(self._lagged, 0.0), _MOST_CORRELATED)
-        return np.asarray(self.std * np.sqrt((1.0 + rho) / (1.0 - rho)))
+        return (1.0 + rho) / (1.0 - rho)
 
     def update(self, used: NDArray[np.bool_], error: Array) -> None:
         """Take in errors of the joints that are used, at unit leverage, [N·m]."""

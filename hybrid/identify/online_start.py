@@ -63,7 +63,8 @@ class Start:
         shapes = self.theta[problem.size :]
         d, p = len(self.theta), problem.size
         root = np.zeros((d, d))
-        root[:p, :p] = np.linalg.qr(directions.T, mode="r").T
+        upper: Array = np.asarray(np.linalg.qr(directions.T, mode="r"))
+        root[:p, :p] = upper.T
         root[p:, p:] = np.diag(self.shape_prior * np.abs(shapes))
         return root
 
@@ -104,7 +105,7 @@ class Start:
         return np.append(self.problem.lower, low), np.append(most, high)
 
     def payload_directions(self, sizes: Array) -> Array:
-        """Changes of the unknowns by payload parameters of some sizes, shape (d, 10)."""
+        """Changes of the unknowns by payload parameters of these sizes, (d, 10)."""
         last = slice(10 * self.robot.size - 10, 10 * self.robot.size)
         out = np.zeros((len(self.theta), 10))
         out[: self.problem.size] = self.problem.base.mapping[:, last] * sizes

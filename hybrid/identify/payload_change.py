@@ -13,24 +13,22 @@ import numpy as np
 from hybrid.robot.chain import Array
 
 _PARAMETERS = 4  # mass and first moments: what gravity and slow motion show at once
-_THRESHOLD = 60.0
+_THRESHOLD = 50.0
 _HOLD = 1.0  # s after a change in which none is looked for
-_LEARNING = 5.0  # s at first in which none is looked for
+_LEARNING = 10.0  # s at first in which none is looked for
 
 
 @dataclass(frozen=True)
 class Change:
-    """A payload grasped (mass above 0) or dropped.
+    """A payload grasped or dropped; which, and its mass, the next samples tell.
 
     Attributes:
         t: When it was noticed, [s].
-        mass: First estimate of the change of mass, [kg].
         statistic: Likelihood-ratio statistic, about χ² with 4 degrees of freedom while
             nothing changes.
     """
 
     t: float
-    mass: float
     statistic: float
 
 
@@ -76,7 +74,7 @@ class PayloadChange:
         self._score = np.zeros((len(memories), _PARAMETERS))
         self._quiet_until: float | None = None
 
-    def update(self, t: float, J: Array, error: Array) -> Change | None:
+    def update(self, t: float, J: Array, error: Array, repeats: float) -> Change | None:
         """Take in one sample.
 
         Args:
@@ -84,6 +82,7 @@ class PayloadChange:
             J: Torque per unit of the last link's parameters over its standard
                 deviation, shape (n, 10).
             error: Torque less its prediction over that, shape (n,).
+            repeats: Successive errors that tell as much as one independent one.
 
         Returns:
             The change, when one is noticed.
@@ -93,9 +92,12 @@ class PayloadChange:
         self._information = fade[:, :, None] * self._information + J.T @ J
         self._score = fade * self._score + J.T @ error
         # The variance of a sum with fading weights is 1/(1 + fade) of its information.
-        whole = self._information + self._prior
-        jump = np.linalg.solve(whole, self._score[..., None])[..., 0]
-        statistic = (1.0 + self._fade) * np.einsum("ij,ij->i", jump, self._score)
+        # What a sum holds counts as one independent error at least.
+        share = (1.0 / np.minimum(repeats, 1.0 / (1.0 - self._fade)))[:, None]
+        whole = share[:, :, None] * self._information + self._prior
+        score = share * self._score
+        jump = np.linalg.solve(whole, score[..., None])[..., 0]
+        statistic = (1.0 + self._fade) * np.einsum("ij,ij->i", jump, score)
         if self._quiet_until is None:
             self._quiet_until = t + _LEARNING
         k = int(np.argmax(statistic))
@@ -103,4 +105,4 @@ class PayloadChange:
             return None
         self._information[:], self._score[:] = 0.0, 0.0
         self._quiet_until = t + _HOLD
-        return Change(t, float(jump[k, 0]), float(statistic[k]))
+        return Change(t, float(statistic[k]))

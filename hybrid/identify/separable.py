@@ -207,17 +207,18 @@ def fit_separable(
             guess that is good.
     """
     count = [0]
+    size = max(float(np.linalg.norm(problem.target)), 1e-300)  # tolerances are absolute
 
     def left(u: Array) -> Array:
         count[0] += 1
-        return problem.gains(problem.shapes(u))[2]
+        return problem.gains(problem.shapes(u))[2] / size
 
     def jacobian(u: Array) -> Array:
         gains, B, _ = problem.gains(problem.shapes(u))
         count[0] += 1 + 2 * len(u)
         slope = problem.without_free(problem.slope(u, gains))
         Q = np.linalg.qr(B[:, problem.inside(gains)])[0]
-        return np.asarray(-(slope - Q @ (Q.T @ slope)))
+        return np.asarray(-(slope - Q @ (Q.T @ slope)) / size)
 
     s = len(problem.lower)
     if s == 0:
@@ -260,10 +261,10 @@ def _solution(
     shapes = problem.shapes(u)
     gains, _, residual = problem.gains(shapes)
     columns = problem.columns(shapes)
-    others = np.zeros(0)
+    others: Array = np.zeros(0)
     if problem.free is not None:
         rest = problem.target - columns @ gains
-        others = np.linalg.lstsq(problem.free, rest, rcond=1e-10)[0]
+        others = np.asarray(np.linalg.lstsq(problem.free, rest, rcond=1e-10)[0])
     stuck = (u < _AT_BOUND) | (u > 1.0 - _AT_BOUND)
     at_bound = np.concatenate([stuck, ~problem.inside(gains)])
     # Per unit of the shape itself, not of its coordinate.
@@ -292,7 +293,7 @@ def _solution(
 def _block_covariance(
     J: Array, residual: Array, block: NDArray[np.intp] | None
 ) -> tuple[Array, int]:
-    """Covariance of J's parameters from scores of blocks, and its degrees of freedom."""
+    """Covariance of J's parameters from scores of blocks; degrees of freedom."""
     rows = len(residual)
     if block is None:
         block = np.arange(rows) * min(_FINE_BLOCKS, rows) // rows

@@ -20,7 +20,7 @@ class SquareRootFilter:
     direction, old information 1 is discounted to max(λ, 1 − σ²): by no more than is
     brought. So the covariance never grows by itself, whatever the excitation (no
     windup), and where excitation persists it settles at (1 − λ) of the noise, which
-    keeps the gain of a memory of about 1/(1 − λ) samples.
+    keeps the gain of a memory of about d/(1 − λ) observations.
 
     Args:
         mean: First estimate, shape (d,).
@@ -68,7 +68,8 @@ class SquareRootFilter:
     def widen(self, directions: Array) -> None:
         """Add the covariance D·Dᵀ of ``directions`` D (d, r)."""
         stacked = np.concatenate([self.root, directions], axis=1)
-        self.root = np.linalg.qr(stacked.T, mode="r").T
+        upper: Array = np.asarray(np.linalg.qr(stacked.T, mode="r"))
+        self.root = upper.T
 
     def keep_within(self, lower: Array, upper: Array) -> None:
         """Move the estimate to the nearest point, in its own metric, within bounds."""

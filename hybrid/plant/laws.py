@@ -113,4 +113,5 @@ def part(state: JointState, where: slice | Index | list[int]) -> JointState:
     return JointState(
         state.t[:, where], state.q[:, where], state.v[:, where],
         state.a[:, where], state.sign[:, where], state.load[:, where],
+        None if state.temperature is None else state.temperature[:, where],
     )  # fmt: skip

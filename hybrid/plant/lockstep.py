@@ -30,7 +30,10 @@ class Lockstep:
         v: Motor speed, shape (B, n), [rad/s].
         a: Motor acceleration of the last step, shape (B, n), [rad/s²].
         load: Torque transmitted to the links in the last step, shape (B, n), [N·m].
+        temperature: Temperature of the drives, shape (B, n), [°C], where it is known.
     """
+
+    temperature: Array | None = None
 
     def __init__(
         self, arm: Arm, effects: Sequence[Effect], start: Array, *, time: float = 0.0
@@ -152,9 +155,9 @@ class Lockstep:
 
     def _push(self) -> None:
         """Let the surroundings push back on the last link."""
-        tip, time = self._arm.tip, self._datas[0].time
-        wrench = -np.sum([effect.push(time) for effect in self._pushing], axis=0)
+        tip = self._arm.tip
         for data in self._datas:
+            wrench = -np.sum([e.push(data.time) for e in self._pushing], axis=0)
             # MuJoCo wants the moment about the centre of mass.
             lever = data.xpos[tip] - data.xipos[tip]
             data.xfrc_applied[tip, :3] = wrench[:3]
@@ -166,8 +169,9 @@ class Lockstep:
         # held by friction creeps that way, so that its speed has the sign already.
         push = np.where(self._tendency < 0.0, -1.0, 1.0)
         sign = np.where(self.v == 0.0, push, np.sign(self.v))
-        self._time.fill(self._datas[0].time)
-        motor = JointState(self._time, self.q, self.v, self.a, sign, self.load)
+        self._time[:] = [[data.time] for data in self._datas]
+        warm = self.temperature
+        motor = JointState(self._time, self.q, self.v, self.a, sign, self.load, warm)
         elastic = self._arm.elastic
         if not len(elastic):
             return motor, motor
@@ -175,7 +179,7 @@ class Lockstep:
         for x, name in ((q, "qpos"), (v, "qvel")):
             behind = self._gather(name)[:, self._arm.deflection]
             np.add.at(x.T, elastic, behind.T)
-        return motor, JointState(self._time, q, v, self.a, np.sign(v), self.load)
+        return motor, JointState(self._time, q, v, self.a, np.sign(v), self.load, warm)
 
     def _read(self) -> None:
         self.q = self._gather("qpos")[:, self._arm.motor]

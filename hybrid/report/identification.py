@@ -112,8 +112,7 @@ def _sections(
         Section("What was found", table=effects_table(fit)),
         Section(
             "What these recordings do not tell",
-            "\n\n".join(f"{text}." for text in fit.unidentifiable)
-            or "Nothing is open.",
+            "; ".join(fit.unidentifiable or ("everything is known",)) + ".",
             command=command,
         ),
     ]

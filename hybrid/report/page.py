@@ -87,6 +87,21 @@ def render_page(
     provenance: Mapping[str, Any] | None = None,
 ) -> str:
     """The page that :func:`write_page` writes."""
+    return render_template(
+        "page.html", title=title, lead=lead, sections=sections, provenance=provenance
+    )
+
+
+def render_template(
+    name: str, *, provenance: Mapping[str, Any] | None = None, **content: Any
+) -> str:
+    """A page from a template in this folder; strings are escaped.
+
+    Args:
+        name: File name of the template.
+        provenance: With what it was made, for the foot of the page.
+        content: What the template names.
+    """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -96,12 +111,8 @@ def render_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("page.html").render(
-        title=title,
-        lead=lead,
-        sections=sections,
-        provenance=list(_flat(provenance or {})),
-    )
+    made = list(_flat(provenance or {}))
+    return environment.get_template(name).render(provenance=made, **content)
 
 
 def _flat(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

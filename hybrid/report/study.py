@@ -88,12 +88,12 @@ class Study:
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         self._draw_way_down(left)
         self._draw_joints(right)
-        legend(figure, left.get_legend_handles_labels()[0])
+        legend(figure, left.get_legend_handles_labels()[0], enlarge=1.0)
         return figure
 
     def _draw_way_down(self, axes: Axes) -> None:
         x, share = np.arange(len(self.stages)), 100 * (1 - self.cut)
-        floor = 100 * np.median(self.floor.mean(axis=1) / self.mean[:, 0])
+        floor = 100 * self.floor.mean(axis=1) / self.mean[:, 0]
         clean(axes, grid="y")
         axes.plot(x, share.T, color=GREY, linewidth=0.6, alpha=0.5)
         axes.lines[0].set_label("one seed each")
@@ -105,7 +105,9 @@ class Study:
                 at, 100 * values / values[0], "D--", color=RED, linewidth=1.0,
                 markersize=5, label="published",
             )  # fmt: skip
-        axes.axhline(floor, color=BLACK, linestyle=":", label="noise floor")
+        # A band: every seed has a first stage of its own, and so a floor against it.
+        axes.axhspan(floor.min(), floor.max(), color=BLACK, alpha=0.08, linewidth=0)
+        axes.axhline(np.median(floor), color=BLACK, linestyle=":", label="noise floor")
         axes.set_ylim(0, 1.05 * share.max())
         axes.set_ylabel(f"mean RMS error [% of {self.stages[0]}]", fontsize=8)
         axes.set_xticks(x, [name.replace("+ ", "+\n") for name in self.stages])

@@ -98,15 +98,21 @@ def finish(figure: Figure, bottom: Sequence[Axes], label: str) -> None:
     figure.align_ylabels()
 
 
-def legend(figure: Figure, handles: Sequence[Any]) -> None:
-    """One line of names above all axes."""
+def legend(figure: Figure, handles: Sequence[Any], *, enlarge: float = 3.0) -> None:
+    """One line of names above all axes.
+
+    Args:
+        figure: The figure.
+        handles: What is named.
+        enlarge: Size of markers against the figure's, whose dots are tiny.
+    """
     figure.legend(
         handles=handles,
         loc="outside upper left",
         ncols=len(handles),
         frameon=False,
         fontsize=8,
-        markerscale=3,
+        markerscale=enlarge,
         handlelength=1.4,
         columnspacing=1.4,
         borderaxespad=0.2,

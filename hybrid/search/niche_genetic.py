@@ -87,8 +87,9 @@ class NicheGenetic:
         all_values = np.concatenate([self._values[elite], told])
         order = np.argsort(all_values, kind="stable")
         x, all_values = x[order], all_values[order]
-        # Sorted, the worse of a pair is the later one; crowded ones go to the end.
-        ranked = np.argsort(self._crowded(x), kind="stable")[: self.population]
+        # Sorted, the worse of a pair is the later one; penalised, it has no offspring.
+        all_values[self._crowded(x)] = np.inf
+        ranked = np.argsort(all_values, kind="stable")[: self.population]
         self._x, self._values = x[ranked], all_values[ranked]
 
     def _crowded(self, x: Array) -> Array:
@@ -119,5 +120,5 @@ class NicheGenetic:
             return np.full(self.population, 1.0 / self.population)
         low = finite.min()
         shift = 0.0 if low > 0 else 1.0 - low
-        chances = 1.0 / (self._values + shift)
+        chances = 1.0 / (self._values + shift + 1e-12)
         return np.asarray(chances / chances.sum())

@@ -72,7 +72,7 @@ class RecursiveDifferentialEvolution:
         return Best(self.population[k].copy(), float(self._values[k]))
 
     def renew(self, values: Array) -> None:
-        """Values of the population under the criterion with a new sample, shape (P,)."""
+        """Values of the population under the present criterion, shape (P,)."""
         self._values = checked_values(values, len(self.population))
 
     def aim(self, step: Array) -> None:
@@ -90,7 +90,7 @@ class RecursiveDifferentialEvolution:
         crossed = rng.random(x.shape) < self.crossover
         crossed[np.arange(len(x)), rng.integers(x.shape[1], size=len(x))] = True
         self._asked = np.clip(np.where(crossed, trial, x), self.lower, self.upper)
-        return self._asked.copy()
+        return np.array(self._asked)
 
     def tell(self, values: Array) -> None:
         """Keep the trials that are at least as good as their individuals."""

@@ -1,4 +1,4 @@
-"""Filters that work sample by sample: derivatives with a known delay, and a low-pass."""
+"""Filters that work sample by sample: derivatives of known delay, and a low-pass."""
 
 from __future__ import annotations
 
@@ -70,7 +70,8 @@ class StreamingDerivative:
             return None
         window = self._q[at + 1 : at + 1 + length]
         position, speed, acceleration = self._weights @ window
-        return position, speed, acceleration, self._other[at + 1 + self.delay]
+        late = self._other[at + 1 + self.delay].copy()
+        return position, speed, acceleration, late
 
 
 class StreamingLowPass:

@@ -1,0 +1,120 @@
+"""Condition number and CPU time of designed motions, over seeds.
+
+Robots come from the example-robot-data wheel. 24 s starting and ending at rest, 20 Hz
+design grid, 0.8 of the file's position, speed and torque limits, no other acceleration
+limit. Columns are in SI units and not scaled (raw), or brought to unit length
+(normalised). "rigid" are the base inertial parameters; "full" adds viscous, Coulomb,
+armature and offset columns for each joint. Limits are verified at 200 Hz.
+
+    python benchmarks/excitation.py --seeds 20 --out reports/excitation_benchmark
+"""
+
+from __future__ import annotations
+
+import os
+
+for _name in ("OMP", "OPENBLAS", "MKL"):  # read when numpy loads
+    os.environ[f"{_name}_NUM_THREADS"] = "1"
+
+# ruff: noqa: E402
+import argparse
+import time
+import warnings
+from importlib.metadata import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hybrid.effects import effect_class
+from hybrid.errors import HybridWarning
+from hybrid.excitation import Clearance, Fourier, Limits, design, observe
+from hybrid.files import atomic_path
+from hybrid.report import Table, markdown_table, write_results
+from hybrid.robot import Robot
+
+ARMS = {
+    "ur10": "ur_description/urdf/ur10_robot.urdf",
+    "panda": "panda_description/urdf/panda.urdf",
+}
+FRICTION = ("viscous", "coulomb", "armature", "torque_offset")
+# Robot, columns, collision, harmonics, starts, and what a peer reached there.
+TASKS = (
+    ("ur10", "rigid", False, 12, 2, "FIGAROH 13.3–17.4 in 234–250 s"),
+    ("ur10", "full", False, 16, 4, "FIGAROH 141–164 or failed in 106–339 s"),
+    ("ur10", "rigid", True, 12, 2, "FIGAROH: rejected after 60 s"),
+    ("panda", "rigid", False, 12, 2, ""),
+)
+
+
+def arm(name: str) -> Robot:
+    """A robot of the example-robot-data wheel."""
+    for file in files("example-robot-data") or ():
+        if file.as_posix().endswith(f"example-robot-data/robots/{ARMS[name]}"):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", HybridWarning)  # frozen fingers
+                return Robot.load(str(file.locate()))
+    raise SystemExit("the example-robot-data wheel is needed")
+
+
+def run(task: tuple[Any, ...], seeds: int) -> dict[str, Any]:
+    """Figures of one task, one entry a seed."""
+    name, columns, collision, order, starts, peer = task
+    robot = arm(name)
+    names = FRICTION if columns == "full" else ()
+    effects = [effect_class(e)((j,)) for j in range(robot.size) for e in names]
+    observation = observe(robot.chain, effects)
+    family = Fourier(order, 1 / 24)
+    found: dict[str, list[float]] = {
+        key: [] for key in ("seconds", "raw", "normalised", "log_det", "excess")
+    }
+    for seed in range(seeds):
+        start = time.process_time()
+        kept = [Clearance.of(robot, Limits.of(robot))] if collision else []
+        result = design(
+            robot, observation, family, rng=np.random.default_rng(seed),
+            starts=starts, constraints=kept,
+        )  # fmt: skip
+        found["seconds"].append(time.process_time() - start)
+        found["raw"].append(result.condition)
+        found["normalised"].append(result.normalised_condition)
+        found["log_det"].append(result.log_det)
+        found["excess"].append(max(result.excess.values()))
+        print(name, columns, collision, seed, [round(x[-1], 3) for x in found.values()])
+    title = f"{name}, {columns}, {observation.size} parameters"
+    pairs = len(kept[0].pairs) if collision else 0
+    title += f", {pairs} link pairs" if collision else ""
+    return {"task": title, "harmonics": order, "starts": starts, "peer": peer, **found}
+
+
+def main() -> None:
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--tasks", type=int, nargs="*", default=range(len(TASKS)))
+    parser.add_argument(
+        "--out", type=Path, default=Path("reports/excitation_benchmark")
+    )
+    options = parser.parse_args()
+    results = [run(TASKS[k], options.seeds) for k in options.tasks]
+    rows = tuple(
+        (r["task"], *map(spread, list(r.values())[4:8]), r["peer"]) for r in results
+    )
+    header = ("task", "CPU s", "raw", "normalised", "log det", "peer, raw")
+    table = Table(header, rows, f"median (lowest–highest) of {options.seeds} seeds")
+    command = f"python benchmarks/excitation.py --seeds {options.seeds}"
+    write_results(options.out / "results.json", {"command": command, "tasks": results})
+    lines = (f"{table.caption}; limits verified at 200 Hz.", markdown_table(table))
+    text = "\n\n".join((*lines, f"`{command}`\n"))
+    with atomic_path(options.out / "table.md") as path:
+        path.write_text(text, encoding="utf-8")
+    print(text)
+
+
+def spread(x: list[float]) -> str:
+    """Median, lowest and highest."""
+    return f"{np.median(x):.3g} ({min(x):.3g}–{max(x):.3g})"
+
+
+if __name__ == "__main__":
+    main()

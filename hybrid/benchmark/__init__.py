@@ -1,0 +1,1 @@
+"""A blind benchmark of the diagnosis: sealed plants, scores and baselines."""

@@ -1,0 +1,26 @@
+"""What an effect with a memory of its own remembers during one run of a plant."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hybrid.effects import Effect, JointState
+from hybrid.robot.chain import Array
+
+
+def past(effect: Effect, state: JointState, *names: str) -> dict[str, Array]:
+    """Arrays of the state's shape that an effect keeps from step to step.
+
+    They are zero at the start. A clock that does not run on is a new run.
+
+    Args:
+        effect: The effect; the memory hangs on this object.
+        state: What it sees in this step.
+        *names: Names of the arrays.
+    """
+    memory: dict[str, Array] = effect.__dict__.setdefault("_past", {})
+    clock = memory.get("clock")
+    if clock is None or clock.shape != state.t.shape or clock.flat[0] >= state.t.flat[0]:
+        memory.update({name: np.zeros_like(state.q) for name in names})
+    memory["clock"] = state.t.copy()
+    return memory

@@ -1,0 +1,107 @@
+"""Arms of the benchmark: public robot files, made complete, and made a little wrong."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, files
+from pathlib import Path
+
+import numpy as np
+
+from hybrid.effects.armature import Armature
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.viscous import Viscous
+from hybrid.errors import HybridWarning, RobotError
+from hybrid.plant.scale import joint_scales
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+from hybrid.robot.spatial import central_inertia, inertial_about
+
+PUBLIC_ARMS = {
+    "ur5": "ur_description/urdf/ur5_robot.urdf",
+    "ur10": "ur_description/urdf/ur10_robot.urdf",
+    "panda": "panda_description/urdf/panda.urdf",
+    "xarm7": "xarm_description/urdf/xarm7.urdf",
+    "z1": "z1_description/urdf/z1.urdf",
+}
+
+
+def load_arm(name: str) -> Robot:
+    """A robot file, or a public arm of the package ``example-robot-data``.
+
+    Args:
+        name: Path of a URDF or MJCF file, or one of ``PUBLIC_ARMS``.
+
+    Raises:
+        RobotError: There is no such file or arm.
+    """
+    path = Path(name)
+    if name in PUBLIC_ARMS:
+        path = _public_file(name)
+    elif not path.is_file():
+        raise RobotError(
+            f"{name}: no such robot file; valid are files and {', '.join(PUBLIC_ARMS)}"
+        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HybridWarning)  # frozen fingers
+        return complete(Robot.load(path))
+
+
+def _public_file(name: str) -> Path:
+    wanted = f"example-robot-data/robots/{PUBLIC_ARMS[name]}"
+    try:
+        listed = files("example-robot-data") or ()
+    except PackageNotFoundError:
+        listed = ()
+    for file in listed:
+        if file.as_posix().endswith(wanted):
+            return Path(str(file.locate()))
+    raise RobotError(f"{name}: install example-robot-data, which holds this arm")
+
+
+def complete(robot: Robot) -> Robot:
+    """The arm with usual rotors and friction, where its file states none at all.
+
+    Robot files often leave them out. Every plant has them, so that its gap would be
+    theirs alone.
+    """
+    scales, chain = joint_scales(robot), robot.chain
+    kinds = ((Armature, "inertia"), (Viscous, "coefficient"), (Coulomb, "level"))
+    armature, damping, friction = (
+        np.array([kind.typical((j,), scales).values[name] for j in range(robot.size)])
+        for kind, name in kinds
+    )
+    if not chain.armature.any():
+        chain = replace(chain, armature=armature)
+    if robot.damping.any() or robot.frictionloss.any():
+        return replace(robot, chain=chain)
+    return replace(robot, chain=chain, damping=damping, frictionloss=friction)
+
+
+def off_by(robot: Robot, share: float, rng: np.random.Generator) -> Robot:
+    """The real arm: each number of the file is off by up to a share, all physical.
+
+    Args:
+        robot: The arm as its file says.
+        share: Largest relative error.
+        rng: Source of the errors, uniform and independent.
+    """
+
+    def factor(*shape: int) -> Array:
+        return np.asarray(1.0 + share * rng.uniform(-1.0, 1.0, shape))
+
+    n, links = robot.size, robot.chain.inertial.copy()
+    for k, link in enumerate(links):
+        if link[0] > 0:
+            mass, centre, about = central_inertia(link)
+            links[k] = inertial_about(
+                mass * float(factor()), centre * factor(3), about * float(factor())
+            )
+    real = robot.with_inertial(links)
+    return replace(
+        real,
+        chain=replace(real.chain, armature=real.chain.armature * factor(n)),
+        damping=real.damping * factor(n),
+        frictionloss=real.frictionloss * factor(n),
+    )

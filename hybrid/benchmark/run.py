@@ -1,0 +1,158 @@
+"""One case after the other: make the plant, diagnose it, open the truth, score."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from hybrid.benchmark.baselines import baselines
+from hybrid.benchmark.case import Case
+from hybrid.benchmark.oracle import shrinkage
+from hybrid.benchmark.score import covered, named_causes, score
+from hybrid.diagnose.diagnose import Result, examine
+from hybrid.effects import effect_classes, effect_from_dict
+from hybrid.errors import HybridError, HybridWarning
+from hybrid.files import write_json
+from hybrid.recording.read import read_all
+from hybrid.robot import Robot
+
+Row = dict[str, Any]
+
+
+def run_cases(
+    cases: Sequence[Case],
+    log: Path,
+    *,
+    workers: int = 1,
+    tell: Callable[[Row], None] | None = None,
+) -> list[Row]:
+    """Rows of all cases; those that the log holds already are not run again.
+
+    Args:
+        cases: The cases.
+        log: One JSON line for each case that was run; appended to.
+        workers: Number of processes.
+        tell: Called with each new row.
+    """
+    rows = read_rows(log)
+    wanted = [c for c in cases if c.key not in rows]
+    log.parent.mkdir(parents=True, exist_ok=True)
+    for row in _rows(wanted, workers):
+        with log.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        rows[row["key"]] = row
+        if tell:
+            tell(row)
+    return [rows[c.key] for c in cases if c.key in rows]
+
+
+def read_rows(log: Path) -> dict[str, Row]:
+    """Rows of a log by the key of their case."""
+    if not log.is_file():
+        return {}
+    lines = log.read_text(encoding="utf-8").splitlines()
+    rows = []
+    for line in lines:
+        try:
+            rows.append(json.loads(line))
+        except json.JSONDecodeError:  # interrupted while it was written
+            continue
+    return {row["key"]: row for row in rows}
+
+
+def _rows(cases: Sequence[Case], workers: int) -> Iterable[Row]:
+    if workers == 1:
+        yield from map(run_case, cases)
+        return
+    with ProcessPoolExecutor(workers) as pool:
+        for future in as_completed([pool.submit(run_case, c) for c in cases]):
+            yield future.result()
+
+
+def run_case(case: Case) -> Row:
+    """Diagnose one plant blindly and score the answer."""
+    row: Row = {"key": case.key, **asdict(case), "arm": case.arm}
+    with tempfile.TemporaryDirectory() as folder:
+        visible, sealed = Path(folder) / "open", Path(folder) / "sealed"
+        try:
+            make(case, Path(folder), visible, sealed)
+        except HybridError as error:
+            return row | {"skipped": str(error)}
+        try:
+            with _quiet():
+                answer = _answer(visible)
+        except Exception as error:  # a crash is a score, too
+            return row | {"crashed": f"{type(error).__name__}: {error}"}
+        with _quiet():
+            return row | _scored(answer, sealed)
+
+
+def make(case: Case, folder: Path, visible: Path, sealed: Path) -> None:
+    """Let the generator make a case, in a process that this one cannot look into.
+
+    Raises:
+        HybridError: It could not.
+    """
+    write_json(folder / "case.json", asdict(case))
+    done = subprocess.run(
+        [sys.executable, "-m", "hybrid.benchmark.generate",
+         str(folder / "case.json"), str(visible), str(sealed)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if done.returncode != 0:
+        lines = done.stderr.strip().splitlines() or ["the generator failed"]
+        raise HybridError(lines[-1])
+
+
+def _answer(visible: Path) -> tuple[Result, float]:
+    """What the diagnosis says of what it may see, and its processor time, [s]."""
+    content = json.loads((visible / "robot.json").read_text(encoding="utf-8"))
+    question = json.loads((visible / "question.json").read_text(encoding="utf-8"))
+    robot, recordings = Robot.from_dict(content), read_all([visible])
+    start = time.process_time()
+    result = examine(robot, recordings, without=question["without"])
+    return result, time.process_time() - start
+
+
+def _scored(answer: tuple[Result, float], sealed: Path) -> Row:
+    result, seconds = answer
+    truth = json.loads((sealed / "truth.json").read_text(encoding="utf-8"))
+    found = result.diagnosis.as_dict()
+    known = effect_classes()
+    effects = [
+        effect_from_dict(e, result.gap.robot.joints)
+        for e in truth["effects"]
+        if e["effect"] in known
+    ]
+    row: Row = {"truth": truth, "verdict": found["verdict"], "cpu_s": seconds}
+    row |= {"unexplained": found["unexplained"], "background": found["background"]}
+    row["findings"] = [
+        {k: f[k] for k in ("effect", "joints", "class", "share", "parameters", "shrink")}
+        for f in found["findings"]
+    ]
+    row |= score(truth, named_causes(found))
+    row["covered"] = covered(truth, row["findings"])
+    if effects and len(effects) == len(truth["effects"]):
+        shrunk = shrinkage(result, read_all([sealed]), effects)
+        row["shrinkage"] = asdict(shrunk) | {"share": shrunk.share}
+    row["baselines"] = {
+        name: score(truth, causes) for name, causes in baselines(result).items()
+    }
+    return row
+
+
+@contextmanager
+def _quiet() -> Iterable[None]:  # type: ignore[misc]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HybridWarning)
+        yield

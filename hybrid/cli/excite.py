@@ -1,0 +1,190 @@
+"""``hybrid excite``: the motion that reveals the parameters."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hybrid.cli.options import (
+    add_common,
+    add_robot,
+    check_outputs,
+    count,
+    load_effects,
+    load_robot,
+    positive,
+    record,
+    whole,
+    write_record,
+)
+from hybrid.errors import HybridError
+
+if TYPE_CHECKING:
+    from hybrid.cli.screen import Screen
+    from hybrid.excitation import Design, Limits
+    from hybrid.excitation.constraints import Constraint
+    from hybrid.excitation.criteria import Criterion
+    from hybrid.robot import Robot
+
+HELP = """design the motion that reveals the parameters
+writes DIR/reference_1.csv ... (time, position, speed, acceleration), DIR/design.json
+(coefficients, condition, predicted standard errors) and pictures. The motion starts and
+ends at rest and keeps the limits between its samples too.
+
+examples:
+  hybrid excite --robot models/coman_like.xml --out excite
+  hybrid excite --robot arm.urdf --effects viscous,coulomb --clearance 0.02 \\
+      --floor 0 --trajectories 3 --duration 20 --out excite"""
+
+_CRITERIA = ("condition", "normalised", "d", "a", "e")
+_FAMILIES = ("fourier", "fourier-quintic", "spline")
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    add_robot(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument(
+        "--effects",
+        default="viscous,coulomb",
+        metavar="LIST",
+        help="effects to be identified beside the rigid body; laws of one joint "
+        "(default viscous,coulomb)",
+    )
+    parser.add_argument("--criterion", choices=_CRITERIA, default="condition")
+    parser.add_argument("--family", choices=_FAMILIES, default="fourier")
+    parser.add_argument("--trajectories", type=count, default=1, metavar="N")
+    parser.add_argument("--starts", type=count, default=3, metavar="N")
+    parser.add_argument(
+        "--duration", type=positive, default=20.0, metavar="S", help="of each, s"
+    )
+    parser.add_argument(
+        "--order", type=count, default=10, metavar="N", help="harmonics (default 10)"
+    )
+    parser.add_argument(
+        "--fill",
+        type=positive,
+        default=0.8,
+        metavar="PART",
+        help="part of position, speed, acceleration and torque limits to use",
+    )
+    parser.add_argument("--jerk", type=positive, metavar="J", help="limit, rad/s³")
+    parser.add_argument(
+        "--clearance", type=positive, metavar="M", help="least distance of links, m"
+    )
+    parser.add_argument(
+        "--floor", type=float, metavar="Z", help="height that links stay above, m"
+    )
+    parser.add_argument(
+        "--rate", type=positive, default=500.0, metavar="HZ", help="of the CSV"
+    )
+    parser.add_argument("--seed", type=whole, default=0, metavar="N")
+    add_common(parser)
+
+
+def run(args: Namespace, screen: Screen) -> None:
+    """Design and write."""
+    import numpy as np
+
+    from hybrid.excitation import Limits, design, observe
+    from hybrid.excitation.folder import DESIGN, reference_paths, write_design
+    from hybrid.plant.noise import Noise
+
+    robot = load_robot(args)
+    effects = load_effects(args.effects, robot)
+    outputs = [*reference_paths(args.out, args.trajectories), args.out / DESIGN]
+    pictures = [args.out / "motion.png", args.out / "information.png"]
+    check_outputs([*outputs, *pictures, args.json], [args.robot])
+    jerk = np.inf if args.jerk is None else args.jerk
+    limits = Limits.of(robot, fill=args.fill, jerk=jerk)
+    noise = Noise.typical(robot).torque_covariance
+    observation = observe(robot.chain, effects, covariance=noise)
+    with screen.working(f"designing for {observation.size} parameters"):
+        found = design(
+            robot,
+            observation,
+            _family(args),
+            rng=np.random.default_rng(args.seed),
+            criterion=_criterion(args.criterion),
+            limits=limits,
+            constraints=_constraints(args, robot, limits),
+            trajectories=args.trajectories,
+            starts=args.starts,
+            rate=max(20.0, 8.0 * args.order / args.duration),
+        )
+    how = record(args, [args.robot])
+    write_design(args.out, found, rate=args.rate, more={"provenance": how})
+    _draw(args, found, limits)
+    write_record(args, how, found.as_dict())
+    _tell(args, screen, found)
+
+
+def _draw(args: Namespace, found: Design, limits: Limits) -> None:
+    from hybrid.report import save_figure
+    from hybrid.report.excitation import information_figure, motion_figure
+
+    reference = found.trajectories[0].reference(50.0)
+    figure = motion_figure(reference, found.robot.joints, limits)
+    save_figure(figure, args.out / "motion.png")
+    save_figure(information_figure(found), args.out / "information.png")
+
+
+def _tell(args: Namespace, screen: Screen, found: Design) -> None:
+    count = found.observation.size
+    screen.say(
+        f"{found.robot.name}: {len(found.trajectories)} motions of {args.duration:g} s "
+        f"for {count} parameters in {args.out}"
+    )
+    screen.say(
+        f"condition {found.condition:.4g}, with unit columns "
+        f"{found.normalised_condition:.4g}, log det {found.log_det:.4g}"
+    )
+    name, worst = max(found.excess.items(), key=lambda item: item[1])
+    screen.say(f"nearest limit: {name}, {-100 * worst:.2g} % away")
+
+
+def _family(args: Namespace) -> Any:
+    from hybrid.excitation import Fourier, FourierQuintic, Spline
+
+    if args.family == "spline":
+        return Spline(args.duration, 2 * args.order)
+    kind = Fourier if args.family == "fourier" else FourierQuintic
+    return kind(args.order, 1.0 / args.duration)
+
+
+def _criterion(name: str) -> Criterion:
+    from hybrid.excitation import (
+        AOptimal,
+        Condition,
+        DOptimal,
+        EOptimal,
+        NormalisedCondition,
+    )
+
+    kinds: tuple[type[Criterion], ...] = (
+        Condition,
+        NormalisedCondition,
+        DOptimal,
+        AOptimal,
+        EOptimal,
+    )
+    return dict(zip(_CRITERIA, kinds, strict=True))[name]()
+
+
+def _constraints(args: Namespace, robot: Robot, limits: Limits) -> list[Constraint]:
+    import numpy as np
+
+    from hybrid.excitation import Clearance, Workspace
+    from hybrid.robot.geometry import capsules_from_robot
+
+    found: list[Constraint] = []
+    if args.clearance is not None:
+        found.append(Clearance.of(robot, limits, margin=args.clearance))
+    if args.floor is not None:
+        if not np.isfinite(args.floor):
+            raise HybridError("--floor is a height in m")
+        low = np.array([-np.inf, -np.inf, args.floor])
+        capsules = capsules_from_robot(robot)
+        found.append(Workspace(robot, capsules, low, np.full(3, np.inf)))
+    return found

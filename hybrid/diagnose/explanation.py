@@ -1,0 +1,164 @@
+"""The terms that explain a gap, fitted together and scored on samples they never saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.background import background
+from hybrid.diagnose.evidence import Evidence, Index, Solution
+from hybrid.diagnose.gap import Gap, block_seconds
+from hybrid.effects import Effect
+from hybrid.robot.chain import Array
+
+_BLOCK_SECONDS = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Background and terms on the samples kept for scoring.
+
+    Attributes:
+        gap: The gap.
+        terms: Effects with their shapes.
+        evidence: Cross-products on the samples kept for scoring.
+        index: Columns of background and terms.
+        gains: Their values, found on the other samples.
+        own: Columns of each term.
+    """
+
+    gap: Gap
+    terms: tuple[Term, ...]
+    evidence: Evidence
+    index: Index
+    gains: Array
+    own: tuple[Index, ...]
+
+    @cached_property
+    def rigid(self) -> Index:
+        """Columns of the background."""
+        taken = np.concatenate([np.zeros(0, dtype=np.intp), *self.own])
+        return np.setdiff1d(self.index, taken)
+
+    def without(self, *terms: int) -> Array:
+        """The gains with those of some terms at zero."""
+        gains = self.gains.copy()
+        for k in terms:
+            gains[np.isin(self.index, self.own[k])] = 0.0
+        return gains
+
+    def left(self, gains: Array) -> list[Array]:
+        """Residual of each joint, in the order of ``evidence.rows``, [N·m]."""
+        n = self.gap.robot.size
+        return [self.evidence.residual(i, self.index, gains) for i in range(n)]
+
+    @cached_property
+    def after(self) -> list[Array]:
+        """Residual of each joint with all terms, [N·m]."""
+        return self.left(self.gains)
+
+    @cached_property
+    def before(self) -> list[Array]:
+        """Residual of each joint with the background alone, [N·m]."""
+        return self.left(self.without(*range(len(self.terms))))
+
+    def contribution(self, k: int) -> list[Array]:
+        """Torque of one term at each joint, [N·m]."""
+        return [w - a for w, a in zip(self.left(self.without(k)), self.after, strict=True)]
+
+    @cached_property
+    def shares(self) -> Array:
+        """Part of each term in what all of them explain, shape (terms,).
+
+        Shapley's shares of the fall in weighted squares. As gains are not fitted anew
+        for each subset, the fall is quadratic and the shares have a closed form: term
+        times (residual before + residual after).
+
+        Source: Shapley 1953, doi 10.1515/9781400881970-018.
+        """
+        shares = np.zeros(len(self.terms))
+        for k in range(len(self.terms)):
+            for i, c in enumerate(self.contribution(k)):
+                both = self.before[i] + self.after[i]
+                shares[k] += c @ both / self.evidence.noise[i]
+        total = shares.sum()
+        return shares / total if total > 0 else shares
+
+    def blocks(self, i: int) -> NDArray[np.intp]:
+        """Block of time of each scored sample of a joint, for resampling."""
+        rows = self.evidence.rows[i]
+        length = max(1, round(_BLOCK_SECONDS * self.gap.rate))
+        return rows // length
+
+
+def split(gap: Gap) -> NDArray[np.bool_]:
+    """Samples to learn from, shape (M,); the others are for scoring only.
+
+    Every fourth trajectory is kept for scoring; of fewer than four, every fourth block
+    of time, less a sixth at both of its ends, which is used for nothing.
+    """
+    count = gap.trajectory.max() + 1
+    if count >= 4:
+        return np.asarray(gap.trajectory % 4 != 3)
+    return np.asarray(gap.fold % 4 != 3)
+
+
+def between(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Samples too near to those learnt from to be scored."""
+    reach = round(block_seconds(gap.motions) / 6 * gap.rate)
+    near = np.convolve(learn, np.ones(2 * reach + 1), mode="same") > 0
+    apart = np.ones(len(learn), dtype=bool)
+    if gap.trajectory.max() < 3:
+        apart = ~near
+    return apart
+
+
+def explain(gap: Gap, search: Search, learn: NDArray[np.bool_]) -> Explanation:
+    """Score what a search found on the samples it has not seen.
+
+    Args:
+        gap: The gap.
+        search: A search that has run on the samples to learn from.
+        learn: Those samples, shape (M,).
+    """
+    found = search.evidence.solve(search.base())
+    evidence, index, own = _fresh(gap, search, ~learn & between(gap, learn))
+    evidence.noise = search.evidence.noise
+    gains = np.empty(len(index))
+    gains[: len(search.background)] = found.gains[: len(search.background)]
+    gains[len(search.background) :] = found.gains[len(search.background) :]
+    return Explanation(gap, tuple(search.terms), evidence, index, gains, own)
+
+
+def refit(gap: Gap, search: Search) -> tuple[Solution, tuple[Index, ...]]:
+    """The terms of a search on all samples: the numbers that are reported."""
+    evidence, index, own = _fresh(gap, search, np.ones(len(gap.fold), dtype=bool))
+    evidence.noise = search.evidence.noise
+    return evidence.solve(index), own
+
+
+def _fresh(
+    gap: Gap, search: Search, use: NDArray[np.bool_]
+) -> tuple[Evidence, Index, tuple[Index, ...]]:
+    evidence = Evidence(gap, use)
+    rigid = np.concatenate(evidence.add(*background(gap)))
+    evidence.spread(rigid, search.off)
+    effects = [t.candidate for t in search.terms]
+    own: tuple[Index, ...] = ()
+    if effects:
+        columns = [gap.columns(c.effect) for c in effects]
+        own = tuple(evidence.add(columns, [c.std for c in effects]))
+    return evidence, np.concatenate([rigid, *own]), own
+
+
+def fitted(term: Term, gains: Array, std: Array) -> Effect:
+    """The effect of a term with the gains of a solution."""
+    names = [g.name for g in term.candidate.effect.gains]
+    return term.candidate.effect.at(
+        dict(zip(names, map(float, gains), strict=True)),
+        dict(zip(names, map(float, std), strict=True)),
+    )

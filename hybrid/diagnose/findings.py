@@ -1,0 +1,175 @@
+"""From terms to findings: effects grouped over joints, with what a reader needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.diagnosis import Finding, Shrink, Value
+from hybrid.diagnose.evidence import Index, Solution
+from hybrid.diagnose.explanation import Explanation, fitted
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.thresholds import Thresholds
+from hybrid.effects import Effect
+from hybrid.robot.chain import Array
+
+_RESAMPLES = 400
+_NORMAL = 1.96
+_CLOSE = 6  # alternatives that are fitted in full
+
+
+def alternatives(search: Search, term: Term, limits: Thresholds) -> tuple[str, ...]:
+    """Ids of effects that explain as much as a term does, itself first."""
+    base = search.base(term)
+    own, best = search.refine(base, term.candidate)
+    found = [own.place[0]]
+    ranked = [c for c, gain in search.ranked(base) if gain > 0.5 * best]
+    here = {*term.place[1]} if len(term.place[1]) == 1 else {term.place[1][-1]}
+    for c in [c for c in ranked if here & {*c.place[1]}][:_CLOSE]:
+        if c.place[0] not in found:
+            _, gain = search.refine(base, c)
+            if gain > best - limits.alike:
+                found.append(c.place[0])
+    return tuple(found)
+
+
+def fitted_effects(
+    terms: Sequence[Term], solution: Solution, own: Sequence[Index]
+) -> tuple[Effect, ...]:
+    """The effects of terms with the gains of a solution and their deviations.
+
+    Args:
+        terms: The terms.
+        solution: Their gains.
+        own: Columns of each term in the solution.
+    """
+    place = {k: at for at, k in enumerate(solution.index)}
+    spread = np.sqrt(np.diag(solution.covariance))
+    effects = []
+    for term, index in zip(terms, own, strict=True):
+        at = [place[k] for k in index]
+        effects.append(fitted(term, solution.gains[at], spread[at]))
+    return tuple(effects)
+
+
+def findings(
+    scored: Explanation,
+    effects: Sequence[Effect],
+    kinds: Sequence[tuple[str, ...]],
+    rng: np.random.Generator,
+) -> tuple[Finding, ...]:
+    """Findings by effect, largest share first.
+
+    Args:
+        scored: Terms on samples that no step has seen.
+        effects: The same terms as effects with their final values.
+        kinds: Ids that each term cannot be told from, itself first.
+        rng: Draws of the bootstrap.
+    """
+    gap = scored.gap
+    grouped: dict[str, list[int]] = {}
+    for k, term in enumerate(scored.terms):
+        grouped.setdefault(term.place[0], []).append(k)
+    found = []
+    for effect_id, members in grouped.items():
+        cls = effects[members[0]]
+        joints = tuple(dict.fromkeys(j for k in members for j in _where(effects[k])))
+        names = tuple(gap.robot.joints[j] for j in sorted(joints))
+        alike = [a for k in members for a in kinds[k]]
+        found.append(
+            Finding(
+                effect=effect_id,
+                joints=names,
+                alternatives=tuple(dict.fromkeys((effect_id, *alike))),
+                share=float(scored.shares[members].sum()),
+                parameters=tuple(
+                    v for k in members for v in _values(gap, effects[k])
+                ),
+                shrink={"torque": torque_shrink(scored, members, rng)},
+                sentence=cls.sentence.format(joints=_listed(names)),
+                remedy=cls.remedy,
+            )
+        )
+    return tuple(sorted(found, key=lambda f: -f.share))
+
+
+def torque_shrink(
+    scored: Explanation, members: Sequence[int], rng: np.random.Generator
+) -> Shrink:
+    """Torque gap with everything but some terms, and with them, where they act.
+
+    Both sides have the corrected background and the other terms, so that the fall is
+    due to these terms. Joints add up in units of N·m.
+    """
+    without = scored.left(scored.without(*members))
+    joints = [
+        i
+        for i, (x, y) in enumerate(zip(without, scored.after, strict=True))
+        if len(x) and np.abs(x - y).max() > 0
+    ]
+    main = _main_joints(without, scored.after, scored.evidence.noise, joints)
+    before, after = _block_squares(scored, without, main), _block_squares(
+        scored, scored.after, main
+    )
+    count = sum(len(scored.after[i]) for i in main)
+    removed = _removed(before.sum(), after.sum())
+    draws = []
+    for _ in range(_RESAMPLES):
+        pick = rng.integers(len(before), size=len(before))
+        draws.append(_removed(before[pick].sum(), after[pick].sum()))
+    low, high = np.quantile(draws, [0.025, 0.975]) if len(before) > 1 else (0.0, 1.0)
+    return Shrink(
+        float(np.sqrt(before.sum() / max(count, 1))),
+        float(np.sqrt(after.sum() / max(count, 1))),
+        removed,
+        (float(low), float(high)),
+    )
+
+
+def _main_joints(
+    without: Sequence[Array], after: Sequence[Array], noise: Array, joints: list[int]
+) -> list[int]:
+    """Joints where the fall is not a mere by-product."""
+    fall = {i: (without[i] @ without[i] - after[i] @ after[i]) / noise[i] for i in joints}
+    most = max(fall.values(), default=0.0)
+    return [i for i in joints if fall[i] > 0.05 * most] or joints
+
+
+def _block_squares(
+    scored: Explanation, left: Sequence[Array], joints: Sequence[int]
+) -> Array:
+    total = np.zeros(1)
+    for i in joints:
+        blocks = scored.blocks(i)
+        squares = np.bincount(blocks, weights=left[i] ** 2)
+        size = max(len(total), len(squares))
+        total = np.pad(total, (0, size - len(total)))
+        total += np.pad(squares, (0, size - len(squares)))
+    return np.asarray(total[total > 0]) if np.any(total > 0) else total
+
+
+def _removed(before: float, after: float) -> float:
+    return float(1.0 - np.sqrt(after / before)) if before > 0 else 0.0
+
+
+def _where(effect: Effect) -> tuple[int, ...]:
+    return effect.joints[-1:] if effect.id == "link_inertia" else effect.joints
+
+
+def _values(gap: Gap, effect: Effect) -> list[Value]:
+    joint = "+".join(gap.robot.joints[j] for j in _where(effect))
+    if effect.scope == "arm":
+        joint = "arm"
+    values = []
+    for x in (*effect.gains, *effect.shapes):
+        value, half = effect.values[x.name], _NORMAL * effect.std.get(x.name, 0.0)
+        values.append(Value(joint, x.name, value, x.unit, (value - half, value + half)))
+    return values
+
+
+def _listed(names: Sequence[str]) -> str:
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,39 @@
+"""Thresholds of the diagnosis, frozen in a file beside the script that made them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """When to name an effect, and when to abstain.
+
+    Attributes:
+        version: Of the file.
+        alike: Evidence within which two effects explain a recording alike, [nat].
+        spurious: Share of a joint's noise that the flexible regression may recover
+            without any gap.
+        complete: Least part of what is explainable at a joint that its terms explain.
+        steady: Largest reduced chi-square of gains from fold to fold.
+        crowded: Most terms at one joint that still make a cause.
+        explained: Least part of the whole gap explained for the verdict ``explained``.
+    """
+
+    version: str
+    alike: float
+    spurious: float
+    complete: float
+    steady: float
+    crowded: int
+    explained: float
+
+
+@cache
+def thresholds() -> Thresholds:
+    """The frozen thresholds."""
+    path = Path(__file__).with_name("thresholds.json")
+    return Thresholds(**json.loads(path.read_text(encoding="utf-8")))

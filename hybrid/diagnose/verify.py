@@ -1,0 +1,128 @@
+"""Whether the best explanation is good enough to be the cause."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.ceiling import recoverable
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.thresholds import Thresholds
+from hybrid.robot.chain import Array
+
+
+@dataclass(frozen=True)
+class Check:
+    """What speaks against a term.
+
+    Attributes:
+        complete: Part of what is explainable at its joints that the terms there do.
+        unsteady: Reduced chi-square of its gains from fold to fold.
+        crowd: Number of terms at its joint.
+    """
+
+    complete: float
+    unsteady: float
+    crowd: int
+
+    def passes(self, limits: Thresholds) -> bool:
+        """Whether the term may be named."""
+        return (
+            self.complete >= limits.complete
+            and self.unsteady <= limits.steady
+            and self.crowd <= limits.crowded
+        )
+
+
+@dataclass(frozen=True)
+class Account:
+    """Squares of the gap on the samples learnt from, by joint, in units of noise.
+
+    Attributes:
+        before: With the background alone, shape (n,).
+        after: With all terms, shape (n,).
+        missed: What a flexible regression still recovers, shape (n,).
+        depends: What the missed part depends on first, for each joint.
+        noise: Sum of squares of noise alone, shape (n,).
+    """
+
+    before: Array
+    after: Array
+    missed: Array
+    depends: tuple[str, ...]
+    noise: Array
+
+    @property
+    def explained(self) -> Array:
+        """What the terms explain, shape (n,)."""
+        return np.maximum(self.before - self.after, 0.0)
+
+
+def account(gap: Gap, search: Search, limits: Thresholds) -> Account:
+    """What is explained and what is missed, joint by joint."""
+    evidence = search.evidence
+    alone = evidence.solve(search.background)
+    whole = evidence.solve(search.base())
+    weight = evidence.noise
+    before = evidence.squares(alone.index, alone.gains).sum(axis=1) / weight
+    after = evidence.squares(whole.index, whole.gains).sum(axis=1) / weight
+    missed, depends = np.zeros(len(weight)), []
+    for i, rows in enumerate(evidence.rows):
+        left = evidence.residual(i, whole.index, whole.gains)
+        # Time order: what lags needs its past.
+        order = np.argsort(rows)
+        squares, of = recoverable(gap, i, left[order], rows[order])
+        squares = max(0.0, squares - limits.spurious * float(left @ left))
+        missed[i] = squares / weight[i]
+        depends.append(of if squares > 0 else "")
+    return Account(before, after, missed, tuple(depends), after - missed)
+
+
+def check(search: Search, term: Term, found: Account) -> Check:
+    """What speaks against a term of a search.
+
+    Args:
+        search: The search.
+        term: One of its terms.
+        found: The account of its gap.
+    """
+    evidence = search.evidence
+    without = evidence.solve(search.base(term))
+    left = evidence.squares(without.index, without.gains).sum(axis=1) / evidence.noise
+    gained = np.maximum(left - found.after, 0.0)
+    # The joints where it explains most; others it merely touches.
+    main = gained > 0.2 * gained.max() if gained.max() > 0 else gained >= 0
+    explained = found.explained[main].sum()
+    complete = explained / max(explained + found.missed[main].sum(), 1e-12)
+    joint = term.place[1]
+    crowd = sum(t.place[1] == joint for t in search.terms)
+    return Check(float(complete), _unsteady(search, term), crowd)
+
+
+def _unsteady(search: Search, term: Term) -> float:
+    """Reduced chi-square of a term's gains, each fold against all."""
+    evidence, base = search.evidence, search.base(term)
+    rest = evidence.solve(base)
+    others = np.zeros(evidence.size)
+    others[rest.index] = rest.gains
+    whole = evidence.solve(search.base())
+    others[whole.index] = whole.gains
+    p, total, count = len(term.index), 0.0, 0
+    mean = others[term.index]
+    for f in range(len(evidence.folds)):
+        both = np.concatenate([term.index, base])
+        A, b = evidence.normal(both, np.array([f]))
+        H = A[:p, :p]
+        if np.trace(H) <= 0:
+            continue
+        # The others stay as all folds have them.
+        s = b[:p] - A[:p, p:] @ others[base] - H @ mean
+        unit = np.sqrt(np.maximum(np.diag(H), 1e-300))
+        values, vectors = np.linalg.eigh(H / unit / unit[:, None])
+        keep = values > 1e-3
+        score = vectors[:, keep].T @ (s / unit)
+        total += float((score**2 / values[keep]).sum())
+        count += int(keep.sum())
+    return total / max(count, 1)

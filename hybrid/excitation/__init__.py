@@ -1,0 +1,52 @@
+"""Motions that reveal the parameters of an arm."""
+
+from hybrid.excitation.clearance import Clearance, Workspace
+from hybrid.excitation.constraints import Limits
+from hybrid.excitation.criteria import (
+    AOptimal,
+    BlockCondition,
+    Condition,
+    Discrimination,
+    DOptimal,
+    EOptimal,
+    NormalisedCondition,
+)
+from hybrid.excitation.design import Design, design
+from hybrid.excitation.experiments import (
+    at_speeds,
+    micro_reversals,
+    multisine,
+    speed_ladder,
+    static_poses,
+)
+from hybrid.excitation.fourier import Fourier, FourierQuintic, PlainFourier
+from hybrid.excitation.observation import Observation, observe
+from hybrid.excitation.path import Trajectory
+from hybrid.excitation.spline import Spline
+
+__all__ = [
+    "AOptimal",
+    "BlockCondition",
+    "Clearance",
+    "Condition",
+    "DOptimal",
+    "Design",
+    "Discrimination",
+    "EOptimal",
+    "Fourier",
+    "FourierQuintic",
+    "Limits",
+    "NormalisedCondition",
+    "Observation",
+    "PlainFourier",
+    "Spline",
+    "Trajectory",
+    "Workspace",
+    "at_speeds",
+    "design",
+    "micro_reversals",
+    "multisine",
+    "observe",
+    "speed_ladder",
+    "static_poses",
+]

@@ -1,0 +1,287 @@
+"""Distance between links, and to what stands around the arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from hybrid.errors import ExcitationError
+from hybrid.excitation.constraints import Index, Limits
+from hybrid.excitation.path import Path
+from hybrid.robot.chain import Array, Chain
+from hybrid.robot.geometry import Capsules, capsules_from_robot
+from hybrid.robot.robot import Robot
+
+# The length in which a missing distance is counted; limits have their own size.
+_LENGTH = 0.2  # m
+_POSTURES = 300
+_ALWAYS = 0.95  # pairs that touch in more postures are joined by their joints
+
+
+@dataclass(frozen=True, eq=False)
+class Clearance:
+    """A least distance between links that are not neighbours.
+
+    Links are covered by capsules, so that what is kept here is kept by the geometry.
+
+    Attributes:
+        robot: The arm.
+        capsules: What covers its links and its base.
+        pairs: Links to keep apart, −1 for the base, shape (K, 2).
+        margin: Least distance, [m].
+    """
+
+    is_linear: ClassVar[bool] = False
+
+    robot: Robot
+    capsules: Capsules
+    pairs: Index
+    margin: float
+
+    @classmethod
+    def of(cls, robot: Robot, limits: Limits, *, margin: float = 0.01) -> Clearance:
+        """All pairs of links that can be apart at all and are not neighbours.
+
+        Args:
+            robot: The arm; its file has to hold collision geometry.
+            limits: Limits of the joints.
+            margin: Least distance, [m].
+
+        Raises:
+            RobotError: There is no geometry.
+        """
+        capsules = capsules_from_robot(robot)
+        links = np.arange(-1, robot.size)
+        pairs = [(i, j) for i in links for j in links if j > i + 1]
+        every = cls(robot, capsules, np.array(pairs).reshape(-1, 2), margin)
+        q = np.random.default_rng(0).uniform(
+            limits.low, limits.high, (_POSTURES, robot.size)
+        )
+        touching = (every.distance(q) < margin).mean(axis=0)
+        return cls(robot, capsules, every.pairs[touching < _ALWAYS], margin)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See :class:`~hybrid.excitation.constraints.Constraint`."""
+        joints = ("base", *self.robot.joints)
+        return tuple(
+            f"closeness of the links of {joints[i + 1]} and {joints[j + 1]}"
+            for i, j in self.pairs
+        )
+
+    @cached_property
+    def _members(self) -> tuple[tuple[Index, Index], ...]:
+        """Capsules of each pair, each of the first link with each of the second."""
+        found = []
+        for pair in self.pairs:
+            first, second = (np.flatnonzero(self.capsules.link == k) for k in pair)
+            grid = np.meshgrid(first, second, indexing="ij")
+            found.append((grid[0].ravel(), grid[1].ravel()))
+        return tuple(found)
+
+    def distance(self, q: Array) -> Array:
+        """Least distance of each pair, negative where capsules overlap, (N, K), [m]."""
+        ends = ends_in_world(self.robot.chain, self.capsules, q)
+        return np.stack(
+            [self._closest(ends, k)[0].min(axis=1) for k in range(len(self.pairs))], 1
+        )
+
+    def excess(self, path: Path) -> Array:
+        """See :class:`~hybrid.excitation.constraints.Constraint`."""
+        if len(self.pairs) == 0:
+            return np.zeros((len(path.t), 0))
+        return np.asarray((self.margin - self.distance(path.q)) / _LENGTH)
+
+    def slope(self, path: Path, which: Index) -> Array:
+        """See :class:`~hybrid.excitation.constraints.Constraint`."""
+        out = np.zeros((len(which), 4, self.robot.size))
+        for k in np.unique(which):
+            at = np.flatnonzero(which == k)
+            q = path.q[at]
+            ends = ends_in_world(self.robot.chain, self.capsules, q)
+            distance, first, second = self._closest(ends, k)
+            rows, best = np.arange(len(at)), distance.argmin(axis=1)
+            x, y = first[rows, best], second[rows, best]
+            away = x - y
+            away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+            i, j = self.pairs[k]
+            change = point_change(self.robot.chain, q, i, x, away)
+            change -= point_change(self.robot.chain, q, j, y, away)
+            out[at, 0] = -change / _LENGTH
+        return out
+
+    def _closest(self, ends: Array, k: int) -> tuple[Array, Array, Array]:
+        """Distances of a pair's capsules, (N, M), and closest points on their axes."""
+        first, second = self._members[k]
+        x, y = closest_points(ends[:, first], ends[:, second])
+        radius = self.capsules.radius[first] + self.capsules.radius[second]
+        return np.linalg.norm(x - y, axis=2) - radius, x, y
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """A box in the base frame that every moving link stays in; a floor is a half of it.
+
+    Attributes:
+        robot: The arm.
+        capsules: What covers its links.
+        low: Lowest corner, shape (3,), [m]; −inf where anything is allowed.
+        high: Highest corner, shape (3,), [m].
+    """
+
+    is_linear: ClassVar[bool] = False
+
+    robot: Robot
+    capsules: Capsules
+    low: Array
+    high: Array
+
+    def __post_init__(self) -> None:
+        if not (np.asarray(self.low) < np.asarray(self.high)).all():
+            raise ExcitationError("workspace: low must be below high")
+
+    @cached_property
+    def _rows(self) -> tuple[Index, Index, Array, Array]:
+        """Capsule end, coordinate, sign and bound of each condition."""
+        rows = [
+            (2 * c + e, x, sign, bound[x] - sign * self.capsules.radius[c])
+            for c in np.flatnonzero(self.capsules.link >= 1)
+            for e in range(2)
+            for sign, bound in ((-1.0, self.low), (1.0, self.high))
+            for x in range(3)
+            if np.isfinite(bound[x])
+        ]
+        end, x, sign, bound = zip(*rows, strict=True)
+        return np.array(end), np.array(x), np.array(sign), np.array(bound)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See :class:`~hybrid.excitation.constraints.Constraint`."""
+        end, x, sign, _ = self._rows
+        return tuple(
+            f"{'lowest' if s < 0 else 'highest'} {'xyz'[k]} of the link of "
+            f"{self.robot.joints[self.capsules.link[e // 2]]}"
+            for e, k, s in zip(end, x, sign, strict=True)
+        )
+
+    def excess(self, path: Path) -> Array:
+        """See :class:`~hybrid.excitation.constraints.Constraint`."""
+        end, x, sign, bound = self._rows
+        ends = ends_in_world(self.robot.chain, self.capsules, path.q)
+        points = ends.reshape(len(path.t), -1, 3)
+        return np.asarray(sign * (points[:, end, x] - bound) / _LENGTH)
+
+    def slope(self, path: Path, which: Index) -> Array:
+        """See :class:`~hybrid.excitation.constraints.Constraint`."""
+        out = np.zeros((len(which), 4, self.robot.size))
+        end, x, sign, _ = self._rows
+        for k in np.unique(which):
+            at = np.flatnonzero(which == k)
+            q, link = path.q[at], int(self.capsules.link[end[k] // 2])
+            ends = ends_in_world(self.robot.chain, self.capsules, q)
+            point = ends.reshape(len(at), -1, 3)[:, end[k]]
+            direction = np.tile(sign[k] * np.eye(3)[x[k]], (len(at), 1))
+            change = point_change(self.robot.chain, q, link, point, direction)
+            out[at, 0] = change / _LENGTH
+        return out
+
+
+def frames(chain: Chain, q: Array) -> tuple[Array, Array, Array]:
+    """Orientation, origin and joint axis of each link in the base frame.
+
+    Args:
+        chain: The arm.
+        q: Positions, shape (N, n), [rad].
+
+    Returns:
+        Shapes (n, N, 3, 3), (n, N, 3) and (n, N, 3).
+    """
+    count = len(q)
+    R, p = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+    out: tuple[list[Array], list[Array], list[Array]] = ([], [], [])
+    for k in range(chain.size):
+        p = p + R @ chain.translation[k]
+        R = R @ chain.rotation[k]
+        axis = R @ chain.axis[k]
+        if chain.revolute[k]:
+            x, y, z = chain.axis[k]
+            skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            sine, cosine = np.sin(q[:, k]), 1 - np.cos(q[:, k])
+            turn = np.eye(3) + sine[:, None, None] * skew
+            R = R @ (turn + cosine[:, None, None] * (skew @ skew))
+        else:
+            p = p + axis * q[:, k, None]
+        for items, x in zip(out, (R, p, axis), strict=True):
+            items.append(x)
+    return np.stack(out[0]), np.stack(out[1]), np.stack(out[2])
+
+
+def ends_in_world(chain: Chain, capsules: Capsules, q: Array) -> Array:
+    """End points of all capsules in the base frame, shape (N, C, 2, 3), [m]."""
+    R, p, _ = frames(chain, q)
+    out = np.empty((len(q), len(capsules.link), 2, 3))
+    for c, link in enumerate(capsules.link):
+        if link < 0:
+            out[:, c] = capsules.ends[c]
+        else:
+            turned = np.matmul(capsules.ends[c], R[link].transpose(0, 2, 1))
+            out[:, c] = turned + p[link][:, None]
+    return out
+
+
+def point_change(
+    chain: Chain, q: Array, link: int, point: Array, direction: Array
+) -> Array:
+    """Derivative by the joints of a link's point along a direction, shape (N, n).
+
+    Args:
+        chain: The arm.
+        q: Positions, shape (N, n), [rad].
+        link: The link, −1 for the base.
+        point: Where the point is in the base frame, shape (N, 3), [m].
+        direction: Direction in the base frame, shape (N, 3).
+    """
+    out = np.zeros_like(q)
+    _, origin, axis = frames(chain, q)
+    for j in range(link + 1):
+        if chain.revolute[j]:
+            moved = np.cross(axis[j], point - origin[j])
+        else:
+            moved = axis[j]
+        out[:, j] = (moved * direction).sum(axis=1)
+    return out
+
+
+def closest_points(first: Array, second: Array) -> tuple[Array, Array]:
+    """Closest points of two segments.
+
+    See Ericson 2005, Real-Time Collision Detection, section 5.1.9.
+
+    Args:
+        first: End points, shape (..., 2, 3), [m].
+        second: End points, shape (..., 2, 3), [m].
+
+    Returns:
+        Points on the first and on the second, each of shape (..., 3), [m].
+    """
+    p, d = first[..., 0, :], first[..., 1, :] - first[..., 0, :]
+    r, e = second[..., 0, :], second[..., 1, :] - second[..., 0, :]
+    dd, ee, de = (d * d).sum(-1), (e * e).sum(-1), (d * e).sum(-1)
+    between = p - r
+    dp, ep = (d * between).sum(-1), (e * between).sum(-1)
+    tiny = 1e-12
+    determinant = dd * ee - de * de
+    s = np.where(
+        determinant > tiny, (de * ep - dp * ee) / np.maximum(determinant, tiny), 0.0
+    )
+    s = np.clip(s, 0.0, 1.0)
+    t = (de * s + ep) / np.maximum(ee, tiny)
+    # Where t leaves the second segment, the closest point is that of its end.
+    clipped = np.clip(t, 0.0, 1.0)
+    again = np.clip((de * clipped - dp) / np.maximum(dd, tiny), 0.0, 1.0)
+    s = np.where(dd > tiny, again, 0.0)
+    x = p + s[..., None] * d
+    return x, r + clipped[..., None] * e

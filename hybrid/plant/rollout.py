@@ -1,0 +1,225 @@
+"""Replays: a simulator started in measured states and driven by measured torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.dynamics import RigidBody
+from hybrid.effects import Effect
+from hybrid.plant.arm import Arm, Index, build_arm, overrides
+from hybrid.plant.lockstep import Lockstep
+from hybrid.robot.chain import Array
+from hybrid.robot.robot import Robot
+from hybrid.signals import Motion
+
+# A gain is undone by its opposite, which is right to first order; each pass squares
+# away what is left.
+_PASSES = 4
+_DIVERGED = 100.0  # rad/s; no arm turns so fast
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Stretches of motions to replay, B of them.
+
+    Attributes:
+        motion: Index of the motion of each, shape (B,).
+        sample: Its first sample in that motion, shape (B,).
+        samples: Number of samples S that follow the first; the last one is held where
+            a motion ends before.
+    """
+
+    motion: Index
+    sample: Index
+    samples: int
+
+    def of(self, signals: Sequence[Array], factor: int = 1) -> Array:
+        """The stretches of some signals, shape (factor·S + 1, B, ...).
+
+        Args:
+            signals: One for each motion, shape (factor·(N − 1) + 1, ...).
+            factor: How many times denser than the motions they are sampled.
+        """
+        along = np.arange(factor * self.samples + 1)
+        parts = [
+            signals[m][np.minimum(factor * k + along, len(signals[m]) - 1)]
+            for m, k in zip(self.motion, self.sample, strict=True)
+        ]
+        return np.stack(parts, axis=1)
+
+    def first(self, signals: Sequence[Array]) -> Array:
+        """Their first samples, shape (B, ...)."""
+        pairs = zip(self.motion, self.sample, strict=True)
+        return np.array([signals[m][k] for m, k in pairs])
+
+
+def rollout(
+    robot: Robot,
+    effects: Sequence[Effect],
+    motions: Sequence[Motion],
+    windows: Windows,
+    *,
+    step: float = 0.001,
+) -> Array:
+    """Let a simulator run freely from measured states under the measured torque.
+
+    A motor takes its measured position and speed, a spring behind it the twist under
+    its load, a tooth the side it is pressed to, bristles what they have been bent by.
+
+    Args:
+        robot: The simulator.
+        effects: Effects on it.
+        motions: Measured motions with their torque.
+        windows: Where the replays start, and how long they last.
+        step: Longest physics step, [s]; samples are a whole number of steps apart.
+
+    Returns:
+        Position that the encoders would show at the samples of each window, shape
+        (S + 1, B, n), [rad]; NaN from where a replay has diverged.
+
+    Raises:
+        EffectError: An effect cannot be simulated.
+        HybridError: The arm cannot be built.
+    """
+    apart = 1.0 / motions[0].rate
+    factor = int(np.ceil(apart / step - 1e-9))
+    inside = [e for e in effects if not e.reports]
+    arm = build_arm(robot, inside, step=apart / factor, integrator="implicitfast")
+    torque = windows.of([_delivered(m, effects, factor) for m in motions], factor)
+    state = _start(robot, arm, inside, motions, windows)
+    shown = np.empty((windows.samples + 1, *state.q.shape))
+    shown[0] = windows.first([m.q for m in motions])
+    for k in range(windows.samples):
+        for held in torque[k * factor : (k + 1) * factor]:
+            state.step(held)
+        shown[k + 1] = _shown(inside, state)
+    return shown
+
+
+class _Moving(Lockstep):
+    """Trajectories that start in motion, each at its own time, and may diverge.
+
+    Attributes:
+        lost: Whether each trajectory has diverged, shape (B,).
+    """
+
+    def __init__(
+        self, arm: Arm, effects: Sequence[Effect], start: Motion, load: Array
+    ) -> None:
+        """Place every trajectory in its state.
+
+        Args:
+            arm: The arm.
+            effects: Effects on it.
+            start: True motor state of each trajectory, its samples being trajectories.
+            load: Torque that the links need there, and its rate, shape (2, B, n).
+        """
+        self.lost = np.zeros(len(start.q), dtype=bool)
+        super().__init__(arm, effects, start.q)
+        twist, speed = _behind(arm, load)
+        # The semi-implicit step knows speed half a step before position.
+        v = start.v - arm.model.opt.timestep / 2 * start.a
+        for k, data in enumerate(self._datas):
+            data.time = start.t[k]
+            data.qvel[arm.motor] = v[k]
+            data.qpos[arm.deflection], data.qvel[arm.deflection] = twist[k], speed[k]
+        self.temperature = start.temperature
+        self._read()
+        self.a, self.load = start.a.copy(), load[0].copy()
+
+    def bend(self, torques: Sequence[Array]) -> None:
+        """Set what effects with a past resist with, shape (B, k) each, [N·m]."""
+        self._resisted = [np.array(x) for x in torques]
+
+    def _read(self) -> None:
+        motor = self._arm.motor
+        self.q, self.v = self._gather("qpos")[:, motor], self._gather("qvel")[:, motor]
+        # The comparison is written so that NaN fails it too.
+        self.lost |= ~(np.abs(self.v).max(axis=1) < _DIVERGED)
+        for k in np.flatnonzero(self.lost):
+            # It goes on from rest, and is not looked at any more.
+            self._datas[k].qpos[:] = self._datas[k].qvel[:] = 0.0
+            self._datas[k].qacc_warmstart[:] = 0.0
+            self.q[k] = self.v[k] = 0.0
+
+
+def _behind(arm: Arm, load: Array) -> tuple[Array, Array]:
+    """Position and speed of the joints behind motors under a load and its rate."""
+    joint = arm.model.dof_jntid[arm.deflection]
+    stiffness, stop = arm.model.jnt_stiffness[joint], arm.model.jnt_range[joint, 1]
+    now, rate = load[:, :, arm.elastic]
+    soft = stiffness > 0
+    spring = np.where(soft, stiffness, 1.0)
+    twist = np.where(soft, now / spring, np.sign(now) * stop)
+    return -twist, np.where(soft, -rate / spring, 0.0)
+
+
+def _start(
+    robot: Robot,
+    arm: Arm,
+    effects: Sequence[Effect],
+    motions: Sequence[Motion],
+    windows: Windows,
+) -> _Moving:
+    seen = [_true(robot, effects, motion) for motion in motions]
+    bodies = [RigidBody(robot.chain, motion) for motion in seen]
+
+    def first(name: str) -> Array:
+        return windows.first([getattr(m, name) for m in seen])
+
+    warm = first("temperature") if seen[0].temperature is not None else None
+    names = ("t", "q", "v", "a", "tau", "mask")
+    start = Motion(*map(first, names), warm)  # type: ignore[arg-type]
+    rates = [np.gradient(b.load, m.t, axis=0) for b, m in zip(bodies, seen, strict=True)]
+    load = np.stack([windows.first([b.load for b in bodies]), windows.first(rates)])
+    state = _Moving(arm, effects, start, load)
+    pairs = list(zip(seen, bodies, strict=True))
+    past = [e for e in effects if overrides(e, "resist")]
+    state.bend([windows.first([e.torque(m, b) for m, b in pairs]) for e in past])
+    return state
+
+
+def _true(robot: Robot, effects: Sequence[Effect], motion: Motion) -> Motion:
+    """The motors' motion behind what encoders show."""
+    for effect in effects:
+        if overrides(effect, "sense"):
+            motion = effect.observe(motion, RigidBody(robot.chain, motion))
+    return motion
+
+
+def _shown(effects: Sequence[Effect], state: _Moving) -> Array:
+    q, v = state.q.copy(), state.v.copy()
+    for effect in effects:
+        if overrides(effect, "sense"):
+            j = list(effect.joints)
+            q[:, j], v[:, j] = effect.sense(q[:, j], v[:, j])
+    q[state.lost] = np.nan
+    return q
+
+
+def _delivered(motion: Motion, effects: Sequence[Effect], factor: int) -> Array:
+    """Torque that drives delivered, from the logged one; (factor·(N − 1) + 1, n)."""
+    from scipy.interpolate import CubicSpline
+
+    samples = factor * (len(motion.t) - 1) + 1
+    t = np.linspace(motion.t[0], motion.t[-1], samples)
+    torque: Array = motion.tau
+    if factor > 1:
+        torque = CubicSpline(motion.t, motion.tau)(t)
+    for effect in reversed([e for e in effects if e.reports]):
+        j = list(effect.joints)
+        torque = torque.copy()
+        torque[:, j] = _before_report(effect, t, torque[:, j])
+    return torque
+
+
+def _before_report(effect: Effect, t: Array, logged: Array) -> Array:
+    """Torque that an effect reports as the logged one; shape (N, k), [N·m]."""
+    opposite = effect.at({g.name: -effect.values[g.name] for g in effect.gains})
+    torque = opposite.report(t, logged)
+    for _ in range(_PASSES):
+        torque = torque + opposite.report(t, logged - effect.report(t, torque))
+    return torque

@@ -1,0 +1,195 @@
+"""What a diagnosis draws of each joint: few enough points for a page.
+
+All of it is on samples that no step of the diagnosis has seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.robot.chain import Array
+
+if TYPE_CHECKING:
+    from hybrid.diagnose.diagnose import Result
+    from hybrid.diagnose.explanation import Explanation
+
+MOST_POINTS = 1500  # of a curve or a cloud
+_DIGITS = 4
+_TOUCHES = 0.05  # of what a finding explains at its main joint
+
+Index = NDArray[np.intp]
+
+
+def joint_curves(result: Result, i: int) -> dict[str, Any]:
+    """The gap of one joint over time and over what it may depend on.
+
+    Args:
+        result: A diagnosis with what it was made from.
+        i: The joint.
+
+    Returns:
+        JSON-ready: ``name``, ``noise`` [N·m]; ``time`` with one curve for the simulator
+        as it stands, with its own numbers corrected, and with the findings added;
+        ``marks``, where recordings begin; ``over``, values of position, speed,
+        acceleration and load; ``clouds``, one for each finding that acts here: what
+        is left without it, and its fitted law, at those values.
+    """
+    gap, scored, m = result.gap, result.scored, result.gap.sampled
+    order = np.argsort(scored.evidence.rows[i])
+    rows = scored.evidence.rows[i][order]
+    left = {
+        "today": gap.left[rows, i],
+        "corrected": scored.before[i][order],
+        "after": scored.after[i][order],
+    }
+    if not scored.terms:
+        del left["corrected"]  # the same as after
+    t, marks = _one_after_another(m.t, gap.trajectory, rows, [x.source for x in gap.motions])
+    spots = np.arange(0, len(rows), max(1, -(-len(rows) // MOST_POINTS)))
+    over = {
+        "position": (m.q[rows, i], "rad"),
+        "speed": (m.v[rows, i], "rad/s"),
+        "acceleration": (m.a[rows, i], "rad/s²"),
+        "load": (gap.load[rows, i], "N·m"),
+    }
+    return {
+        "name": gap.robot.joints[i],
+        "noise": result.diagnosis.noise_floor[i],
+        "time": {name: thin(t, y, rows) for name, y in left.items()},
+        "marks": marks,
+        "over": {
+            name: {"x": _short(x[spots]), "unit": unit}
+            for name, (x, unit) in over.items()
+        },
+        "clouds": _clouds(
+            scored, i, order[spots], {name: x[spots] for name, (x, _) in over.items()}
+        ),
+    }
+
+
+def thin(x: Array, y: Array, rows: Index, most: int = MOST_POINTS) -> dict[str, Any]:
+    """A curve with only the lowest and the highest point of each stretch.
+
+    No peak is lost. Where samples are left out in between, ``None`` breaks the line.
+
+    Args:
+        x: Abscissa, shape (N,).
+        y: Ordinate, shape (N,).
+        rows: Number of each sample, shape (N,).
+        most: Most points that are kept.
+    """
+    kept = np.arange(len(y))
+    if len(y) > most:
+        edges = np.linspace(0, len(y), most // 2 + 1).astype(int)
+        ends = zip(edges[:-1], edges[1:], strict=True)
+        pairs = [(a + y[a:b].argmin(), a + y[a:b].argmax()) for a, b in ends]
+        kept = np.unique(pairs)
+    stretch = np.cumsum(np.diff(rows, prepend=rows[:1]) > 1)[kept]
+    xs, ys = _short(x[kept]), _short(y[kept])
+    for at in np.flatnonzero(np.diff(stretch))[::-1] + 1:
+        xs.insert(at, None)
+        ys.insert(at, None)
+    return {"x": xs, "y": ys}
+
+
+def _one_after_another(
+    t: Array, trajectory: Index, rows: Index, sources: Sequence[str]
+) -> tuple[Array, list[dict[str, Any]]]:
+    """Time that runs on from recording to recording, and where each begins, [s]."""
+    out, start, marks = np.zeros(len(rows)), 0.0, []
+    of = trajectory[rows]
+    for k in np.unique(of):
+        whole = t[trajectory == k]
+        out[of == k] = t[rows[of == k]] - whole[0] + start
+        name = Path(sources[k]).name or f"recording {k + 1}"
+        marks.append({"x": float(f"{start:.{_DIGITS}g}"), "name": name})
+        start += whole[-1] - whole[0]
+    return out, marks
+
+
+def _clouds(
+    scored: Explanation, i: int, spots: Index, over: Mapping[str, Array]
+) -> list[dict[str, Any]]:
+    clouds = []
+    after = scored.after[i][spots]
+    for effect, members in _by_effect(scored).items():
+        here = [_weight(scored, members, j) for j in range(len(scored.after))]
+        if here[i] > _TOUCHES * max(here):
+            law = _law(scored, members, i)[spots]
+            clouds.append(
+                {
+                    "effect": effect,
+                    "y": _short(after + law),
+                    "law": _short(law),
+                    "order": sorted(over, key=lambda name: _roughness(over[name], law)),
+                }
+            )
+    return clouds or [
+        {"effect": "", "y": _short(after), "law": [], "order": list(over)}
+    ]
+
+
+def _roughness(x: Array, y: Array) -> float:
+    """How far y is from a function of x: 0 if it is one, about 1 if unrelated.
+
+    Source: von Neumann 1941, doi 10.1214/aoms/1177731677 (mean square of successive
+    differences over variance).
+    """
+    step = np.diff(y[np.argsort(x, kind="stable")])
+    spread = np.var(y)
+    return float(np.mean(step**2) / (2 * spread)) if len(step) and spread > 0 else 1.0
+
+
+def _by_effect(scored: Explanation) -> Mapping[str, list[int]]:
+    found: dict[str, list[int]] = {}
+    for k, term in enumerate(scored.terms):
+        found.setdefault(term.place[0], []).append(k)
+    return found
+
+
+def _law(scored: Explanation, members: Sequence[int], i: int) -> Array:
+    """Torque of some terms at a joint, [N·m]."""
+    return np.asarray(np.sum([scored.contribution(k)[i] for k in members], axis=0))
+
+
+def _weight(scored: Explanation, members: Sequence[int], i: int) -> float:
+    """Its squares in units of the joint's noise."""
+    law = _law(scored, members, i)
+    return float(law @ law / scored.evidence.noise[i]) if len(law) else 0.0
+
+
+def _short(x: Array) -> list[float | None]:
+    """Numbers with four digits: a page shows no more."""
+    return [float(f"{value:.{_DIGITS}g}") for value in x]
+
+
+def rms_table(result: Result) -> list[dict[str, float]]:
+    """RMS gap of each joint on samples that no step has seen, [N·m].
+
+    Returns:
+        For each joint ``today``, ``corrected``, ``after``, ``noise``, and ``torque``,
+        the RMS of what was measured; zeros where no such sample moves.
+    """
+    gap, scored = result.gap, result.scored
+    measured = gap.sampled.tau + gap.left
+    table = []
+    for i, rows in enumerate(scored.evidence.rows):
+        table.append(
+            {
+                "today": _rms(gap.left[rows, i]),
+                "corrected": _rms(scored.before[i]),
+                "after": _rms(scored.after[i]),
+                "noise": result.diagnosis.noise_floor[i],
+                "torque": _rms(measured[rows, i]),
+            }
+        )
+    return table
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(x**2))) if len(x) else 0.0

@@ -1,0 +1,116 @@
+"""The evidence for every effect at every joint, as a matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hybrid.diagnose.attribute import Search
+    from hybrid.effects import Effect
+
+_LITTLE = 3.0  # nats: a row with less is only named
+_DECADE = float(np.log(10.0))
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One effect at one joint.
+
+    Attributes:
+        width: Number of joints that the cell stands for.
+        joints: Their names.
+        alone: Evidence for it when nothing else is added, factors of ten of the odds.
+        beside: Evidence for it beside the findings; for a finding what its removal
+            would lose.
+        named: Whether it is a finding.
+        shade: Darkness 0 to 1 of ``alone`` and of ``beside``.
+    """
+
+    width: int
+    joints: str
+    alone: float
+    beside: float
+    named: bool
+    shade: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """Rows of cells, strongest first, and the effects for which nothing speaks."""
+
+    rows: tuple[tuple[str, tuple[Cell, ...]], ...]
+    silent: tuple[str, ...]
+
+
+def evidence_matrix(search: Search) -> Matrix:
+    """What speaks for every effect at every joint.
+
+    Args:
+        search: A search whose terms are the findings.
+    """
+    joints = search.gap.robot.joints
+    found: dict[tuple[str, tuple[int, ...]], float] = {}
+    for t in search.terms:  # several ripples may share a place
+        found[t.place] = max(found.get(t.place, 0.0), search.loss(t))
+    alone = {c.place: gain for c, gain in search.ranked(search.background)}
+    beside = {c.place: gain for c, gain in search.ranked(search.base())} | found
+    scopes = {t.place: t.candidate.effect for t in (*search.tried, *search.terms)}
+    cells: dict[str, dict[int, Cell]] = {}
+    for place, effect in scopes.items():
+        column, width = _columns(effect, len(joints))
+        cell = Cell(
+            width,
+            " + ".join(joints[column : column + width]),
+            max(0.0, alone.get(place, 0.0)) / _DECADE,
+            max(0.0, beside.get(place, 0.0)) / _DECADE,
+            place in found,
+        )
+        row = cells.setdefault(place[0], {})
+        if column not in row or (cell.named, cell.alone) > _rank(row[column]):
+            row[column] = cell
+    order = sorted(cells, key=lambda e: max(map(_rank, cells[e].values())))[::-1]
+    loud = [e for e in order if any(map(_speaks, cells[e].values()))]
+    rows = tuple((e, tuple(_filled(cells[e], len(joints)))) for e in loud)
+    silent = tuple(sorted(e for e in order if e not in loud))
+    return Matrix(_shaded(rows), silent)
+
+
+def _columns(effect: Effect, size: int) -> tuple[int, int]:
+    """First joint and number of joints of an effect's cell."""
+    if effect.scope == "arm":
+        return 0, size
+    return (effect.joints[-1] if effect.id == "link_inertia" else effect.joints[0]), 1
+
+
+def _rank(cell: Cell) -> tuple[bool, float]:
+    return cell.named, cell.alone
+
+
+def _speaks(cell: Cell) -> bool:
+    return cell.named or max(cell.alone, cell.beside) > _LITTLE / _DECADE
+
+
+def _filled(row: dict[int, Cell], size: int) -> Iterator[Cell]:
+    column = 0
+    while column < size:
+        cell = row.get(column, Cell(1, "", 0.0, 0.0, False))
+        yield cell
+        column += cell.width
+
+
+def _shaded(
+    rows: tuple[tuple[str, tuple[Cell, ...]], ...],
+) -> tuple[tuple[str, tuple[Cell, ...]], ...]:
+    """Darkness by the logarithm: evidence spans decades."""
+    cells = [c for _, row in rows for c in row]
+    top = np.log1p(max((max(c.alone, c.beside) for c in cells), default=1.0))
+
+    def shade(c: Cell) -> Cell:
+        both = float(np.log1p(c.alone) / top), float(np.log1p(c.beside) / top)
+        return Cell(c.width, c.joints, c.alone, c.beside, c.named, both)
+
+    return tuple((effect, tuple(map(shade, row))) for effect, row in rows)

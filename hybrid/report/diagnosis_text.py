@@ -1,0 +1,139 @@
+"""A diagnosis in plain sentences, for a page and for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hybrid.diagnose.diagnosis import Diagnosis, Finding, Region, Shrink, Value
+
+MOST_LINES = 10
+_BOUND = "\u00a0"  # between a number and its unit
+
+
+def verdict_sentence(diagnosis: Diagnosis) -> str:
+    """What a diagnosis comes to."""
+    count, explained = len(diagnosis.findings), 1.0 - diagnosis.unexplained
+    effects = "one effect accounts" if count == 1 else f"{count} effects account"
+    part = "all" if explained >= 0.995 else f"{explained:.0%}"
+    return {
+        "no_gap": "No gap: what the simulator leaves is noise.",
+        "explained": f"Explained: {effects} for {part} of the gap above noise.",
+        "partly_explained": f"Partly explained: {effects} for {part} of the gap above "
+        "noise; what causes the rest is not known.",
+        "unexplained": "Unexplained: there is a gap, and no known effect is its cause.",
+        "not_excited": "Not excited: these recordings move the arm too little to tell.",
+    }[diagnosis.verdict]
+
+
+def verdict_lines(diagnosis: Diagnosis) -> list[str]:
+    """The diagnosis in at most ten lines: what, how sure, and what to run next."""
+    end = list(_endings(diagnosis))
+    room = MOST_LINES - 1 - len(end)
+    entries = [list(_entry(k + 1, f)) for k, f in enumerate(diagnosis.findings)]
+    if sum(map(len, entries)) > room:
+        entries = [entry[:1] for entry in entries]
+    lines = [line for entry in entries for line in entry]
+    if len(lines) > room:
+        lines = [*lines[: room - 1], f"… and {len(lines) - room + 1} more"]
+    return [verdict_sentence(diagnosis), *lines, *end]
+
+
+def _entry(number: int, f: Finding) -> Iterator[str]:
+    line = f"{number}. {effect_name(f.effect)} at {words(f.joints)}: "
+    line += f"{f.share:.0%} of what is explained"
+    if f.alternatives[1:]:
+        line += f"; may as well be {effects_listed(f.alternatives[1:], 'or')}"
+    yield line
+    parts = [shrink_sentence(kind, s) for kind, s in f.shrink.items()]
+    if parts:
+        yield f"   {'; '.join(parts)}"
+
+
+def _endings(diagnosis: Diagnosis) -> Iterator[str]:
+    if diagnosis.verdict == "unexplained" and diagnosis.where:
+        yield f"Largest part of the gap: {region_name(diagnosis.where[0])}"
+    if diagnosis.not_excited:
+        yield f"Not excited, so nothing is said of: {_few(diagnosis.not_excited)}"
+    if diagnosis.warnings:
+        yield f"Take care: {_few(diagnosis.warnings)}"
+    if diagnosis.advice:
+        first = diagnosis.advice[0]
+        splits = f", to tell {effects_listed(first.splits, 'from')}" if first.splits else ""
+        yield f"Run next: {first.experiment}{splits}"
+
+
+def shrink_sentence(kind: str, s: Shrink) -> str:
+    """How far a gap falls: of torque in N·m, of motion in rad."""
+    unit = "rad" if kind == "motion" else "N·m"
+    over = f" over {s.horizon_s:g} s" if s.horizon_s is not None else ""
+    low, high = s.interval
+    return (
+        f"{kind} gap{over} {number(s.before)} → {number(s.after)}{_BOUND}{unit}, "
+        f"{s.removed:.0%} less (95 % interval {low:.0%} to {high:.0%})"
+    )
+
+
+def region_name(region: Region) -> str:
+    """A part of the gap: ``elbow, speed 0 to 0.1 rad/s``."""
+    if region.variable == "link":
+        return f"{region.joint}, from {range_name(region)}"
+    if region.variable == "direction":
+        return f"{region.joint}, {range_name(region)}"
+    return f"{region.joint}, {region.variable.replace('_', ' ')} {range_name(region)}"
+
+
+def range_name(region: Region) -> str:
+    """The range of a region's variable: ``0 to 0.1 rad/s``, ``moving down``."""
+    if region.variable == "link":
+        return region.unit
+    if region.variable == "direction":
+        return "moving down" if region.high <= 0 else "moving up"
+    ends = f"{number(region.low)} to {number(region.high)}"
+    return f"{ends}{_BOUND}{region.unit}".rstrip(_BOUND)
+
+
+def effect_name(effect_id: str) -> str:
+    """An effect's id in words, as the start of a sentence."""
+    name = effect_id.replace("_", " ")
+    return name[:1].upper() + name[1:]
+
+
+def effects_listed(effect_ids: Sequence[str], last: str) -> str:
+    """Effects in words, inside a sentence: ``coulomb, stribeck or presliding``."""
+    return words([x.replace("_", " ") for x in effect_ids], last)
+
+
+def value_cells(value: Value) -> tuple[str, str, str]:
+    """A parameter as ``value``, ``interval`` and ``unit``.
+
+    The interval has two significant digits of its half-width, and the value as many
+    decimals; a shape that was only chosen has none.
+    """
+    low, high = value.interval
+    half = (high - low) / 2
+    if not (half > 0 and np.isfinite(half)):
+        return number(value.value, 4), "–", value.unit
+    decimals = int(np.clip(1 - np.floor(np.log10(half)), 0, 9))
+    mid, low_end, high_end = (
+        f"{x:.{decimals}f}".replace("-", "−") for x in (value.value, low, high)
+    )
+    return mid, f"{low_end} to {high_end}", value.unit
+
+
+def number(x: float, digits: int = 3) -> str:
+    """Some significant digits, with a true minus sign."""
+    return f"{x:.{digits}g}".replace("-", "−")
+
+
+def words(names: Sequence[str], last: str = "and") -> str:
+    """``a, b and c``."""
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def _few(texts: Sequence[str], most: int = 3) -> str:
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return "; ".join(texts[:most]) + more

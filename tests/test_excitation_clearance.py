@@ -1,0 +1,155 @@
+"""Distances between links: geometry, gradients, and motions that keep them."""
+
+import numpy as np
+import pytest
+from arms import MODELS, public_arm
+
+from hybrid.errors import ExcitationError, RobotError
+from hybrid.excitation import Clearance, Fourier, Limits, Workspace, design, observe
+from hybrid.excitation.clearance import closest_points, ends_in_world, frames
+from hybrid.excitation.path import Path, uniform
+from hybrid.robot import Robot
+from hybrid.robot.geometry import capsules_from_robot, zero_frames
+
+COMAN = Robot.load(MODELS / "coman_like.xml")
+
+
+def still(q):
+    zero = np.zeros_like(q)
+    return Path(np.arange(float(len(q))), q, zero, zero, zero)
+
+
+def test_closest_points_are_no_farther_than_any_others():
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=(2, 300, 2, 3))
+    second[:20] = first[:20] + 0.1  # parallel
+    first[20:30, 1] = first[20:30, 0]  # a point
+    x, y = closest_points(first, second)
+    s = np.linspace(0, 1, 60)[:, None]
+    on_first = first[:, :1] + s * (first[:, 1:] - first[:, :1])
+    on_second = second[:, :1] + s * (second[:, 1:] - second[:, :1])
+    every = np.linalg.norm(on_first[:, :, None] - on_second[:, None], axis=-1)
+    found = np.linalg.norm(x - y, axis=1)
+    assert (found <= every.min(axis=(1, 2)) + 1e-9).all()
+    assert (found >= every.min(axis=(1, 2)) - 0.05).all()
+
+
+def test_capsules_of_urdf_and_mjcf_are_alike():
+    other = Robot.load(MODELS / "coman_like.urdf")
+    first, second = (capsules_from_robot(x) for x in (COMAN, other))
+    assert np.array_equal(first.link, second.link)
+    np.testing.assert_allclose(first.radius, second.radius, atol=1e-6)
+
+
+def test_capsules_cover_every_point_of_a_mesh():
+    import pinocchio as pin
+
+    robot = public_arm("ur10")
+    capsules = capsules_from_robot(robot)
+    rotation, origin = zero_frames(robot.chain)
+    model = pin.buildModelFromUrdf(robot.path)
+    root = robot.path.split("/example-robot-data/")[0]
+    kind = pin.GeometryType.COLLISION
+    geometry = pin.buildGeomFromUrdf(model, robot.path, kind, package_dirs=[root])
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    for item in geometry.geometryObjects[1:7]:
+        link = item.parentJoint - 1
+        place = data.oMi[item.parentJoint].act(item.placement)
+        world = item.geometry.vertices() @ place.rotation.T + place.translation
+        points = (world - origin[link]) @ rotation[link]
+        own = capsules.link == link
+        ends = np.stack([points, points], axis=1)[:, None]
+        x, y = closest_points(np.repeat(ends, own.sum(), 1), capsules.ends[own][None])
+        inside = np.linalg.norm(x - y, axis=2) - capsules.radius[own]
+        assert inside.min(axis=1).max() < 1e-6
+
+
+def test_frames_are_those_of_pinocchio():
+    import pinocchio as pin
+
+    model = COMAN.pinocchio()
+    data = model.createData()
+    q = np.random.default_rng(0).uniform(-2, 2, (4, 6))
+    R, p, _ = frames(COMAN.chain, q)
+    for k, posture in enumerate(q):
+        pin.forwardKinematics(model, data, posture)
+        for j in range(6):
+            np.testing.assert_allclose(R[j, k], data.oMi[j + 1].rotation, atol=1e-12)
+            np.testing.assert_allclose(p[j, k], data.oMi[j + 1].translation, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["clearance", "workspace"])
+def test_slopes_are_those_of_finite_differences(kind):
+    limits = Limits.of(COMAN)
+    low = np.array([-0.5, -np.inf, 0.1])
+    capsules = capsules_from_robot(COMAN)
+    constraint = {
+        "clearance": Clearance.of(COMAN, limits),
+        "workspace": Workspace(COMAN, capsules, low, np.array([0.6, np.inf, 0.9])),
+    }[kind]
+    q = np.random.default_rng(1).uniform(limits.low, limits.high, (15, 6))
+    for k in range(0, len(constraint.names), 5):
+        slope = constraint.slope(still(q), np.full(15, k))
+        assert np.abs(slope[:, 1:]).max() == 0
+        for j in range(6):
+            step = 1e-6 * np.eye(6)[j]
+            ahead = constraint.excess(still(q + step))[:, k]
+            change = ahead - constraint.excess(still(q - step))[:, k]
+            np.testing.assert_allclose(slope[:, 0, j], change / 2e-6, atol=1e-6)
+
+
+def test_a_design_keeps_links_apart_and_above_the_floor():
+    planar = Robot.load(MODELS / "planar.xml")
+    limits = Limits.of(planar)
+    clearance = Clearance.of(planar, limits, margin=0.05)
+    free = design(
+        planar, observe(planar.chain), Fourier(4, 0.2), rng=np.random.default_rng(0)
+    )
+    height = 0.05 + lowest(planar, clearance, free)
+    low = np.array([-np.inf, -np.inf, height])
+    box = Workspace(planar, clearance.capsules, low, np.full(3, np.inf))
+    kept = design(
+        planar,
+        observe(planar.chain),
+        Fourier(4, 0.2),
+        rng=np.random.default_rng(0),
+        constraints=(clearance, box),
+    )
+    assert lowest(planar, clearance, kept) >= height
+    q = kept.trajectories[0].path(uniform(5.0, 333.0)).q
+    assert clearance.distance(q).min(initial=1.0) >= 0.0499
+    assert kept.condition >= free.condition * 0.99  # the floor costs something
+
+
+def lowest(robot, clearance, result):
+    """Lowest height of the moving links along a designed motion."""
+    q = result.trajectories[0].path(uniform(5.0, 333.0)).q
+    moving = clearance.capsules.link >= 1
+    ends = ends_in_world(robot.chain, clearance.capsules, q)[:, moving]
+    return (ends[..., 2] - clearance.capsules.radius[moving, None]).min()
+
+
+def test_a_box_that_is_too_small_is_named():
+    limits = Limits.of(COMAN)
+    box = Workspace(
+        COMAN, capsules_from_robot(COMAN), np.full(3, -9.0), np.array([9, 9, 0.01])
+    )
+    with pytest.raises(ExcitationError, match="no posture keeps the highest z"):
+        design(
+            COMAN,
+            observe(COMAN.chain),
+            Fourier(3, 0.1),
+            rng=np.random.default_rng(0),
+            limits=limits,
+            constraints=(box,),
+        )
+
+
+def test_a_robot_without_geometry_cannot_be_checked(tmp_path):
+    text = (MODELS / "planar.xml").read_text()
+    lines = [x for x in text.splitlines() if "<geom" not in x and "<exclude" not in x]
+    (tmp_path / "bare.xml").write_text("\n".join(lines))
+    robot = Robot.load(tmp_path / "bare.xml")
+    with pytest.raises(RobotError, match="no collision geometry"):
+        capsules_from_robot(robot)

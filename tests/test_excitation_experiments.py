@@ -1,0 +1,144 @@
+"""Ready-made experiments: each shows what it is for, within the limits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import MODELS, public_arm
+
+from hybrid.errors import ExcitationError
+from hybrid.excitation import (
+    Limits,
+    at_speeds,
+    micro_reversals,
+    multisine,
+    speed_ladder,
+    static_poses,
+)
+from hybrid.excitation.experiments import checked
+from hybrid.robot import Robot
+
+COMAN = Robot.load(MODELS / "coman_like.xml")
+
+
+def experiments(robot):
+    rng = np.random.default_rng(0)
+    limits = Limits.of(robot)
+    middle = (limits.low + limits.high) / 2
+    poses = middle + rng.uniform(-0.4, 0.4, (4, robot.size))
+    return {
+        "ladder": speed_ladder(robot, 1, speeds=(0.05, 0.4)),
+        "reversals": micro_reversals(robot, 2, amplitudes=(0.002, 0.01)),
+        "poses": static_poses(robot, poses),
+        "multisine": multisine(robot, duration=8.0, rng=rng),
+    }
+
+
+@pytest.mark.parametrize("name", ["ladder", "reversals", "poses", "multisine"])
+@pytest.mark.parametrize("arm", ["coman", "ur10"])
+def test_experiments_are_smooth_at_rest_at_the_ends_and_within_limits(arm, name):
+    robot = COMAN if arm == "coman" else public_arm(arm)
+    reference = experiments(robot)[name]
+    step = reference.t[1]
+    for x, dx in ((reference.q, reference.v), (reference.v, reference.a)):
+        middle = (x[2:] - x[:-2]) / (2 * step)
+        jerk = np.abs(np.diff(dx, axis=0)).max()
+        assert np.abs(middle - dx[1:-1]).max() <= jerk + 1e-9
+    for x in (reference.v, reference.a):
+        assert np.abs(x[[0, -1]]).max() < 1e-9
+    checked(robot, reference, Limits.of(robot))
+
+
+def test_a_ladder_moves_one_joint_at_each_speed_both_ways():
+    speeds = (0.05, 0.2, 0.8)
+    reference = speed_ladder(COMAN, "elbow", speeds=speeds)
+    j = COMAN.joint_index("elbow")
+    others = np.delete(reference.v, j, axis=1)
+    assert np.abs(others).max() == 0
+    steady = np.abs(reference.a[:, j]) < 1e-9
+    for speed in speeds:
+        for sign in (1, -1):
+            at = steady & np.isclose(reference.v[:, j], sign * speed, rtol=1e-6)
+            assert at.sum() > 100
+
+
+def test_reversals_grow_and_come_home():
+    sizes = (0.001, 0.004, 0.016)
+    reference = micro_reversals(COMAN, 1, amplitudes=sizes, repeats=2)
+    away = reference.q[:, 0] - reference.q[0, 0]
+    assert away[-1] == pytest.approx(0, abs=1e-12)
+    assert np.abs(away).max() == pytest.approx(0.016, rel=1e-3)
+    turns = (np.diff(np.sign(reference.v[:, 0])) != 0).sum()
+    assert turns >= 2 * 2 * len(sizes)
+
+
+def test_poses_are_held_still():
+    poses = np.array([[0.1, 0.5, 0.2, 0, 0, 0], [0.4, 0.8, -0.2, 0.3, 0, 0]])
+    reference = static_poses(COMAN, poses, hold=1.0, rate=200.0)
+    for pose in poses:
+        at = np.isclose(reference.q, pose, atol=1e-9).all(axis=1)
+        assert (at & (np.abs(reference.v).max(axis=1) < 1e-9)).sum() >= 199
+
+
+def test_a_multisine_has_power_in_its_band_only_and_no_common_tones():
+    reference = multisine(
+        COMAN, lowest=1.0, highest=4.0, duration=20.0, rng=np.random.default_rng(0)
+    )
+    lines = np.abs(np.fft.rfft(reference.a[:-1], axis=0))
+    own = lines[20:81:6]  # of the first joint, in twentieths of a hertz
+    assert own[:, 0].mean() > 5 * own[:, 1:].mean(axis=0).max() * (
+        lines[:, 0].max() / lines.max()
+    )
+    a = reference.a - reference.a.mean(axis=0)
+    power = np.abs(
+        np.fft.rfft(a[1000:-1000] * np.hanning(len(a) - 2000)[:, None], axis=0)
+    )
+    frequency = np.fft.rfftfreq(len(a) - 2000, reference.t[1])
+    band = (frequency > 0.8) & (frequency < 4.2)
+    share = (power[band] ** 2).sum(axis=0) / (power**2).sum(axis=0)
+    assert (share > 0.99).all()
+
+
+def test_the_same_path_at_other_speeds():
+    path = multisine(COMAN, duration=6.0, fill=0.3, rng=np.random.default_rng(1))
+    slow, same, fast = at_speeds(COMAN, path, (0.5, 1.0, 1.5))
+    assert [x.t[-1] for x in (slow, same, fast)] == pytest.approx([12.0, 6.0, 4.0])
+    np.testing.assert_allclose(same.q, path.q, atol=1e-12)
+    np.testing.assert_allclose(slow.q[::2], path.q, atol=1e-9)
+    np.testing.assert_allclose(slow.v[::2], path.v / 2, atol=1e-9)
+    np.testing.assert_allclose(slow.a[::2], path.a / 4, atol=1e-9)
+
+
+def test_too_fast_a_path_names_the_limit():
+    path = multisine(COMAN, duration=6.0, fill=0.8, rng=np.random.default_rng(1))
+    with pytest.raises(
+        ExcitationError, match="(speed|acceleration|torque) of .* exceed"
+    ):
+        at_speeds(COMAN, path, (4.0,))
+
+
+@pytest.mark.parametrize(
+    "make, says",
+    [
+        (lambda: speed_ladder(COMAN, 1, speeds=(99.0,)), "speed 99 rad/s of base"),
+        (lambda: micro_reversals(COMAN, 1, repeats=0), "repeats from 1"),
+        (lambda: static_poses(COMAN, np.zeros((2, 3))), "poses of 6 joints"),
+        (lambda: static_poses(COMAN, np.full((2, 6), 9.0)), "position of"),
+        (
+            lambda: multisine(
+                COMAN, highest=0.3, duration=5.0, rng=np.random.default_rng(0)
+            ),
+            "one tone or more",
+        ),
+        (lambda: speed_ladder(COMAN, 1, posture=np.full(6, 50.0)), "outside"),
+    ],
+)
+def test_bad_requests_say_what_is_valid(make, says):
+    with pytest.raises(ExcitationError, match=says):
+        make()
+
+
+def test_weak_drives_are_refused_before_anything_moves():
+    limits = replace(Limits.of(COMAN), torque=np.full(6, 0.5))
+    with pytest.raises(ExcitationError, match="torque"):
+        multisine(COMAN, rng=np.random.default_rng(0), limits=limits)

@@ -1,0 +1,139 @@
+"""The two designs of the literature, on small cases."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import MODELS
+
+from hybrid.effects import effects_from_text
+from hybrid.errors import HybridError
+from hybrid.excitation import (
+    BlockCondition,
+    Condition,
+    Fourier,
+    FourierQuintic,
+    observe,
+)
+from hybrid.excitation.constraints import Limits, MotionLimits
+from hybrid.excitation.path import uniform
+from hybrid.excitation.program import MotionProgram
+from hybrid.excitation.published import (
+    PopulationProgram,
+    iterated_design,
+    niche_design,
+    set_condition,
+)
+from hybrid.plant.scale import joint_scales
+from hybrid.robot import Robot
+from hybrid.search.niche_genetic import NicheGenetic
+from hybrid.search.search import minimise
+
+PLANAR = Robot.load(MODELS / "planar.xml")
+
+
+def ripples(x):
+    """Many valleys, the deepest at 0.3 in every coordinate."""
+    y = x - 0.3
+    return (y**2 - 0.3 * np.cos(6 * np.pi * y) + 0.3).sum(axis=1)
+
+
+def test_the_niche_algorithm_finds_the_deepest_of_many_valleys():
+    best = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        search = NicheGenetic([-2, -2, -2], [2, 2, 2], rng=rng)
+        history = minimise(search, ripples, 150)
+        assert (np.diff(history) <= 0).all()
+        best.append(search.best.value)
+    assert np.median(best) < 0.05
+
+
+def test_niches_keep_the_population_apart():
+    spread = []
+    for niche in (0.0, 0.05):
+        rng = np.random.default_rng(0)
+        search = NicheGenetic([-2, -2], [2, 2], rng=rng, mutation=0.02, niche=niche)
+        minimise(search, lambda x: (x**2).sum(axis=1), 60)
+        spread.append(search.ask().std())
+    assert spread[1] > 2 * spread[0]
+
+
+def test_points_stay_within_bounds_and_seeds_repeat():
+    runs = []
+    for _ in range(2):
+        search = NicheGenetic([0, 5], [1, 6], rng=np.random.default_rng(4))
+        for _ in range(10):
+            x = search.ask()
+            assert (x >= [0, 5]).all() and (x <= [1, 6]).all()
+            search.tell(x.sum(axis=1))
+        runs.append(search.best.point)
+    assert np.array_equal(*runs)
+
+
+def test_an_odd_population_is_refused():
+    with pytest.raises(HybridError, match="even population"):
+        NicheGenetic([0], [1], rng=np.random.default_rng(0), population=7)
+
+
+def program(criterion, observation):
+    limits = Limits.of(PLANAR)
+    b = observation.size
+    return MotionProgram(
+        observation,
+        criterion,
+        Fourier(3, 0.2),
+        (MotionLimits(limits, PLANAR.joints),),
+        limits,
+        np.zeros((b, b)),
+        20.0,
+        1.0,
+        1e-3,
+    )
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_iterated_designs_improve_with_each_motion_and_keep_the_limits(weighted):
+    observation = observe(PLANAR.chain, covariance=np.diag([4.0, 1.0]))
+    criterion = Condition()
+    if weighted:
+        criterion = BlockCondition(observation.gravity_columns)
+    found = iterated_design(
+        program(criterion, observation),
+        trajectories=2,
+        rng=np.random.default_rng(0),
+        tries=3,
+    )
+    pair, first = (set_condition(observation, x, 20.0) for x in (found, found[:1]))
+    assert pair < 1.02 * first
+    limits = Limits.of(PLANAR)
+    for motion in found:
+        path = motion.path(uniform(5.0, 200.0))
+        assert (np.abs(path.v) <= 1.001 * limits.speed).all()
+        assert (path.q <= limits.high + 1e-3).all()
+
+
+def test_gravity_columns_are_those_that_a_resting_arm_feels():
+    observation = observe(PLANAR.chain)
+    names = np.array(observation.base.kept_labels)
+    felt = names[observation.gravity_columns]
+    assert len(felt) and all(x[0] == "m" for x in felt)
+    assert all(x[0] == "I" for x in names[~observation.gravity_columns])
+
+
+def test_the_population_design_keeps_limits_and_beats_its_first_population():
+    scara = Robot.load(MODELS / "scara.xml")
+    unknown = effects_from_text("viscous,coulomb", scara.joints, joint_scales(scara))
+    observation = observe(scara.chain, unknown)
+    limits = Limits.of(scara)
+    search = PopulationProgram(
+        observation, Condition(), FourierQuintic(5, 0.1), limits, 10.0, 10.0
+    )
+    rng = np.random.default_rng(0)
+    motion = niche_design(search, rng=rng, generations=40)
+    upper = search.bounds.ravel()
+    first = search.values(rng.uniform(-upper, upper, (50, len(upper))))
+    value = search.values(motion.coefficients.reshape(1, -1))[0]
+    assert value < first.min()
+    path = replace(motion, family=FourierQuintic(5, 0.1)).path(uniform(10.0, 10.0))
+    assert (np.abs(path.v) <= 1.01 * limits.speed).all()

@@ -1,0 +1,327 @@
+"""Online identification: it tracks, notices payloads, and rest does no harm."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from arms import MODELS, random_arm, random_states
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hybrid.dynamics import inverse_dynamics, regressor
+from hybrid.dynamics.sample import SampleRegressor
+from hybrid.effects import effects_from_text
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.delay import Delay
+from hybrid.effects.transmission_coupling import TransmissionCoupling
+from hybrid.errors import IdentificationError, RecordingError
+from hybrid.identify import DynamicModel
+from hybrid.identify.online import OnlineIdentifier, Sample
+from hybrid.identify.sample_columns import SampleColumns
+from hybrid.identify.square_root import SquareRootFilter
+from hybrid.plant import random_fourier
+from hybrid.plant.scale import joint_scales
+from hybrid.robot import Robot
+from hybrid.signals.streaming import StreamingDerivative, StreamingLowPass
+
+RATE = 250.0
+
+
+@cache
+def arm():
+    return Robot.load(MODELS / "coman_like.xml")
+
+
+@cache
+def effects():
+    text = "coulomb,viscous,stribeck(exponent=2.0)"
+    return effects_from_text(text, arm().joints, joint_scales(arm()))
+
+
+@cache
+def log(seconds=30.0, seed=0, mass=0.0, at=np.inf, noise=0.3):
+    """Clock, position, torque and true links of an arm 15 % off its file."""
+    rng = np.random.default_rng(seed)
+    ref = random_fourier(arm(), duration=seconds, rate=RATE, rng=rng)
+    off = np.random.default_rng(0).uniform(0.85, 1.15, (6, 1))
+    links = arm().chain.inertial * off
+    loaded = links.copy()
+    loaded[-1] += mass * np.array([1, 0, 0, 0.1, 0.02, 0, 0.02, 0, 0, 0.005])
+    before, after = (
+        inverse_dynamics(arm().chain, x, ref.q, ref.v, ref.a) for x in (links, loaded)
+    )
+    tau = np.where(ref.t[:, None] < at, before, after)
+    for effect in effects():
+        j, x = effect.joints[0], effect.values
+        v = ref.v[:, j]
+        tau[:, j] += x.get("coefficient", 0.0) * v
+        fall = np.exp(-((v / 0.05) ** 2)) if effect.id == "stribeck" else 1.0
+        tau[:, j] += 0.8 * x.get("level", 0.0) * fall * np.sign(v)
+    torque = np.array([s.torque for s in joint_scales(arm())])
+    tau += noise * 0.01 * torque * rng.standard_normal(tau.shape)
+    return ref.t, ref.q + 1e-6 * rng.standard_normal(ref.q.shape), tau, links
+
+
+def tracked(data, tracker=None, **options):
+    t, q, tau, _ = data
+    tracker = tracker or OnlineIdentifier(arm(), effects(), rate=RATE, **options)
+    for k in range(len(t)):
+        tracker.update(Sample(float(t[k]), q[k], tau[k]))
+    return tracker
+
+
+@cache
+def after_thirty_seconds():
+    return tracked(log())
+
+
+# --- what it is made of ---------------------------------------------------------------
+
+
+def test_the_regressor_of_one_sample_is_that_of_many():
+    for seed in range(6):
+        robot = random_arm(seed)
+        states = random_states(robot.size, 5, seed)
+        many, one = regressor(robot.chain, *states), SampleRegressor(robot)
+        for k in range(5):
+            found = one(*(x[k] for x in states))
+            np.testing.assert_allclose(found, many[k], rtol=1e-9, atol=1e-9)
+
+
+@given(order=st.integers(0, 4), seed=st.integers(0, 99))
+def test_streaming_derivatives_are_exact_for_polynomials_and_late_by_their_delay(
+    order, seed
+):
+    c = np.polynomial.Polynomial(np.random.default_rng(seed).normal(size=order + 1))
+    t = np.arange(200) / 100
+    stream, found = StreamingDerivative(100.0, 8.0, 1), []
+    for k in range(200):
+        found.append(stream.push(c(t[k : k + 1]), t[k : k + 1]))
+    late = 2 * stream.delay
+    assert all(x is None for x in found[:late])
+    for k in range(late, 200):
+        q, v, a, other = found[k]
+        at = t[k - stream.delay]
+        assert other[0] == at
+        size = 1 + np.abs(c.coef).sum()
+        assert q[0] == pytest.approx(c(at), abs=1e-9 * size)
+        assert v[0] == pytest.approx(c.deriv(1)(at), abs=1e-7 * size)
+        assert a[0] == pytest.approx(c.deriv(2)(at), abs=1e-5 * size)
+
+
+def test_the_streaming_low_pass_is_the_filter_of_scipy_and_starts_settled():
+    from scipy.signal import butter, lfilter, lfilter_zi
+
+    x = np.random.default_rng(0).normal(size=(300, 2, 3)) + 5
+    b, a = butter(2, 9.0, fs=200.0)
+    start = lfilter_zi(b, a)[:, None, None] * x[0]
+    smooth = StreamingLowPass(200.0, 9.0)
+    found = np.array([smooth(y) for y in x])
+    np.testing.assert_allclose(found, lfilter(b, a, x, axis=0, zi=start)[0], atol=1e-12)
+    settled = StreamingLowPass(200.0, 9.0)
+    assert all(settled(np.full(2, 3.0)) == pytest.approx(3.0) for _ in range(50))
+
+
+def test_too_low_a_rate_is_refused():
+    with pytest.raises(RecordingError, match="above 50 Hz"):
+        StreamingDerivative(45.0, 10.0, 2)
+
+
+def test_without_forgetting_the_filter_is_least_squares():
+    rng = np.random.default_rng(0)
+    H, x = rng.normal(size=(40, 2, 5)), rng.normal(size=5)
+    y = H @ x + rng.normal(size=(40, 2))
+    square = SquareRootFilter(np.zeros(5), 10 * np.eye(5))
+    for k in range(40):
+        square.update(H[k], y[k] - H[k] @ square.mean)
+    rows, target = H.reshape(-1, 5), y.ravel()
+    information = rows.T @ rows + 0.01 * np.eye(5)
+    np.testing.assert_allclose(
+        square.mean, np.linalg.solve(information, rows.T @ target)
+    )
+    np.testing.assert_allclose(
+        square.covariance, np.linalg.inv(information), atol=1e-12
+    )
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 999), forgetting=st.floats(0.5, 1), rank=st.integers(0, 3))
+def test_the_covariance_never_grows_whatever_is_seen(seed, forgetting, rank):
+    rng = np.random.default_rng(seed)
+    square = SquareRootFilter(np.zeros(6), rng.normal(size=(6, 6)))
+    directions = rng.normal(size=(rank, 6)) * 10.0 ** rng.uniform(-4, 4)
+    for _ in range(30):
+        before = square.covariance
+        H = rng.normal(size=(3, rank)) @ directions
+        square.update(H, rng.normal(size=3), forgetting)
+        change = np.linalg.eigvalsh(before - square.covariance)
+        assert change.min() >= -1e-9 * np.abs(before).max()
+
+
+def test_with_forgetting_it_follows_what_drifts_and_without_it_does_not():
+    rng, ends = np.random.default_rng(1), []
+    for forgetting in (1.0, 0.95):
+        square = SquareRootFilter(np.zeros(2), np.eye(2))
+        for k in range(4000):
+            H = rng.normal(size=(1, 2))
+            truth = np.array([1.0, 1.0 + k / 1000])
+            y = H @ truth + 0.1 * rng.normal(size=1)
+            square.update(H / 0.1, (y - H @ square.mean) / 0.1, forgetting)
+        ends.append(abs(square.mean[1] - truth[1]))
+    assert ends[0] > 0.5 and ends[1] < 0.25
+
+
+def test_a_bound_moves_what_is_correlated_along():
+    root = np.array([[1.0, 0.0], [0.8, 0.6]])
+    square = SquareRootFilter(np.array([-1.0, 0.0]), root)
+    square.keep_within(np.array([0.0, -np.inf]), np.full(2, np.inf))
+    np.testing.assert_allclose(square.mean, [0.0, 0.8])
+    square.widen(np.array([[0.0], [2.0]]))
+    np.testing.assert_allclose(square.covariance, [[1, 0.8], [0.8, 5]])
+
+
+def test_columns_of_a_sample_are_the_slopes_of_the_torque():
+    kinds = "stribeck,load_friction,threshold_friction,torque_offset"
+    some = effects_from_text(kinds, arm().joints, joint_scales(arm()))
+    some.append(TransmissionCoupling.typical((4, 5), joint_scales(arm())))
+    tracker = OnlineIdentifier(arm(), some, rate=RATE)
+    problem, theta = tracker.problem, tracker.theta
+    columns = SampleColumns(arm(), problem)
+    q, v, a = (x[0] for x in random_states(6, 1, 3))
+    v *= 0.02
+
+    def torque(x):
+        J, _ = columns(q, v, a, x, 0.0)
+        return J[:, : problem.size] @ x[: problem.size]
+
+    J, last = columns(q, v, a, theta, 0.0)
+    whole = regressor(arm().chain, q[None], v[None], a[None])[0]
+    np.testing.assert_allclose(last, whole[:, -10:], atol=1e-9)
+    for k in range(problem.size, len(theta)):
+        step = 1e-6 * theta[k] * np.eye(len(theta))[k]
+        slope = (torque(theta + step) - torque(theta - step)) / (2e-6 * theta[k])
+        np.testing.assert_allclose(
+            J[:, k], slope, atol=2e-3 * np.abs(slope).max() + 1e-6
+        )
+
+
+# --- what it does ---------------------------------------------------------------------
+
+
+def test_parameters_are_found_within_their_uncertainty():
+    tracker, (*_, links) = after_thirty_seconds(), log()
+    p = tracker.problem
+    rigid = p.rigid
+    truth = (p.base.mapping[:, :60] @ links.ravel())[rigid]
+    z = (tracker.theta[rigid] - truth) / tracker.std[rigid]
+    assert np.sqrt(np.mean(z**2)) < 1.6 and np.abs(z).max() < 4.5
+    assert not tracker.changes
+
+
+def test_nonlinear_friction_is_found_with_the_rest():
+    found = {p.name: p for p in after_thirty_seconds().parameters}
+    for effect in effects():
+        j = effect.joints[0]
+        if effect.id == "coulomb":
+            level = found[f"coulomb.level[{arm().joints[j]}]"]
+            assert level.value == pytest.approx(0.8 * effect.values["level"], rel=0.05)
+        if effect.id == "stribeck":
+            velocity = found[f"stribeck.velocity[{arm().joints[j]}]"]
+            assert abs(velocity.value - 0.05) < 4 * velocity.std + 0.002
+
+
+def test_its_model_predicts_as_well_as_the_noise_allows():
+    from hybrid.recording import Recording
+    from hybrid.signals import Sampler, motion_from_recording
+
+    t, q, tau, _ = log(seconds=12.0, seed=9)
+    motion = motion_from_recording(
+        Recording(t=t, q=q, tau=tau, joints=arm().joints), cutoff=10.0
+    )
+    low = Sampler(RATE, 10.0, 1)
+    moving = motion.mask & (np.abs(motion.v).min(axis=1) > 0.1)
+    left = low(tau - after_thirty_seconds().model.predict(motion))[moving]
+    torque = np.array([s.torque for s in joint_scales(arm())])
+    noise = 0.003 * torque * np.sqrt(10 / (RATE / 2))
+    assert np.all(np.sqrt(np.mean(left**2, axis=0)) < 1.6 * noise)
+
+
+@pytest.mark.parametrize("mass", [2.0, 0.5, -1.0])
+def test_a_payload_is_noticed_at_once_and_weighed_soon(mass):
+    at = 12.4
+    tracker = tracked(log(seconds=15.0, seed=4, mass=mass, at=at))
+    first = tracker.changes[0]
+    assert 0 < first.t - at < 0.25 and first.statistic > 50
+    assert len(tracker.changes) == 1
+    assert tracker.taken[0] == pytest.approx(mass, rel=0.05)
+    assert tracker.taken[3] == pytest.approx(0.1 * mass, abs=0.02)
+
+
+def test_an_hour_of_standstill_does_no_harm():
+    tracker = tracked(log(seconds=10.0))
+    before = tracker.theta, tracker.std
+    rng = np.random.default_rng(0)
+    t, q, tau, _ = log(seconds=10.0)
+    sag = rng.normal(size=6)
+    for k in range(round(3600 * 20)):  # at a twelfth of the rate, to save time
+        noisy = q[-1] + 1e-6 * rng.standard_normal(6)
+        tracker.update(Sample(10 + k / 20, noisy, tau[-1] + sag * np.sin(k / 5000)))
+    np.testing.assert_array_equal(tracker.theta, before[0])
+    np.testing.assert_array_equal(tracker.std, before[1])
+    assert not tracker.changes
+    moved = tracked((t + 3700, *log(seconds=10.0)[1:]), tracker)
+    assert np.abs(moved.error).max() < 3 and not moved.changes
+    assert np.all(moved.std <= before[1] * (1 + 1e-9))
+
+
+def test_a_blow_shifts_nothing_much():
+    t, q, tau, links = log()
+    hit = tau.copy()
+    hit[5000:5005] += 80.0
+    plain, struck = after_thirty_seconds(), tracked((t, q, hit, links))
+    shift = np.abs(struck.theta - plain.theta) / plain.std
+    assert shift.max() < 3 and not struck.changes
+
+
+def test_gains_stay_physical():
+    t, q, tau, links = log(seconds=10.0, noise=5.0)
+    tracker = tracked((t, q, tau, links))
+    for p in tracker.parameters:
+        assert p.lower <= p.value <= p.upper
+        if p.name.startswith(("coulomb", "viscous", "stribeck")):
+            assert p.value >= 0
+
+
+def test_with_exact_states_no_filter_is_needed():
+    robot, rng = random_arm(3), np.random.default_rng(0)
+    links = robot.chain.inertial * rng.uniform(0.9, 1.1, (robot.size, 1))
+    q, v, a = random_states(robot.size, 300, 1)
+    tau = inverse_dynamics(robot.chain, links, q, v, a)
+    tracker = OnlineIdentifier(
+        robot, rate=100.0, cutoff=np.inf, memory=1e6, noise=np.full(robot.size, 1e-3)
+    )
+    for k in range(300):
+        tracker.update(Sample(k / 100, q[k], tau[k], v[k], a[k]))
+    size = tracker.problem.size
+    truth = tracker.problem.base.mapping[:size] @ links.ravel()
+    np.testing.assert_allclose(tracker.theta, truth, rtol=1e-3, atol=1e-3)
+    assert tracker.delay == 0
+    with pytest.raises(IdentificationError, match="speed and acceleration"):
+        tracker.update(Sample(3.0, q[0], tau[0]))
+
+
+def test_it_goes_on_from_a_model_and_gives_one_back():
+    model = after_thirty_seconds().model
+    again = OnlineIdentifier.from_model(model, rate=RATE)
+    assert isinstance(model, DynamicModel) and again.model.effects == model.effects
+    p = again.problem.size
+    np.testing.assert_allclose(again.theta[:p], after_thirty_seconds().theta[:p])
+    tracked(log(seconds=10.0, seed=0), again)
+    assert np.abs(again.error).max() < 3
+
+
+def test_what_cannot_be_tracked_is_refused():
+    with pytest.raises(IdentificationError, match="delay changes signals"):
+        OnlineIdentifier(arm(), [Delay((2,))], rate=RATE)
+    with pytest.raises(IdentificationError, match="above 0"):
+        OnlineIdentifier(arm(), [Coulomb((0,))], rate=0.0)

@@ -1,0 +1,165 @@
+"""Population searches: they find known optima, within bounds, the same for one seed."""
+
+import numpy as np
+import pytest
+
+from hybrid.errors import HybridError
+from hybrid.search import minimise
+from hybrid.search.adaptive_genetic import AdaptiveGenetic
+from hybrid.search.annealed_genetic import AnnealedGenetic
+from hybrid.search.recursive_differential_evolution import (
+    RecursiveDifferentialEvolution,
+)
+
+LOWER, UPPER = np.array([-3.0, 0.0, 10.0]), np.array([5.0, 1.0, 90.0])
+OPTIMUM = np.array([1.0, 0.3, 70.0])
+GENETIC = (AdaptiveGenetic, AnnealedGenetic)
+
+
+def valley(x):
+    """Zero at the optimum, curved, with ripples beside it."""
+    u = (x - OPTIMUM) / (UPPER - LOWER)
+    return (
+        100 * (u[:, 0] - u[:, 1] ** 2) ** 2
+        + (u**2).sum(1)
+        + 0.1 * np.sin(20 * u[:, 2]) ** 2
+    )
+
+
+def search(kind, seed=0, **options):
+    return kind(LOWER, UPPER, rng=np.random.default_rng(seed), **options)
+
+
+@pytest.mark.parametrize("kind", GENETIC)
+def test_a_genetic_search_finds_the_optimum_among_ripples(kind):
+    for seed in range(3):
+        found = search(kind, seed)
+        minimise(found, valley, 600)
+        assert found.best.value < 2e-3
+        np.testing.assert_allclose(
+            (found.best.point - OPTIMUM) / (UPPER - LOWER), 0, atol=0.05
+        )
+
+
+@pytest.mark.parametrize("kind", GENETIC)
+def test_it_asks_within_the_bounds_and_never_loses_the_best(kind):
+    found = search(kind, population=20)
+    values, best = [], []
+    for _ in range(60):
+        x = found.ask()
+        assert x.shape == (20, 3) and np.all(x >= LOWER) and np.all(x <= UPPER)
+        values.append(valley(x).min())
+        found.tell(valley(x))
+        best.append(found.best.value)
+    np.testing.assert_array_equal(best, np.minimum.accumulate(values))
+    assert valley(found.best.point[None])[0] == found.best.value
+
+
+@pytest.mark.parametrize("kind", GENETIC)
+def test_one_seed_gives_one_course(kind):
+    courses = [minimise(search(kind, seed), valley, 40) for seed in (1, 1, 2)]
+    np.testing.assert_array_equal(courses[0], courses[1])
+    assert np.any(courses[0] != courses[2])
+
+
+@pytest.mark.parametrize("kind", GENETIC)
+def test_points_without_a_value_are_no_obstacle(kind):
+    def holed(x):
+        return np.where(x[:, 0] < 0, np.nan, valley(x))
+
+    found = search(kind)
+    minimise(found, holed, 300)
+    assert np.isfinite(found.best.value) and found.best.point[0] >= 0
+    empty = search(kind)
+    minimise(empty, lambda x: np.full(len(x), np.nan), 4)
+    assert np.all(empty.ask() >= LOWER)
+
+
+def test_annealing_accepts_what_is_worse_while_it_is_hot_and_not_when_cold():
+    def moved(temperature):
+        hill = search(AnnealedGenetic, temperature=temperature, population=100)
+        hill.tell(valley(hill.ask()))
+        before = hill._values.copy()
+        hill.tell(valley(hill.ask()))
+        return np.sum(hill._values > before)
+
+    assert moved(1.0) > 10
+    assert moved(1e-9) == 0
+
+
+def test_mutations_shrink_to_nothing_with_the_last_generation():
+    x = np.tile(OPTIMUM, (1000, 1))
+    sizes = []
+    for generation in (0, 250, 490, 500):
+        found = search(AdaptiveGenetic, generations=500)
+        found.generation = generation
+        sizes.append(np.abs(found._mutate(x) - x).mean())
+    assert sizes[0] > sizes[1] > sizes[2] > sizes[3] == 0.0
+
+
+def test_the_fittest_are_changed_least():
+    fitness = np.linspace(0, 1, 11)
+    rates = AdaptiveGenetic._rate(fitness, fitness, (0.9, 0.6))
+    assert np.all(rates[:6] == 0.9)
+    assert np.all(np.diff(rates[5:]) < 0) and rates[-1] == pytest.approx(0.6)
+
+
+# --- recursive differential evolution -----------------------------------------------
+
+
+def line_data(samples=60):
+    rng = np.random.default_rng(3)
+    H = rng.standard_normal((samples, 2))
+    return H, H @ np.array([0.7, -0.4])
+
+
+def recursive(seed=0, **options):
+    rng = np.random.default_rng(seed)
+    population = rng.uniform(-1, 1, (40, 2))
+    return RecursiveDifferentialEvolution(
+        [-1, -1], [1, 1], rng=rng, population=population, **options
+    )
+
+
+def test_with_the_step_of_recursive_least_squares_it_follows_a_line():
+    H, y = line_data()
+    search, R = recursive(), 1e-3 * np.eye(2)
+    for k in range(1, len(y)):
+
+        def cost(x, k=k):
+            return np.sum((y[:k] - x @ H[:k].T) ** 2, axis=1)
+
+        search.renew(cost(search.population))
+        R += np.outer(H[k], H[k])
+        search.aim(np.linalg.solve(R, H[k] * (y[k] - H[k] @ search.best.point)))
+        before = search.best.value
+        x = search.ask()
+        assert np.all(np.abs(x) <= 1)
+        search.tell(cost(x))
+        assert search.best.value <= before
+    np.testing.assert_allclose(search.best.point, [0.7, -0.4], atol=0.02)
+
+
+def test_a_detour_moves_what_has_met_in_the_best_point():
+    for detour, moves in ((0.0, False), (1.0, True)):
+        search = recursive(detour=detour)
+        search.population[2:] = search.population[0]
+        search.aim(np.zeros(2))
+        search.renew(np.array([0.0, 0.1] + 38 * [0.5]))
+        trial = search.ask()[5]
+        assert np.any(trial != search.population[0]) == moves
+
+
+@pytest.mark.parametrize("lower, upper", [([0], [0]), ([0, 1], [1]), ([0], [np.inf])])
+def test_bounds_that_are_none_are_refused(lower, upper):
+    with pytest.raises(HybridError, match="bounds"):
+        AdaptiveGenetic(lower, upper, rng=np.random.default_rng(0))
+
+
+def test_values_of_another_number_are_refused():
+    found = search(AdaptiveGenetic, population=10)
+    found.ask()
+    with pytest.raises(HybridError, match=r"valid is \(10,\)"):
+        found.tell(np.zeros(9))
+    with pytest.raises(HybridError, match="even number"):
+        search(AdaptiveGenetic, population=7)
