@@ -13,8 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hybrid.calibrate import calibrate
+    from hybrid.diagnose.diagnose import diagnose
+    from hybrid.diagnose.diagnosis import Diagnosis
     from hybrid.effects import Effect
     from hybrid.effects import effect_classes as effects
+    from hybrid.export import export
     from hybrid.identify import DynamicModel, Fit, identify, predict, validate
     from hybrid.identify.online import OnlineIdentifier, Sample
     from hybrid.plant import simulate
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Diagnosis",
     "DynamicModel",
     "Effect",
     "Fit",
@@ -36,7 +40,9 @@ __all__ = [
     "Sample",
     "__version__",
     "calibrate",
+    "diagnose",
     "effects",
+    "export",
     "identify",
     "predict",
     "read_recordings",
@@ -46,6 +52,7 @@ __all__ = [
 
 # Public name -> the module it lives in, and its name there where that is another one.
 _HOME = {
+    "Diagnosis": "hybrid.diagnose.diagnosis",
     "DynamicModel": "hybrid.identify",
     "Effect": "hybrid.effects",
     "Fit": "hybrid.identify",
@@ -55,7 +62,9 @@ _HOME = {
     "Robot": "hybrid.robot",
     "Sample": "hybrid.identify.online",
     "calibrate": "hybrid.calibrate",
+    "diagnose": "hybrid.diagnose.diagnose",
     "effects": "hybrid.effects:effect_classes",
+    "export": "hybrid.export",
     "identify": "hybrid.identify",
     "predict": "hybrid.identify",
     "read_recordings": "hybrid.recording:read_all",

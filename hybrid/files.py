@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,6 +34,36 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_folder(folder: str | Path) -> Iterator[Path]:
+    """A hidden folder whose files take their places when all went well.
+
+    On any exception it is removed, and what was there before stays as it was. Files of
+    other names in a folder that exists are left alone.
+
+    Args:
+        folder: Where the finished files shall be.
+
+    Yields:
+        Where to write them, on the same disk, so that each move is one step.
+    """
+    folder = Path(folder).resolve()
+    is_new = not folder.is_dir()
+    home = folder.parent if is_new else folder
+    home.mkdir(parents=True, exist_ok=True)
+    hidden = home / f".{folder.name}.{uuid.uuid4().hex[:12]}"
+    hidden.mkdir()
+    try:
+        yield hidden
+        if is_new:
+            hidden.replace(folder)
+        else:
+            for path in sorted(hidden.iterdir()):
+                path.replace(folder / path.name)
+    finally:
+        shutil.rmtree(hidden, ignore_errors=True)
 
 
 def write_json(path: str | Path, content: Any) -> None:

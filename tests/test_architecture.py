@@ -15,9 +15,11 @@ PACKAGE = Path(__file__).parents[1] / "hybrid"
 # Top to bottom; modules of one line may import each other, and everything below.
 FLOORS = (
     {"__main__", "cli"},
+    {"benchmark"},
     {"report"},
     {"diagnose"},
     {"calibrate"},
+    {"export"},
     {"identify"},
     {"excitation"},
     {"compensator"},

@@ -27,6 +27,7 @@ from hybrid.robot import Robot
 PLANAR = str(MODELS / "planar.xml")
 HEAVY = "torch mujoco pinocchio sklearn scipy matplotlib numpy".split()
 VERBS = ("simulate", "identify", "validate", "predict", "effects")
+EVERY_VERB = tuple(sys.modules["hybrid.cli.command"]._VERBS)
 SHORT = "--trajectories 1 --duration 2"
 
 
@@ -461,8 +462,8 @@ class TestOwnEffects:
 
 
 BAD_ARGUMENTS = {
-    "": "required: {simulate,identify,",
-    "diagnose": "simulate",
+    "": f"required: {{{','.join(EVERY_VERB)}}}",
+    "no-such-verb": "simulate",
     "simulate": "--robot, --out",
     "simulate --robot {R} --out {OUT} --sead 3": "unknown --sead 3",
     "simulate --robot {R} --out {OUT} --seed -1": "whole number from 0",
@@ -676,7 +677,7 @@ def test_help_names_every_stage_estimator_and_verb(capsys):
         assert "example" in out or "hybrid simulate --robot" in out
 
 
-@pytest.mark.parametrize("verb", sys.modules["hybrid.cli.command"]._VERBS)
+@pytest.mark.parametrize("verb", EVERY_VERB)
 def test_every_verb_has_help_with_examples(verb, capsys):
     with pytest.raises(SystemExit) as stopped:
         main([verb, "--help"])

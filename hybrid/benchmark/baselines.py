@@ -41,7 +41,7 @@ def baselines(result: Result) -> Mapping[str, tuple[Named, ...]]:
 
 
 def _ranking(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Term]:
-    """The candidate with the largest fall of squares on folds left out, all positive."""
+    """The candidate that takes most squares off folds left out, off each of them."""
     folds = np.arange(len(evidence.folds))
     gains = np.zeros((len(tried), len(folds)))
     for f in folds:
@@ -60,7 +60,9 @@ def _ranking(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Ter
             new = np.concatenate([rigid, own_gains])
             old = np.concatenate([alone, np.zeros(len(own))])
             part = G[np.ix_(both, both)]
-            gains[c, f] = 2 * m[both] @ (new - old) + old @ part @ old - new @ part @ new
+            gains[c, f] = (
+                2 * m[both] @ (new - old) + old @ part @ old - new @ part @ new
+            )
     total = np.where(np.all(gains > 0, axis=1), gains.sum(axis=1), -np.inf)
     best = int(np.argmax(total))
     return [tried[best]] if np.isfinite(total[best]) else []
@@ -76,7 +78,7 @@ def _stepwise(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Te
         open_ = [t for t in tried if t not in chosen]
         A, b, H, s, _ = _schur(evidence, now, open_, None)
         left = rest - float(b @ np.linalg.solve(A, b))
-        best, chance, start = None, 1.0, 0
+        ranked, start = [], 0
         for term in open_:
             p = len(term.index)
             own = slice(start, start + p)
@@ -84,14 +86,12 @@ def _stepwise(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Te
             fall = float(s[own] @ _solve(H[own, own], s[own]))
             freedom = samples - len(now) - p
             ratio = (fall / p) / max((left - fall) / freedom, 1e-300)
-            now_chance = float(f_distribution.sf(ratio, p, freedom))
-            if best is None or now_chance < chance or (
-                now_chance == chance == 0.0 and ratio > best[1]
-            ):  # fmt: skip
-                best, chance = (term, ratio), now_chance
-        if best is None or chance > _LEVEL / len(tried):
+            chance = float(f_distribution.sf(ratio, p, freedom))
+            ranked.append((chance, -ratio, term))  # many a chance is zero
+        chance, _, best = min(ranked, key=lambda x: x[:2])
+        if chance > _LEVEL / len(tried):
             break
-        chosen.append(best[0])
+        chosen.append(best)
     return chosen
 
 
@@ -111,9 +111,9 @@ def _stlsq(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Term]
         worth[:] = 0.0
         for k in kept:
             own = slice(edges[k], edges[k + 1])
-            worth[k] = np.sqrt(max(full[own] @ H[own, own] @ full[own], 0.0))
-        most = worth.max()
-        fewer = [k for k in kept if worth[k] > _SMALL * most]
+            squares = float(full[own] @ H[own, own] @ full[own])
+            worth[k] = np.sqrt(max(squares, 0.0))
+        fewer = [k for k in kept if worth[k] > _SMALL * worth.max()]
         if fewer == kept:
             break
         kept = fewer

@@ -9,17 +9,22 @@ from zlib import crc32
 
 import numpy as np
 
-# Stratum -> what its plants are like.
+from hybrid.errors import HybridError
+
+# Short names of robots that thresholds of the diagnosis were tuned on.
+TUNED = ("coman_like",)
+
+# Kind of plant -> its part of a benchmark's cases.
 STRATA = {
-    "single": "one effect of the library",
-    "withheld": "one effect, which is then left out of the library",
-    "none": "no effect; the file's numbers are off",
-    "pair": "two effects",
-    "triple": "three effects",
-    "unknown": "an effect that no file describes",
-    "independent": "a library effect in an independent implementation of its physics",
-    "poor": "one effect on slow motions of some joints only",
-    "command": "an effect that leaves no trace between motion and torque",
+    "single": 0.4,  # one effect of the library
+    "withheld": 0.15,  # one effect, which is then left out of the library
+    "none": 0.1,  # no effect; the file's numbers are off
+    "pair": 0.1,
+    "triple": 0.04,
+    "unknown": 0.08,  # an effect that no file describes
+    "independent": 0.05,  # a library effect by other equations or another's code
+    "poor": 0.05,  # one effect on slow motions of some joints only
+    "command": 0.03,  # an effect that leaves no trace between motion and torque
 }
 
 
@@ -66,18 +71,34 @@ class Case:
 
 
 def plan(
-    robots: Sequence[str], counts: dict[str, int], *, seed: int
+    robots: Sequence[str],
+    count: int,
+    *,
+    seed: int,
+    strata: Sequence[str] | None = None,
 ) -> tuple[Case, ...]:
     """Cases of all robots and strata, alternating, so that any start is balanced.
 
     Args:
         robots: Robot files or names.
-        counts: Number of cases of each stratum, over all robots.
+        count: Number of cases.
         seed: Seed of the benchmark.
+        strata: Some of ``STRATA``; all by default.
+
+    Raises:
+        HybridError: There is no such stratum.
     """
-    cases = [
-        ((k + 0.5) / count, Case(robots[k % len(robots)], name, k // len(robots), seed))
-        for name, count in counts.items()
-        for k in range(count)
-    ]
-    return tuple(case for _, case in sorted(cases, key=lambda x: x[0]))
+    for name in strata or ():
+        if name not in STRATA:
+            raise HybridError(f"no stratum {name!r}; valid are {', '.join(STRATA)}")
+    parts = {name: STRATA[name] for name in strata or STRATA}
+    whole = sum(parts.values())
+    given = dict.fromkeys(parts, 0)
+    cases = []
+    for k in range(count):
+        # Whichever stratum is furthest behind its part comes next.
+        name = max(parts, key=lambda x: parts[x] / whole * (k + 1) - given[x])
+        index, robot = divmod(given[name], len(robots))
+        cases.append(Case(robots[robot], name, index, seed))
+        given[name] += 1
+    return tuple(cases)

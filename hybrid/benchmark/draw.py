@@ -12,7 +12,7 @@ from hybrid.benchmark.strangers import STRANGERS
 from hybrid.diagnose.candidates import places
 from hybrid.effects import Effect, effect_classes
 from hybrid.effects.effect import Port
-from hybrid.errors import EffectError
+from hybrid.errors import EffectError, HybridError
 from hybrid.robot.chain import Array
 
 # Sums of other laws, which a fit may choose but no cause has.
@@ -21,6 +21,7 @@ _ONE_SIDED = {"nonlinear_viscous", "transmission_coupling"}
 _RIPPLES = (1, 2, 4, 6, 12, 20, 32, 50, 100, 160, 200)
 _SPREAD = 0.5  # of the logarithm of sizes and shapes
 _DRAWS = 10
+_SMALLEST = 0.3  # residuals of a perfect fit: less cannot be found
 
 
 def torque_effects() -> tuple[str, ...]:
@@ -57,16 +58,23 @@ def draw(
             continue
         if size is not None:
             effect = rig.scaled(effect, size)
-        elif not plausible(effect, rig.scales):
+        elif not plausible(effect, rig.scales) or not _felt(effect, rig):
             continue
         if effect is not None:
             return effect
     return None
 
 
+def _felt(effect: Effect, rig: Rig) -> bool:
+    try:
+        return float(rig.sizes(effect).max()) >= _SMALLEST
+    except HybridError:  # the plant swings up
+        return False
+
+
 def _usual(name: str, rig: Rig, rng: np.random.Generator) -> Effect | None:
     """An effect about as large as it usually is."""
-    cls = (effect_classes() | STRANGERS | INDEPENDENT)[name]
+    cls = {**effect_classes(), **STRANGERS, **INDEPENDENT}[name]
     if name in STRANGERS or name in INDEPENDENT:
         spots = list(_spots(cls.over, rig.robot.size))
     else:

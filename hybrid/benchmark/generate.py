@@ -31,6 +31,7 @@ from hybrid.recording.write import write
 from hybrid.robot import Robot
 
 DURATION, RATE = 10.0, 500.0  # s, Hz
+IMPOSSIBLE = 3  # exit code: the arm cannot have such an effect
 _UNSEEN = 2
 _PARTNERS = 6  # other effects that are tried beside the first
 
@@ -106,9 +107,7 @@ def generate(case: Case, visible: Path, sealed: Path) -> None:
     robot = load_arm(case.robot)
     recipe = recipe_for(case, rng)
     usual = Noise.typical(robot)
-    noise = replace(
-        usual, torque_covariance=recipe.noise**2 * usual.torque_covariance
-    )
+    noise = replace(usual, torque_covariance=recipe.noise**2 * usual.torque_covariance)
     count = recipe.recordings + _UNSEEN
     references = [_reference(robot, recipe, child) for child in rng.spawn(count)]
     rig = Rig.build(robot, references[0], noise, rng)
@@ -196,7 +195,8 @@ def main() -> None:
         try:
             generate(Case(**content), visible, sealed)
         except HybridError as error:
-            sys.exit(str(error))
+            sys.stderr.write(f"{error}\n")
+            sys.exit(IMPOSSIBLE)
 
 
 if __name__ == "__main__":

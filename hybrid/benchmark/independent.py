@@ -107,6 +107,5 @@ class SoftSaturation(Stranger):
 
 
 INDEPENDENT: dict[str, type[Any]] = {
-    cls.id: cls
-    for cls in (BristleMotor, CoggingMotor, SelfHeatingGear, SoftSaturation)
+    cls.id: cls for cls in (BristleMotor, CoggingMotor, SelfHeatingGear, SoftSaturation)
 }

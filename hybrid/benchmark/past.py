@@ -19,8 +19,8 @@ def past(effect: Effect, state: JointState, *names: str) -> dict[str, Array]:
         *names: Names of the arrays.
     """
     memory: dict[str, Array] = effect.__dict__.setdefault("_past", {})
-    clock = memory.get("clock")
-    if clock is None or clock.shape != state.t.shape or clock.flat[0] >= state.t.flat[0]:
+    clock, now = memory.get("clock"), state.t
+    if clock is None or clock.shape != now.shape or clock.flat[0] >= now.flat[0]:
         memory.update({name: np.zeros_like(state.q) for name in names})
-    memory["clock"] = state.t.copy()
+    memory["clock"] = now.copy()
     return memory

@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -17,6 +17,7 @@ from typing import Any
 
 from hybrid.benchmark.baselines import baselines
 from hybrid.benchmark.case import Case
+from hybrid.benchmark.generate import IMPOSSIBLE
 from hybrid.benchmark.oracle import shrinkage
 from hybrid.benchmark.score import covered, named_causes, score
 from hybrid.diagnose.diagnose import Result, examine
@@ -70,7 +71,7 @@ def read_rows(log: Path) -> dict[str, Row]:
     return {row["key"]: row for row in rows}
 
 
-def _rows(cases: Sequence[Case], workers: int) -> Iterable[Row]:
+def _rows(cases: Sequence[Case], workers: int) -> Iterator[Row]:
     if workers == 1:
         yield from map(run_case, cases)
         return
@@ -84,24 +85,24 @@ def run_case(case: Case) -> Row:
     row: Row = {"key": case.key, **asdict(case), "arm": case.arm}
     with tempfile.TemporaryDirectory() as folder:
         visible, sealed = Path(folder) / "open", Path(folder) / "sealed"
-        try:
-            make(case, Path(folder), visible, sealed)
-        except HybridError as error:
-            return row | {"skipped": str(error)}
-        try:
-            with _quiet():
-                answer = _answer(visible)
-        except Exception as error:  # a crash is a score, too
-            return row | {"crashed": f"{type(error).__name__}: {error}"}
+        if why_not := make(case, Path(folder), visible, sealed):
+            return row | {"skipped": why_not}
         with _quiet():
+            try:
+                answer = _answer(visible)
+            except Exception as error:  # a crash is a score, too
+                return row | {"crashed": f"{type(error).__name__}: {error}"}
             return row | _scored(answer, sealed)
 
 
-def make(case: Case, folder: Path, visible: Path, sealed: Path) -> None:
+def make(case: Case, folder: Path, visible: Path, sealed: Path) -> str:
     """Let the generator make a case, in a process that this one cannot look into.
 
+    Returns:
+        Nothing, or why no such plant can be.
+
     Raises:
-        HybridError: It could not.
+        HybridError: The generator failed.
     """
     write_json(folder / "case.json", asdict(case))
     done = subprocess.run(
@@ -109,9 +110,10 @@ def make(case: Case, folder: Path, visible: Path, sealed: Path) -> None:
          str(folder / "case.json"), str(visible), str(sealed)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    if done.returncode != 0:
-        lines = done.stderr.strip().splitlines() or ["the generator failed"]
-        raise HybridError(lines[-1])
+    *_, last = done.stderr.strip().splitlines() or [""]
+    if done.returncode not in (0, IMPOSSIBLE):
+        raise HybridError(f"the generator failed on {case.key}: {last}")
+    return last if done.returncode == IMPOSSIBLE else ""
 
 
 def _answer(visible: Path) -> tuple[Result, float]:
@@ -128,31 +130,31 @@ def _scored(answer: tuple[Result, float], sealed: Path) -> Row:
     result, seconds = answer
     truth = json.loads((sealed / "truth.json").read_text(encoding="utf-8"))
     found = result.diagnosis.as_dict()
-    known = effect_classes()
-    effects = [
-        effect_from_dict(e, result.gap.robot.joints)
-        for e in truth["effects"]
-        if e["effect"] in known
-    ]
-    row: Row = {"truth": truth, "verdict": found["verdict"], "cpu_s": seconds}
-    row |= {"unexplained": found["unexplained"], "background": found["background"]}
-    row["findings"] = [
-        {k: f[k] for k in ("effect", "joints", "class", "share", "parameters", "shrink")}
-        for f in found["findings"]
-    ]
-    row |= score(truth, named_causes(found))
-    row["covered"] = covered(truth, row["findings"])
-    if effects and len(effects) == len(truth["effects"]):
-        shrunk = shrinkage(result, read_all([sealed]), effects)
-        row["shrinkage"] = asdict(shrunk) | {"share": shrunk.share}
-    row["baselines"] = {
-        name: score(truth, causes) for name, causes in baselines(result).items()
+    kept = ("effect", "joints", "class", "share", "parameters", "shrink")
+    row: Row = {
+        "truth": truth,
+        "cpu_s": seconds,
+        **{k: found[k] for k in ("verdict", "unexplained", "background")},
+        "where": [region["joint"] for region in found["where"]],
+        "findings": [{k: f[k] for k in kept} for f in found["findings"]],
+        **score(truth, named_causes(found)),
+        "covered": covered(truth, found["findings"]),
+        "baselines": {k: score(truth, x) for k, x in baselines(result).items()},
     }
+    known = effect_classes()
+    if truth["effects"] and all(e["effect"] in known for e in truth["effects"]):
+        joints = result.gap.robot.joints
+        effects = [effect_from_dict(e, joints) for e in truth["effects"]]
+        shrunk = shrinkage(result, read_all([sealed]), effects)
+        row["shrinkage"] = asdict(shrunk) | {
+            "share": shrunk.share(shrunk.found),
+            "black_box_share": shrunk.share(shrunk.black_box),
+        }
     return row
 
 
 @contextmanager
-def _quiet() -> Iterable[None]:  # type: ignore[misc]
+def _quiet() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
         yield

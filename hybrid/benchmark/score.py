@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-# Effects that a recording of a moving arm splits badly or not at all, and why; only
+# Effects that a recording of a moving arm splits badly or not at all, and why. Only
 # where the true effect is left out of the library may another be named instead.
 EQUIVALENT: Mapping[str, frozenset[str]] = {
     # The same columns.
@@ -59,56 +59,67 @@ def score(truth: Mapping[str, Any], causes: Sequence[Named]) -> dict[str, Any]:
 
     Returns:
         ``strict`` and ``in_class``: whether the first cause is a true effect, at its
-        joint; ``localised``: whether its joints are those of a true effect; ``found``:
-        how many true effects were named; ``false``: causes that are none; ``declared``:
-        whether all that is named is a true effect or a declared equivalent.
+        joint, by its own name or in its class; ``localised``: whether the first cause
+        is at the joints of a true effect and at no other; ``found``: how many true
+        effects were named; ``false``: causes, or joints of one, that are none;
+        ``declared``: whether all that is named is a true effect or declared to be
+        equivalent to one.
     """
     true = truth["effects"]
-    joints = [_where(e) for e in true]
+    right = [[e for e in true if _is(c, e)] for c in causes]
     first = causes[0] if causes else None
-    right = [
-        any(_is(c, e, at) for e, at in zip(true, joints, strict=True)) for c in causes
-    ]
     return {
-        "named": len(causes),
-        "strict": bool(right and right[0])
-        and any(first is not None and first.effect == e["means"] for e in true),
-        "in_class": bool(right and right[0]),
-        "localised": first is not None and any(set(first.joints) == at for at in joints),
+        "named": [[c.effect, *c.joints] for c in causes],
+        "strict": first is not None
+        and any(first.effect == e["means"] for e in right[0]),
+        "in_class": first is not None and bool(right[0]),
+        "localised": first is not None
+        and any(set(first.joints) == joints_of(e) or _whole(first, e) for e in true),
         "class_size": len(first.alike) if first else 0,
-        "found": sum(
-            any(_is(c, e, at) for c in causes)
-            for e, at in zip(true, joints, strict=True)
-        ),
-        "true": len(true),
+        "found": sum(any(_is(c, e) for c in causes) for e in true),
         "false": [
-            [c.effect, *c.joints] for c, ok in zip(causes, right, strict=True) if not ok
+            [c.effect, *stray]
+            for c, found in zip(causes, right, strict=True)
+            if (stray := _stray(c, found))
         ],
         "declared": all(
-            any(_is(c, e, at, more=True) for e, at in zip(true, joints, strict=True))
+            not _stray(c, [e for e in true if _is(c, e, also=EQUIVALENT)])
             for c in causes
         ),
     }
 
 
-def _where(effect: Mapping[str, Any]) -> set[str]:
+def joints_of(effect: Mapping[str, Any]) -> set[str]:
     """Joints at which a diagnosis should say that a true effect is."""
     joints = effect["joints"]
     return set(joints[-1:]) if effect["means"] == "link_inertia" else set(joints)
 
 
 def _is(
-    cause: Named, effect: Mapping[str, Any], joints: set[str], *, more: bool = False
+    cause: Named,
+    effect: Mapping[str, Any],
+    *,
+    also: Mapping[str, frozenset[str]] | None = None,
 ) -> bool:
-    """Whether a cause is a true effect; ``more`` takes declared equivalents too."""
-    accepted = {effect["means"]}
-    if more:
-        accepted |= EQUIVALENT.get(effect["means"], frozenset())
-    # A payload is a change of the last link: one law, two names.
-    same = accepted & {cause.effect, *cause.alike}
-    whole = cause.effect == "payload" or effect["means"] == "payload"
-    here = joints <= set(cause.joints) or (whole and bool(joints & set(cause.joints)))
-    return bool(same) and here
+    """Whether a cause is a true effect, or ``also`` lists it as equivalent."""
+    accepted = {effect["means"], *(also or {}).get(effect["means"], ())}
+    here = joints_of(effect) <= set(cause.joints) or _whole(cause, effect)
+    return here and not accepted.isdisjoint({cause.effect, *cause.alike})
+
+
+def _whole(cause: Named, effect: Mapping[str, Any]) -> bool:
+    """Whether one is a payload and the other a change of the link that carries it."""
+    bodies = {"payload", "link_inertia"}
+    same = cause.effect in bodies and effect["means"] in bodies
+    return same and effect["joints"][-1] in cause.joints
+
+
+def _stray(cause: Named, found: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Joints of a cause at which none of the true effects that it stands for is."""
+    if any(_whole(cause, e) for e in found):
+        return []
+    known = {joint for e in found for joint in joints_of(e)}
+    return [joint for joint in cause.joints if joint not in known]
 
 
 def covered(
@@ -120,14 +131,14 @@ def covered(
     """
     inside = total = 0
     for effect in truth["effects"]:
-        where = "arm" if effect["scope"] == "arm" else "+".join(sorted(_where(effect)))
+        where = {"arm"} if effect["scope"] == "arm" else joints_of(effect)
         for finding in findings:
             if finding["effect"] != effect["effect"]:
                 continue
             for p in finding["parameters"]:
                 low, high = p["interval"]
                 known = p["name"] in effect["values"] and high > low
-                if known and "+".join(sorted(p["joint"].split("+"))) == where:
+                if known and set(p["joint"].split("+")) == where:
                     inside += low <= effect["values"][p["name"]] <= high
                     total += 1
     return int(inside), total

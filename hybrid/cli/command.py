@@ -10,9 +10,12 @@ from collections.abc import Sequence
 
 from hybrid import __version__
 from hybrid.cli import (
+    benchmark,
     calibrate,
+    diagnose,
     effects,
     excite,
+    export,
     identify,
     predict,
     simulate,
@@ -32,7 +35,10 @@ _VERBS = {
     "predict": predict,
     "track": track,
     "calibrate": calibrate,
+    "diagnose": diagnose,
+    "export": export,
     "effects": effects,
+    "benchmark": benchmark,
 }
 _EXAMPLES = """\
 from nothing to a validated model:

@@ -18,7 +18,7 @@ from hybrid.cli.options import (
     whole,
     write_record,
 )
-from hybrid.errors import HybridError
+from hybrid.errors import HybridError, RobotError
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
@@ -26,11 +26,13 @@ if TYPE_CHECKING:
     from hybrid.excitation.constraints import Constraint
     from hybrid.excitation.criteria import Criterion
     from hybrid.robot import Robot
+    from hybrid.robot.geometry import Capsules
 
 HELP = """design the motion that reveals the parameters
 writes DIR/reference_1.csv ... (time, position, speed, acceleration), DIR/design.json
-(coefficients, condition, predicted standard errors) and pictures. The motion starts and
-ends at rest and keeps the limits between its samples too.
+(coefficients, condition, predicted standard errors) and the pictures motion.png,
+information.png and postures.png. The motion starts and ends at rest and keeps the
+limits between its samples too.
 
 examples:
   hybrid excite --robot models/coman_like.xml --out excite
@@ -39,6 +41,7 @@ examples:
 
 _CRITERIA = ("condition", "normalised", "d", "a", "e")
 _FAMILIES = ("fourier", "fourier-quintic", "spline")
+_PICTURES = ("motion.png", "information.png", "postures.png", "motion.gif")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -79,6 +82,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--rate", type=positive, default=500.0, metavar="HZ", help="of the CSV"
     )
+    parser.add_argument(
+        "--gif", action="store_true", help="also write motion.gif, the arm in motion"
+    )
     parser.add_argument("--seed", type=whole, default=0, metavar="N")
     add_common(parser)
 
@@ -94,7 +100,7 @@ def run(args: Namespace, screen: Screen) -> None:
     robot = load_robot(args)
     effects = load_effects(args.effects, robot)
     outputs = [*reference_paths(args.out, args.trajectories), args.out / DESIGN]
-    pictures = [args.out / "motion.png", args.out / "information.png"]
+    pictures = [args.out / name for name in _PICTURES]
     check_outputs([*outputs, *pictures, args.json], [args.robot])
     jerk = np.inf if args.jerk is None else args.jerk
     limits = Limits.of(robot, fill=args.fill, jerk=jerk)
@@ -123,11 +129,26 @@ def run(args: Namespace, screen: Screen) -> None:
 def _draw(args: Namespace, found: Design, limits: Limits) -> None:
     from hybrid.report import save_figure
     from hybrid.report.excitation import information_figure, motion_figure
+    from hybrid.report.posture import postures_figure, save_animation
 
-    reference = found.trajectories[0].reference(50.0)
-    figure = motion_figure(reference, found.robot.joints, limits)
-    save_figure(figure, args.out / "motion.png")
-    save_figure(information_figure(found), args.out / "information.png")
+    motion, information, postures, animation = (args.out / x for x in _PICTURES)
+    robot, reference = found.robot, found.trajectories[0].reference(50.0)
+    save_figure(motion_figure(reference, robot.joints, limits), motion)
+    save_figure(information_figure(found), information)
+    capsules = _capsules(robot)
+    save_figure(postures_figure(robot, reference, capsules=capsules), postures)
+    if args.gif:
+        save_animation(robot, reference, animation, capsules=capsules)
+
+
+def _capsules(robot: Robot) -> Capsules | None:
+    """What covers the links; an arm without geometry is drawn as lines."""
+    from hybrid.robot.geometry import capsules_from_robot
+
+    try:
+        return capsules_from_robot(robot)
+    except RobotError:
+        return None
 
 
 def _tell(args: Namespace, screen: Screen, found: Design) -> None:
@@ -140,6 +161,9 @@ def _tell(args: Namespace, screen: Screen, found: Design) -> None:
         f"condition {found.condition:.4g}, with unit columns "
         f"{found.normalised_condition:.4g}, log det {found.log_det:.4g}"
     )
+    if len(found.trajectories) > 1:
+        parts = ", ".join(f"{100 * x:.0f} %" for x in found.additions[1:])
+        screen.say(f"each further motion shortens the mean standard error by {parts}")
     name, worst = max(found.excess.items(), key=lambda item: item[1])
     screen.say(f"nearest limit: {name}, {-100 * worst:.2g} % away")
 

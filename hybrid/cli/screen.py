@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -55,8 +55,12 @@ class Screen:
         self.show(words_table(table.header, table.rows, title=table.caption))
 
     @contextmanager
-    def working(self, text: str) -> Iterator[None]:
-        """Show on a terminal that something goes on, and for how long."""
+    def working(self, text: str) -> Iterator[Callable[[str], None]]:
+        """Show on a terminal that something goes on, what, and for how long.
+
+        Yields:
+            Says what is being done now.
+        """
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
         description = TextColumn("{task.description}", markup=False)
@@ -68,8 +72,8 @@ class Screen:
             transient=True,
             disable=not self._err.is_terminal,
         ) as progress:
-            progress.add_task(text, total=None)
-            yield
+            task = progress.add_task(text, total=None)
+            yield lambda now: progress.update(task, description=now)
 
     @contextmanager
     def warnings(self) -> Iterator[None]:

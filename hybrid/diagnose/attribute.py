@@ -87,6 +87,7 @@ class Search:
             found.append((total, off, self.terms))
         _, self.off, self.terms = max(found, key=lambda x: x[0])
         self.evidence.spread(self.background, self.off)
+        self._prune()
         return self.terms
 
     def _grow(self) -> None:
@@ -219,6 +220,19 @@ class Search:
             losses = [self.loss(t) for t in self.terms]
             weakest = int(np.argmin(losses))
             if losses[weakest] >= _WORTH:
+                return
+            del self.terms[weakest]
+
+    def _prune(self) -> None:
+        """Remove terms that do not lower the squares on folds left out."""
+        while self.terms:
+            whole = self.evidence.held_out(self.base())
+            falls = [
+                float((self.evidence.held_out(self.base(t)) - whole).sum())
+                for t in self.terms
+            ]
+            weakest = int(np.argmin(falls))
+            if falls[weakest] >= _WORTH:
                 return
             del self.terms[weakest]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
-from hybrid.diagnose.explanation import Explanation, explain, refit, split
+from hybrid.diagnose.explanation import Explanation, explain, refit, shares, split
 from hybrid.diagnose.findings import alternatives, findings, fitted_effects
 from hybrid.diagnose.gap import Gap, measure_gap
 from hybrid.diagnose.thresholds import Thresholds, thresholds
@@ -106,7 +106,7 @@ def examine(
     scored = explain(gap, search, learn)
     solution, own = refit(gap, search)
     effects = fitted_effects(named, solution, own)
-    causes = findings(scored, effects, kinds, rng)
+    causes = findings(scored, effects, kinds, shares(scored, search, rng), rng)
     verdict, unexplained = _verdict(found, causes, limits)
     diagnosis = _diagnosis(gap, search, found, causes, verdict, unexplained)
     return Result(diagnosis, gap, search, scored, found, effects)

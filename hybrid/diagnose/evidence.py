@@ -22,6 +22,9 @@ from hybrid.robot.chain import Array
 
 Index = NDArray[np.intp]
 
+# For columns of unit length.
+_RIDGES = np.array([1e-5, 1e-4, 1e-3, 1e-2]).reshape(-1, 1, 1)
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -176,6 +179,12 @@ class Evidence:
         occam = np.log(np.diag(factor[0])).sum()
         return Solution(index, gains, spread, float(0.5 * b @ gains - occam))
 
+    def held_out(self, index: Index) -> Array:
+        """Squares left on each fold by gains from the others, in units of noise (F,)."""
+        folds = np.arange(len(self.folds))
+        gains = [self.solve(index, np.delete(folds, f)).gains for f in folds]
+        return self.squares(index, np.stack(gains)).T @ (1.0 / self.noise)
+
     def squares(self, index: Index, gains: Array) -> Array:
         """Sum of squares left on each joint and fold, shape (n, F), [N²·m²].
 
@@ -263,26 +272,38 @@ class Evidence:
         return self._factored[1], self._factored[2]
 
     def estimate_noise(self, index: Index) -> None:
-        """Noise of each joint from what all columns together cannot explain.
+        """Noise of each joint: what all columns together miss on folds left out.
 
         The variance counts as often as the residual is alike in a row: the weights then
         belong to independent samples.
         """
         for i, (row, owner) in enumerate(zip(self.rows, self._owner, strict=True)):
+            if not len(row):
+                continue
             here = np.flatnonzero(np.isin(owner, index))
-            gram, moment = self._sums[i]
-            A, b = gram[np.ix_(here, here)], moment[here]
-            size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-            scaled = A / size / size[:, None]
-            values, vectors = np.linalg.eigh(scaled)
-            keep = values > 1e-6 * max(1.0, values[-1])
-            part = vectors[:, keep].T @ (b / size) / values[keep]
-            gains = vectors[:, keep] @ part / size
-            rest = self._left[i] - self._columns[i][0][:, here] @ gains
+            variance, weights = self._flexible(i, here)
+            rest = self._left[i] - self._columns[i][0][:, here] @ weights
             back = np.argsort(row)
-            alike = _memory(rest[back], row[back])
-            freedom = max(0.2, 1.0 - keep.sum() * alike / len(rest))
-            self.noise[i] = max(rest @ rest / len(rest) / freedom, 1e-12) * alike
+            self.noise[i] = max(variance, 1e-12) * _memory(rest[back], row[back])
+
+    def _flexible(self, i: int, here: Index) -> tuple[float, Array]:
+        """Ridge regression of a joint's gap on many columns.
+
+        Returns:
+            Mean square on each fold under the regression on the others, [N²·m²], and
+            the weights of the regression on all.
+        """
+        G, c = self._gram[i][:, here[:, None], here], self._moment[i][:, here]
+        size = np.sqrt(np.maximum(np.diagonal(G.sum(axis=0)), 1e-300))
+        G, c = G / size / size[:, None], c / size
+        A, b = G.sum(axis=0), c.sum(axis=0)
+        best, weights = np.inf, np.zeros(len(here))
+        for ridge in _RIDGES * np.eye(len(here)):
+            w = np.linalg.solve(A - G + ridge, (b - c)[:, :, None])[..., 0]
+            left = np.einsum("fk,fkl,fl->", w, G, w) - 2 * np.einsum("fk,fk->", w, c)
+            if left < best:
+                best, weights = left, np.linalg.solve(A + ridge, b) / size
+        return (self.power[i].sum() + best) / len(self.rows[i]), weights
 
 
 def _memory(x: Array, row: Index) -> float:

@@ -58,6 +58,7 @@ def findings(
     scored: Explanation,
     effects: Sequence[Effect],
     kinds: Sequence[tuple[str, ...]],
+    parts: Array,
     rng: np.random.Generator,
 ) -> tuple[Finding, ...]:
     """Findings by effect, largest share first.
@@ -66,6 +67,7 @@ def findings(
         scored: Terms on samples that no step has seen.
         effects: The same terms as effects with their final values.
         kinds: Ids that each term cannot be told from, itself first.
+        parts: Share of each term in what is explained.
         rng: Draws of the bootstrap.
     """
     gap = scored.gap
@@ -83,7 +85,7 @@ def findings(
                 effect=effect_id,
                 joints=names,
                 alternatives=tuple(dict.fromkeys((effect_id, *alike))),
-                share=float(scored.shares[members].sum()),
+                share=float(parts[members].sum()),
                 parameters=tuple(
                     v for k in members for v in _values(gap, effects[k])
                 ),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from hybrid.diagnose.diagnosis import Region
+from hybrid.diagnose.evidence import Index
 from hybrid.diagnose.gap import Gap
 from hybrid.robot.chain import Array
 
@@ -156,7 +157,7 @@ def _densest(cut: _Cut, test: _Test) -> slice | None:
 def _cuts(gap: Gap, noise: Array) -> Iterator[_Cut]:
     """Every joint over every variable, with the bins that the samples visit."""
     seconds = gap.trajectory * 1e6 + gap.sampled.t // _BLOCK_SECONDS
-    _, block = np.unique(seconds, return_inverse=True)
+    block: Index = np.unique(seconds, return_inverse=True)[1]
     blocks = int(block.max()) + 1
     fewest = _FEWEST_SECONDS * gap.rate
     for i in range(gap.robot.size):
@@ -171,14 +172,14 @@ def _cuts(gap: Gap, noise: Array) -> Iterator[_Cut]:
             size = len(edges) - 1
             at = own * size + place
             shape = blocks, size
-            squares = np.bincount(at, excess, blocks * size).reshape(shape)
-            samples = np.bincount(at, minlength=blocks * size).reshape(shape)
-            yield _Cut(i, variable, unit, edges, squares, samples.astype(float))
+            squares = _sums(at, excess, blocks * size).reshape(shape)
+            samples = _sums(at, np.ones(len(at)), blocks * size).reshape(shape)
+            yield _Cut(i, variable, unit, edges, squares, samples)
         yield _bands(gap, i, noise[i], rows, own, blocks)
 
 
 def _variables(
-    gap: Gap, i: int, rows: NDArray[np.intp]
+    gap: Gap, i: int, rows: Index
 ) -> Iterator[tuple[str, str, Array, Array]]:
     """Name, unit, values at the samples and edges of bins of each variable."""
     m = gap.sampled
@@ -208,7 +209,7 @@ def time_since_reversal(gap: Gap, joint: int) -> Array:
 
 
 def _bands(
-    gap: Gap, i: int, noise: float, rows: NDArray[np.intp], block: Array, blocks: int
+    gap: Gap, i: int, noise: float, rows: Index, block: Index, blocks: int
 ) -> _Cut:
     """The gap in bands of frequency; noise is shared out by their width."""
     edges = np.array([*(b for b in _BANDS if b < 0.8 * gap.cutoff), gap.cutoff])
@@ -226,9 +227,14 @@ def _bands(
             inside = (line >= low) & ((line < high) | (k == len(part) - 1))
             power[own, k] = np.fft.irfft(spectrum * inside, len(x)) ** 2
     excess = power[rows] - part
-    sums = np.stack([np.bincount(block, e, blocks) for e in excess.T], axis=1)
-    samples = np.bincount(block, minlength=blocks)[:, None] * part
+    sums = np.stack([_sums(block, e, blocks) for e in excess.T], axis=1)
+    samples = _sums(block, np.ones(len(block)), blocks)[:, None] * part
     return _Cut(i, "frequency", "Hz", edges, sums, samples)
+
+
+def _sums(place: Index, x: Array, size: int) -> Array:
+    """Sum of the values at each place, shape (size,)."""
+    return np.bincount(place, x, size).astype(np.float64)
 
 
 def _upto(edges: Sequence[float], x: Array) -> Array:
@@ -256,7 +262,8 @@ def _even(x: Array) -> Array:
     """Round edges over the range of x, at most so many bins."""
     low, high = float(x.min()), float(x.max())
     span = max(high - low, 1e-6)
-    sizes = np.array([1.0, 2.0, 5.0, 10.0]) * 10 ** np.floor(np.log10(span / _MOST_BINS))
+    decade = 10 ** np.floor(np.log10(span / _MOST_BINS))
+    sizes = decade * np.array([1.0, 2.0, 5.0, 10.0])
     step = next(float(s) for s in sizes if span / s <= _MOST_BINS - 1 or s == sizes[-1])
     first, last = np.floor(low / step), np.floor(high / step) + 1
     return np.asarray(np.arange(first, last + 1) * step)

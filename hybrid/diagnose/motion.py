@@ -11,6 +11,7 @@ compared by their medians.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ _MOST_WINDOWS = 24
 _FEWEST_WINDOWS = 3
 _STEP = 0.001  # s
 _RESAMPLES = 400
+_IDLE = 0.01  # of the largest torque squared; windows below do not show a term
 _BYPRODUCT = 0.05  # of the largest fall in torque; joints below are merely touched
 _LOST = np.pi  # rad; a replay that is so far off is lost, however far
 _STEP_MATTERS = 0.1  # of the motion error before
@@ -56,9 +58,9 @@ class Replay:
     ) -> None:
         self.scored = scored
         self.effects = scored_effects(scored)
-        self.motions, usable = _motions(scored)
+        self.motions, usable, self._start = _motions(scored)
         self._step = step
-        self._spans = [max(1, round(h * self.motions[0].rate)) for h in HORIZONS]
+        self._spans = [max(1, round(h * scored.gap.rate)) for h in HORIZONS]
         self.windows, self.fits = _windows(usable, self._spans, most)
         self._known: dict[tuple[frozenset[int], float], Array] = {}
 
@@ -96,15 +98,29 @@ class Replay:
         """Whether enough windows are as long as a horizon."""
         return int(self.fits[HORIZONS.index(horizon)].sum()) >= _FEWEST_WINDOWS
 
-    def error(self, squares: Array, joints: Sequence[int], horizon: float) -> Array:
-        """RMS over joints and time in each window that fits, shape (W',), [rad]."""
-        h = HORIZONS.index(horizon)
-        return np.sqrt(squares[h][self.fits[h]][:, list(joints)].mean(axis=1))
+    def where(self, members: Iterable[int], horizon: float) -> NDArray[np.intp]:
+        """Windows that fit a horizon and in which some terms act, shape (W',)."""
+        h, gap = HORIZONS.index(horizon), self.scored.gap
+        acting = np.zeros(len(gap.fold))
+        for k in members:
+            for i, part in enumerate(self.scored.contribution(k)):
+                rows = self.scored.evidence.rows[i]
+                acting[rows] += part**2 / self.scored.evidence.noise[i]
+        sums = np.concatenate([[0.0], np.cumsum(acting)])
+        first = self._start[self.windows.motion] + self.windows.sample
+        share = sums[np.minimum(first + self._spans[h], len(acting))] - sums[first]
+        share = np.where(self.fits[h], share, 0.0)
+        return np.flatnonzero(self.fits[h] & (share >= _IDLE * share.max(initial=0.0)))
 
-    def blocks(self, horizon: float) -> NDArray[np.intp]:
-        """Block of each window that fits; windows that overlap share one, shape (W',)."""
-        h, w = HORIZONS.index(horizon), self.windows
-        block = np.stack([w.motion, w.sample // self._spans[h]], axis=1)[self.fits[h]]
+    def error(self, squares: Array, joints: Sequence[int], horizon: float) -> Array:
+        """RMS over joints and time in each window, shape (W,), [rad]."""
+        of = squares[HORIZONS.index(horizon)][:, list(joints)]
+        return np.asarray(np.sqrt(of.mean(axis=1)))
+
+    def blocks(self, pick: NDArray[np.intp], horizon: float) -> NDArray[np.intp]:
+        """Block of each of some windows, shared by those that overlap."""
+        span, w = self._spans[HORIZONS.index(horizon)], self.windows
+        block = np.stack([w.motion[pick], w.sample[pick] // span], axis=1)
         return np.unique(block, axis=0, return_inverse=True)[1].ravel()
 
 
@@ -124,24 +140,22 @@ def motion_shrink(
         horizon: One of ``HORIZONS``, [s].
 
     Returns:
-        Median over windows of the RMS over joints and time, [rad], before and after;
-        nothing if too few windows are that long.
+        Median of the RMS over joints and time, [rad], before and after, over the
+        windows in which the terms act; nothing if too few windows are that long.
 
     Raises:
         EffectError: An effect cannot be simulated.
     """
     if not replay.has(horizon):
         return None
-    joints = _main_joints(replay, members)
+    joints, pick = _main_joints(replay, members), replay.where(members, horizon)
     before, after = (
-        replay.error(replay.squares(terms), joints, horizon)
+        replay.error(replay.squares(terms), joints, horizon)[pick]
         for terms in (replay.all_terms - set(members), replay.all_terms)
     )
-    draws = [
-        _removed(before[pick], after[pick])
-        for pick in _resampled(replay.blocks(horizon), rng)
-    ]
-    low, high = np.quantile(draws, [0.025, 0.975])
+    blocks = replay.blocks(pick, horizon)
+    draws = [_removed(before[drawn], after[drawn]) for drawn in _resampled(blocks, rng)]
+    low, high = np.quantile(draws, [0.025, 0.975]) if blocks.max() else (0.0, 1.0)
     return Shrink(
         float(np.median(before)),
         float(np.median(after)),
@@ -179,11 +193,15 @@ def rollout_agrees(
     if instead is not None:
         others = [replay.effects[k] for k in sorted(rest)]
         without = replay.squares_of([*others, *instead])
-    joints = _main_joints(replay, [term])
-    before = replay.error(without, joints, horizon)
-    after = replay.error(replay.squares(replay.all_terms), joints, horizon)
-    fall = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
-    draws = [np.mean(fall[p]) for p in _resampled(replay.blocks(horizon), rng)]
+    joints, pick = _main_joints(replay, [term]), replay.where([term], horizon)
+    before, after = (
+        np.maximum(replay.error(squares, joints, horizon)[pick], 1e-12)
+        for squares in (without, replay.squares(replay.all_terms))
+    )
+    fall, blocks = np.log(before / after), replay.blocks(pick, horizon)
+    if blocks.max() == 0:
+        return None
+    draws = [np.mean(fall[drawn]) for drawn in _resampled(blocks, rng)]
     low, high = np.quantile(draws, [0.025, 0.975])
     return True if low > 0 else False if high < 0 else None
 
@@ -192,14 +210,20 @@ def step_warning(replay: Replay) -> str | None:
     """A warning if the replay at half the step says something else."""
     if not replay.has(_USUAL):
         return None
-    joints, changes = range(replay.scored.gap.robot.size), []
-    before = np.median(replay.error(replay.squares(()), joints, _USUAL))
-    for terms in {frozenset[int](), replay.all_terms}:
-        whole, half = (
-            np.median(replay.error(replay.squares(terms, step=s), joints, _USUAL))
-            for s in (_STEP, _STEP / 2)
-        )
-        changes.append(abs(half - whole))
+    joints, fits = (
+        range(replay.scored.gap.robot.size),
+        replay.fits[HORIZONS.index(_USUAL)],
+    )
+
+    def error(terms: Iterable[int], step: float) -> float:
+        squares = replay.squares(terms, step=step)
+        return float(np.median(replay.error(squares, joints, _USUAL)[fits]))
+
+    before = error((), _STEP)
+    changes = [
+        abs(error(terms, _STEP / 2) - error(terms, _STEP))
+        for terms in {frozenset[int](), replay.all_terms}
+    ]
     if max(changes) <= _STEP_MATTERS * before:
         return None
     return (
@@ -210,23 +234,34 @@ def step_warning(replay: Replay) -> str | None:
 
 def _motions(
     scored: Explanation,
-) -> tuple[tuple[Motion, ...], list[NDArray[np.bool_]]]:
-    """Decimated motions that hold samples kept for scoring, and which these are."""
+) -> tuple[tuple[Motion, ...], list[NDArray[np.bool_]], NDArray[np.intp]]:
+    """Decimated motions that hold samples kept for scoring.
+
+    Returns:
+        The motions; which of their samples these are; and their first samples in the
+        gap.
+    """
     gap = scored.gap
     learn = split(gap)
     unseen = ~learn & between(gap, learn)
-    motions, usable = [], []
+    motions, usable, start = [], [], []
     for r, (m, _, sampler) in enumerate(gap):
-        own, keep = gap.trajectory == r, slice(None, None, sampler.factor)
+        own, keep = (
+            np.flatnonzero(gap.trajectory == r),
+            slice(None, None, sampler.factor),
+        )
         fresh = unseen[own] & m.mask[keep]
-        alike = not motions or np.isclose(motions[0].rate, m.rate / sampler.factor, 1e-4)
-        if fresh.any() and alike:
-            tau = sampler(m.tau) + gap.left[own]
+        # All windows share one clock.
+        if fresh.any() and np.isclose(gap.rate, m.rate / sampler.factor, 1e-4):
             warm = None if m.temperature is None else m.temperature[keep]
-            parts = (x[keep] for x in (m.t, m.q, m.v, m.a))
-            motions.append(Motion(*parts, tau, m.mask[keep], warm, m.joints, m.source))
+            tau = sampler(m.tau) + gap.left[own]
+            parts = {
+                name: getattr(m, name)[keep] for name in ("t", "q", "v", "a", "mask")
+            }
+            motions.append(replace(m, tau=tau, temperature=warm, **parts))
             usable.append(fresh)
-    return tuple(motions), usable
+            start.append(own[0])
+    return tuple(motions), usable, np.array(start, dtype=np.intp)
 
 
 def _windows(

@@ -125,8 +125,8 @@ def _physical(scored: Explanation, inertial: Array) -> Array:
     size = np.repeat(np.sqrt(np.maximum(bend / bend.max(), 1e-5)), 10)
     frame /= size
     metric = frame.T @ P @ frame
-    metric /= np.linalg.eigvalsh(metric)[-1]
-    goal = np.linalg.solve(frame, inertial.ravel())
-    least = _MARGIN * np.tile(stacked(np.eye(4)), n) * size
+    metric = np.asarray(metric / np.linalg.eigvalsh(metric)[-1])
+    goal = np.asarray(np.linalg.solve(frame, inertial.ravel()), dtype=np.float64)
+    least = np.asarray(_MARGIN * np.tile(stacked(np.eye(4)), n) * size)
     z, _ = nearest_above(goal, metric, least, n)
     return np.asarray((frame @ z).reshape(n, 10))

@@ -19,7 +19,8 @@ class Check:
 
     Attributes:
         complete: Part of what is explainable at its joints that the terms there do.
-        unsteady: Reduced chi-square of its gains from fold to fold.
+        unsteady: Squares that its gains would still take from the gap if each fold had
+            its own, over those that the term takes.
         crowd: Number of terms at its joint.
     """
 
@@ -102,7 +103,7 @@ def check(search: Search, term: Term, found: Account) -> Check:
 
 
 def _unsteady(search: Search, term: Term) -> float:
-    """Reduced chi-square of a term's gains, each fold against all."""
+    """What a term's gains lose by being the same on all folds, over what they gain."""
     evidence, base = search.evidence, search.base(term)
     rest = evidence.solve(base)
     others = np.zeros(evidence.size)
@@ -125,4 +126,5 @@ def _unsteady(search: Search, term: Term) -> float:
         score = vectors[:, keep].T @ (s / unit)
         total += float((score**2 / values[keep]).sum())
         count += int(keep.sum())
-    return total / max(count, 1)
+    taken = 2 * whole.evidence - 2 * rest.evidence
+    return max(0.0, total - count) / max(taken, 1.0)

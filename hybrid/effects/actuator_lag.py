@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.effects.effect import Array, Body, Effect, JointState, Port, Quantity
+from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 
 
@@ -17,6 +20,7 @@ class ActuatorLag(Effect):
 
     id = "actuator_lag"
     port = Port.DRIVE
+    memory = ("known", "asked", "reported")
     gains = (Quantity("time", "s", 0.005, -0.05, 0.05),)
     equation = "τ_reported = τ + T · dτ/dt"
     source = "Siciliano et al. 2009, doi 10.1007/978-1-84628-642-1, section 5.2"
@@ -35,6 +39,33 @@ class ActuatorLag(Effect):
             return torque + time * slope
         return _low_pass(torque, float(t[1] - t[0]), -time)
 
+    def at_instant(
+        self, joints: Sequence[JointState], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """Nothing by itself; see :meth:`Instant.at_instant`."""
+        return [0.0], memory
+
+    def begin(self, joints: Sequence[JointState]) -> Memory:
+        """Never mind: a flag says that there was nothing before."""
+        return (0.0, 0.0, 0.0)
+
+    def report_at_instant(
+        self, torque: Sequence[Scalar], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """A lead by the last difference, or the filter's next value.
+
+        See :meth:`Instant.report_at_instant`.
+        """
+        (now,), time = torque, self.values["time"]
+        known, *past = memory
+        before, filtered = (_either(known > 0.5, x, now) for x in past)
+        if time >= 0:
+            filtered = now + time * (now - before) / step
+        else:
+            share = step / (step - 2.0 * time)
+            filtered = filtered + share * (now + before - 2.0 * filtered)
+        return [filtered], (1.0, now, filtered)
+
     @property
     def lag(self) -> float:
         """The time constant, unless it is the log's."""
@@ -48,6 +79,10 @@ class ActuatorLag(Effect):
     def measure(self, t: Array, signals: dict[str, Array]) -> dict[str, Array]:
         """A filtered log; a lagging drive logs what was asked of it anyway."""
         return signals if self.values["time"] >= 0 else super().measure(t, signals)
+
+
+def _either(condition: Scalar, x: Scalar, y: Scalar) -> Scalar:
+    return np.where(condition, x, y)
 
 
 def _low_pass(x: Array, step: float, time: float) -> Array:

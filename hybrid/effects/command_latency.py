@@ -17,6 +17,7 @@ class CommandLatency(Effect):
 
     id = "command_latency"
     port = Port.COMMAND
+    not_in_loop = "it lies between command and torque"
     gains = (Quantity("time", "s", 0.01, 0.0, 0.2),)
     equation = "τ(t) = τ_ff(t − T) + k_p (q_ref(t − T) − q) + k_d (v_ref(t − T) − v)"
     source = "Tan et al. 2018, doi 10.15607/RSS.2018.XIV.010"

@@ -17,6 +17,7 @@ class Contact(Effect):
 
     id = "contact"
     port = Port.ENVIRONMENT
+    not_in_loop = "it happened once, during the recording"
     scope = "arm"
     gains = (
         *(Quantity(f"force_{x}", "N", 10.0, -500.0, 500.0) for x in "xyz"),

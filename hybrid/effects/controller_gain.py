@@ -17,6 +17,7 @@ class ControllerGain(Effect):
 
     id = "controller_gain"
     port = Port.COMMAND
+    not_in_loop = "it lies between command and torque"
     gains = (
         Quantity("stiffness", "", -0.2, -0.9, 5.0),
         Quantity("damping", "", -0.2, -0.9, 5.0),

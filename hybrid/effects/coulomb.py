@@ -13,6 +13,7 @@ class Coulomb(JointEffect):
 
     id = "coulomb"
     port = Port.DRIVE
+    fields = {"level": "frictionloss"}
     dry = True
     gains = (Quantity("level", "N·m", 0.04, 0.0, 0.3, per=(1, 0)),)
     equation = "τ = F_c · sgn v"

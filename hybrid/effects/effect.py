@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from hybrid.effects.instant import Instant, Memory, Scalar
 from hybrid.effects.quantity import Quantity, Scale
 from hybrid.effects.state import Array, Body, JointState
 from hybrid.errors import EffectError
@@ -46,7 +47,7 @@ class Port(StrEnum):
 
 
 @dataclass(frozen=True)
-class Effect(ABC):
+class Effect(Instant, ABC):
     """One unmodelled effect at given joints with given values.
 
     The torque is ``columns(motion, body) @ gain values``: linear in the gains,
@@ -320,3 +321,13 @@ class JointEffect(Effect):
         unit = np.ones_like(v)
         laws = [unit * x for x in self.law(state, **self.shape_values)]
         return np.stack(laws, axis=-1)[:, None, :]
+
+    def at_instant(
+        self, joints: Sequence[JointState], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """The same law; see :meth:`Instant.at_instant`."""
+        laws = self.law(joints[0], **self.shape_values)
+        terms = zip(self.gains, laws, strict=True)
+        return [
+            sum(self.values[g.name] * x for g, x in terms if self.values[g.name])
+        ], ()

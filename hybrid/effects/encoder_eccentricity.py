@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.effects.instant import Scalar
 from hybrid.signals import Motion
 
 # The error is a few per cent of a radian at most, and each pass gains as many digits.
@@ -50,22 +51,27 @@ class EncoderEccentricity(Effect):
     def observe(self, motion: Motion, body: Body) -> Motion:
         """The true motion, from q_measured = q + e(q) and its derivatives."""
         j = list(self.joints)
-        measured = true = motion.q[:, j]
-        for _ in range(_PASSES):
-            true = measured - self._error(true)[0]
-        _, slope, bend = self._error(true)
         q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
-        q[:, j] = true
-        v[:, j] /= 1.0 + slope
-        a[:, j] = (a[:, j] - bend * v[:, j] ** 2) / (1.0 + slope)
+        q[:, j], v[:, j], a[:, j] = self.true_state(q[:, j], v[:, j], a[:, j])
         return replace(motion, q=q, v=v, a=a)
+
+    def true_state(
+        self, q: Scalar, v: Scalar, a: Scalar
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """By successive substitution; see :meth:`Instant.true_state`."""
+        true = q
+        for _ in range(_PASSES):
+            true = q - self._error(true)[0]
+        _, slope, bend = self._error(true)
+        speed = v / (1.0 + slope)
+        return true, speed, (a - bend * speed**2) / (1.0 + slope)
 
     def sense(self, q: Array, v: Array) -> tuple[Array, Array]:
         """What the encoder shows."""
         error, slope, _ = self._error(q)
         return q + error, v * (1.0 + slope)
 
-    def _error(self, q: Array) -> tuple[Array, Array, Array]:
+    def _error(self, q: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         """Error at a true position, and its first two derivatives."""
         s, c = self.values["sine"], self.values["cosine"]
         error = s * np.sin(q) + c * np.cos(q)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.effects.instant import Scalar
 from hybrid.signals import Motion
 
 
@@ -37,6 +38,12 @@ class EncoderOffset(Effect):
         q = motion.q.copy()
         q[:, self.joints] -= self.values["offset"]
         return replace(motion, q=q)
+
+    def true_state(
+        self, q: Scalar, v: Scalar, a: Scalar
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """Less the offset; see :meth:`Instant.true_state`."""
+        return q - self.values["offset"], v, a
 
     def sense(self, q: Array, v: Array) -> tuple[Array, Array]:
         """What the encoder shows."""

@@ -38,6 +38,11 @@ class GravityTilt(Effect):
         turned = [np.cross(body.gravity, axis) for axis in level_axes(body.gravity)]
         return np.stack([body.weight(g) for g in turned], axis=-1)[:, self.joints]
 
+    def rigid_change(self, size: int, gravity: Array) -> tuple[Array, Array]:
+        """Gravity turned to first order; see :meth:`Instant.rigid_change`."""
+        turned = np.cross(gravity, level_axes(gravity))
+        return np.zeros((size, 10)), self.gain_values @ turned
+
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Turn the spec's gravity by the whole angle, not to first order."""
         from scipy.spatial.transform import Rotation

@@ -21,6 +21,7 @@ class ImprovedStribeck(JointEffect):
 
     id = "improved_stribeck"
     port = Port.DRIVE
+    fields = {"viscous": "damping"}
     dry = True
     gains = (
         Quantity("coulomb", "N·m", 0.04, 0.0, 0.5, per=(1, 0)),

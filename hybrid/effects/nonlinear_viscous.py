@@ -13,6 +13,7 @@ class NonlinearViscous(JointEffect):
 
     id = "nonlinear_viscous"
     port = Port.DRIVE
+    fields = {"quadratic": "quadratic", "cubic": "cubic"}
     gains = (
         Quantity("quadratic", "N·m·s²/rad²", 0.02, -0.5, 0.5, per=(1, -2)),
         Quantity("cubic", "N·m·s³/rad³", 0.005, -0.5, 0.5, per=(1, -3)),

@@ -52,6 +52,12 @@ class LinkInertia(Effect):
         """See :meth:`Effect.columns`; shape (N, len(joints), 10)."""
         return body.link_columns(self.joints[-1])[:, self.joints]
 
+    def rigid_change(self, size: int, gravity: Array) -> tuple[Array, Array]:
+        """The link's ten parameters; see :meth:`Instant.rigid_change`."""
+        change = np.zeros((size, 10))
+        change[self.joints[-1]] = self.gain_values
+        return change, np.zeros(3)
+
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Weld a body with these parameters to the link.
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hybrid.effects.effect import Array, Body, Effect, JointState, Port, Quantity
+from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 
 # How long a joint has moved when a log begins: nobody saw in which state it started.
@@ -20,6 +23,7 @@ class Presliding(Effect):
 
     id = "presliding"
     port = Port.DRIVE
+    memory = ("q", "h")
     gains = (Quantity("level", "N·m", 0.04, 0.0, 0.3, per=(1, 0)),)
     shapes = (Quantity("distance", "rad", 0.005, 1e-5, 0.2),)
     equation = "τ = F · h, dh/dt = (v − |v| h)/δ"
@@ -32,6 +36,20 @@ class Presliding(Effect):
         (j,) = self.joints
         h = dahl(motion.q[:, j], motion.v[0, j], self.values["distance"])
         return h[:, None, None]
+
+    def begin(self, joints: Sequence[JointState]) -> Memory:
+        """It has moved for a little while, as in :func:`dahl`."""
+        return joints[0].q - joints[0].v * _BEFORE, 0.0
+
+    def at_instant(
+        self, joints: Sequence[JointState], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """The state of :func:`dahl` after one more sample."""
+        (before, h), (state,) = memory, joints
+        path = (state.q - before) / self.values["distance"]
+        decay = np.exp(-np.abs(path))
+        h = decay * h + (1.0 - decay) * np.sign(path)
+        return [self.values["level"] * h], (state.q, h)
 
     def resist(self, state: JointState, before: Array, step: float) -> Array:
         """One step of the law in time, by the trapezoidal rule."""

@@ -23,6 +23,13 @@ class ThresholdFriction(JointEffect):
 
     id = "threshold_friction"
     port = Port.DRIVE
+    fields = {
+        "coulomb_positive": "frictionloss",
+        "coulomb_negative": "frictionloss",
+        "viscous": "damping",
+        "quadratic": "quadratic",
+        "cubic": "cubic",
+    }
     dry = True
     gains = (
         Quantity("coulomb_positive", "N·m", 0.04, 0.0, 0.5, per=(1, 0)),

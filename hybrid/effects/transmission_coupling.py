@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.effects.effect import Array, Body, Effect, JointState, Port, Quantity
+from hybrid.effects.instant import Memory, Scalar
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
 
@@ -48,6 +49,15 @@ class TransmissionCoupling(Effect):
         joints = list(self.joints)
         v, a = motion.v[:, joints].sum(axis=1), motion.a[:, joints].sum(axis=1)
         return np.stack([np.stack([a, v, np.sign(v)], axis=1)] * 2, axis=1)
+
+    def at_instant(
+        self, joints: Sequence[JointState], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """The same law; see :meth:`Instant.at_instant`."""
+        v, a = joints[0].v + joints[1].v, joints[0].a + joints[1].a
+        inertia, viscous, coulomb = self.gain_values
+        torque = inertia * a + viscous * v + coulomb * np.sign(v)
+        return [torque, torque], ()
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Add a tendon whose length is the sum of both joints."""

@@ -13,6 +13,7 @@ class Viscous(JointEffect):
 
     id = "viscous"
     port = Port.DRIVE
+    fields = {"coefficient": "damping"}
     gains = (Quantity("coefficient", "N·m·s/rad", 0.05, 0.0, 1.0, per=(1, -1)),)
     equation = "τ = F_v · v"
     source = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"

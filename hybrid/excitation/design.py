@@ -145,8 +145,9 @@ def design(
 ) -> Design:
     """Design motions that reveal the parameters, one after the other.
 
-    Each motion is chosen for what it adds to those before it. From several random
-    starts the most promising one is followed to the end.
+    Each motion is chosen for what it adds to those before it. Of several random starts,
+    and of the motion before, the most promising one is followed to the end. Should that
+    bring less than to run the motion before again, it is run again.
 
     Args:
         robot: The arm, whose nominal torque shall stay within the limits.
@@ -189,17 +190,26 @@ def design(
                 f"no posture keeps the {', '.join(impossible[:4])}; valid are wider "
                 "limits"
             )
-        trajectory, excess = best_motion(program, starts=starts, rng=child)
+        trajectory, excess = best_motion(
+            program, starts=starts, rng=child, other=found[-1] if found else None
+        )
         t = uniform(family.duration, rate)
-        grams.append(observation.gram(trajectory.path(t), turning_speed=0.0))
-        total = total + grams[-1]
+        gram = observation.gram(trajectory.path(t), turning_speed=0.0)
+        if found and measure.value(total + gram) > measure.value(total + grams[-1]):
+            trajectory, gram, excess = found[-1], grams[-1], worst
+        total = total + gram
         found.append(trajectory)
+        grams.append(gram)
         worst = {k: max(x, worst.get(k, -np.inf)) for k, x in excess.items()}
     return Design(robot, observation, measure, tuple(found), tuple(grams), rate, worst)
 
 
 def best_motion(
-    program: MotionProgram, *, starts: int, rng: np.random.Generator
+    program: MotionProgram,
+    *,
+    starts: int,
+    rng: np.random.Generator,
+    other: Trajectory | None = None,
 ) -> tuple[Trajectory, dict[str, float]]:
     """The best motion of several starts, and how far it stays from every limit.
 
@@ -207,15 +217,17 @@ def best_motion(
         program: What is to be minimised.
         starts: Number of random starts.
         rng: Their source.
+        other: A motion of the family to start from as well.
 
     Raises:
         ExcitationError: No motion within the limits was found.
     """
     power, iterations = _EXPLORE
     rough = replace(program, power=power)
-    tries = [
-        solve(rough, rough.random(rng), iterations=iterations) for _ in range(starts)
-    ]
+    points = [rough.random(rng) for _ in range(starts)]
+    if other is not None:
+        points.append(rough.point(other))
+    tries = [solve(rough, x, iterations=iterations) for x in points]
     solution = min(tries, key=_merit)
     for power, iterations in _POLISH:
         solution = _continued(replace(program, power=power), solution, iterations)

@@ -84,6 +84,12 @@ class MotionProgram:
         """Motion of a point."""
         return Trajectory(self.family, self.coefficients(x))
 
+    def point(self, trajectory: Trajectory) -> Array:
+        """Coordinates of a motion, shape (m·n,)."""
+        return np.asarray(
+            ((trajectory.coefficients - self.middle) / self.scale).ravel()
+        )
+
     def random(self, rng: np.random.Generator, *, fill: float = 0.8) -> Array:
         """A random motion about a random posture, to start from, shape (m·n,).
 

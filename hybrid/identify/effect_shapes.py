@@ -75,7 +75,7 @@ class _Stack:
     standing: Array
     joints: tuple[int, ...]
     weight: Array
-    _kept: dict[tuple[int, int], tuple[tuple[float, ...], Array]] = field(
+    _kept: dict[tuple[int, int], dict[tuple[float, ...], Array]] = field(
         default_factory=dict, init=False
     )
 
@@ -114,18 +114,23 @@ class _Stack:
             out = np.zeros((samples, n, starts[-1]))
             for e, effect in enumerate(effects):
                 own = slice(starts[e], starts[e + 1])
-                out[:, list(effect.joints), own] = self._effect_columns(r, e, effect)
+                at = list(effect.reaches(n))
+                out[:, at, own] = self._effect_columns(r, e, effect)
             parts.append(out)
         return self.rows(parts)
 
     def _effect_columns(self, r: int, e: int, effect: Effect) -> Array:
-        """Filtered columns; kept for as long as the effect's shapes stay."""
+        """Filtered columns; kept for the last two shapes, a point and a step from it."""
         key = tuple(effect.shape_values.values())
-        if (r, e) not in self._kept or self._kept[r, e][0] != key:
+        kept = self._kept.setdefault((r, e), {})
+        if key not in kept:
             log = self.logs[r]
-            columns = self.samplers[r](effect.columns(log.motion, log.body))
-            self._kept[r, e] = (key, columns)
-        return self._kept[r, e][1]
+            kept[key] = self.samplers[r](effect.columns(log.motion, log.body))
+            if len(kept) > 2:
+                del kept[next(iter(kept))]
+        else:
+            kept[key] = kept.pop(key)  # the youngest again
+        return kept[key]
 
     def blocks(self) -> NDArray[np.intp]:
         """Block of time of every row, of one length in all logs."""
@@ -178,8 +183,8 @@ def fit_effects(
         tuple(effects), tuple(logs), cutoff, still, tuple(range(n)), weight
     )
     limit = partial(_limits, scales=scales, bounds=dict(bounds or {}))
-    for joints in _groups(effects):
-        own = [e for e, effect in enumerate(effects) if effect.joints[0] in joints]
+    for joints in _groups(effects, n):
+        own = [e for e, x in enumerate(effects) if x.reaches(n)[0] in joints]
         some = tuple(effects[e] for e in own)
         stack = replace(everything, effects=some, joints=joints)
         found = fit_separable(_problem(stack, limit), start=_start(some), starts=starts)
@@ -191,17 +196,18 @@ def fit_effects(
         if len(own) == len(effects) and logs[0].rigid is None:
             return fit
     coupled = any(log.rigid is not None for log in logs)
-    used = range(n) if coupled else sorted({j for e in effects for j in e.joints})
+    used = range(n) if coupled else sorted({j for e in effects for j in e.reaches(n)})
     stack = replace(everything, effects=tuple(effects), joints=tuple(used))
     found = fit_separable(_problem(stack, limit), start=_start(effects), starts=0)
     return _with_values(stack, found)
 
 
-def _groups(effects: Sequence[Effect]) -> list[tuple[int, ...]]:
-    """Joints that effects couple, in groups."""
+def _groups(effects: Sequence[Effect], size: int) -> list[tuple[int, ...]]:
+    """Joints of an arm of some size that effects couple, in groups."""
     groups: list[set[int]] = []
     for effect in effects:
-        joined = {*effect.joints}.union(*(g for g in groups if g & {*effect.joints}))
+        joined = set(effect.reaches(size))
+        joined = joined.union(*(g for g in groups if g & joined))
         groups = [g for g in groups if not g & joined] + [joined]
     return [tuple(sorted(g)) for g in groups]
 

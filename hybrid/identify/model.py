@@ -60,7 +60,12 @@ class DynamicModel:
         return "+ friction" if "threshold_friction" in kinds else "rigid"
 
     @cached_property
-    def _inertial(self) -> Array:
+    def link_parameters(self) -> Array:
+        """Link parameters with the base values, shape (n, 10).
+
+        Physically consistent ones if they are known; else the torque is right and the
+        links could not be built.
+        """
         if self.inertial is not None:
             return self.inertial
         n = self.robot.size
@@ -68,7 +73,7 @@ class DynamicModel:
 
     def body(self, motion: Motion) -> RigidBody:
         """The identified rigid body along a motion."""
-        return RigidBody(self.robot.chain, motion, self._inertial)
+        return RigidBody(self.robot.chain, motion, self.link_parameters)
 
     def predict(self, motion: Motion) -> Array:
         """Drive torque along a motion, as the log would show it.

@@ -30,6 +30,7 @@ _STANDING = 0.01  # of a joint's rated speed
 _NOISE = 0.02  # of the rated torque, before the first sample
 _SURPRISE = 5.0  # standard deviations to which an error is cut
 _UPDATES = 5.0  # per period of the cut-off
+_SETTLING = 1.5  # periods of the cut-off for which rows mix what was with what is
 
 
 @dataclass(frozen=True)
@@ -128,6 +129,8 @@ class OnlineIdentifier:
         self._detector = PayloadChange(rate=updates, mass=payload, reach=REACH)
         self._count = 0
         self._before = self._filter.mean.copy(), self._filter.covariance
+        self._mixing = _SETTLING / cutoff
+        self._learn_from = -np.inf
         self.changes: list[Change] = []
         self.error = np.zeros(robot.size)
 
@@ -244,7 +247,7 @@ class OnlineIdentifier:
         J, last, tau, part = rows[:, :d], rows[:, d:-2], rows[:, -2], rows[:, -1]
         self.error = tau - J[:, :p] @ self._filter.mean[:p]
         used = part > 0.5
-        if not used.any():
+        if t < self._learn_from or not used.any():
             return None
         repeats = self._noise.repeats
         size = self._noise.std[used] * np.sqrt(repeats)
@@ -258,9 +261,10 @@ class OnlineIdentifier:
             self.changes.append(change)
             self._before = self._filter.mean.copy(), self._filter.covariance
             self._filter.widen(self._payload)
-            spread = np.sqrt(1.0 + self._filter.leverage(H))
+            self._learn_from = t + self._mixing
+            return change
         limit = _SURPRISE * spread
         self._filter.update(H, np.clip(error, -limit, limit), self._forgetting)
         self._filter.keep_within(self._lower, self._upper)
         self._noise.update(used, self.error[used] / spread)
-        return change
+        return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 from typing import Any
 
@@ -35,8 +36,22 @@ class _Group:
     unknowns: NDArray[np.intp]  # (p, k), −1 where a gain is not an unknown
     shapes: NDArray[np.intp]  # (s, k)
 
+    @cached_property
+    def known(self) -> NDArray[np.bool_]:
+        """Which gains are unknowns of the fit, shape (p, k)."""
+        return self.unknowns >= 0
+
     def fill(self, out: Array, theta: Array, state: JointState) -> None:
         """Write columns of the gains and slopes of the shapes into ``out`` (n, d)."""
+        if not self.kind.shapes:
+            laws: Sequence[Array] = self.kind.law(state)
+            for law, unknown, known in zip(
+                laws, self.unknowns, self.known, strict=True
+            ):
+                out[self.joints[known], unknown[known]] = np.broadcast_to(
+                    law, known.shape
+                )[known]
+            return
         names = [s.name for s in self.kind.shapes]
         values = theta[self.shapes]  # (s, k)
         tried = np.repeat(values[:, None], 1 + len(names), axis=1)
@@ -45,12 +60,12 @@ class _Group:
             tried[i, 1 + i] += steps[i]
         shapes: dict[str, Any] = dict(zip(names, tried, strict=True))
         unit = np.ones((1 + len(names), len(self.joints)))
-        laws = [unit * x for x in self.kind.law(state, **shapes)]
         torque = np.zeros_like(unit)
-        for law, unknown in zip(laws, self.unknowns, strict=True):
-            known = unknown >= 0
-            out[self.joints[known], unknown[known]] = law[0, known]
-            torque += np.where(known, theta[unknown], 0.0) * law
+        laws = self.kind.law(state, **shapes)
+        for law, unknown, known in zip(laws, self.unknowns, self.known, strict=True):
+            per_unit = unit * law
+            out[self.joints[known], unknown[known]] = per_unit[0, known]
+            torque += np.where(known, theta[unknown], 0.0) * per_unit
         for i in range(len(names)):
             out[self.joints, self.shapes[i]] = (torque[1 + i] - torque[0]) / steps[i]
 
@@ -131,7 +146,7 @@ class SampleColumns:
         body = RigidBody(self.problem.chain, motion, self.problem.inertial)
         for effect, unknowns, at in self._general:
             shapes = dict(zip([s.name for s in effect.shapes], theta[at], strict=True))
-            joints, here = list(effect.joints), effect.at(shapes)
+            joints, here = list(effect.reaches(len(out))), effect.at(shapes)
             columns = here.columns(motion, body)[0]
             known = [g for g, unknown in enumerate(unknowns) if unknown >= 0]
             gains = np.zeros(len(unknowns))

@@ -4,8 +4,7 @@ For given shapes the best gains follow from linear least squares, so that only t
 shapes are searched, each step with its own optimal gains.
 
 Source: Golub and Pereyra 1973, doi 10.1137/0710036; Kaufman 1975,
-doi 10.1007/BF01932995 (the Jacobian); Cameron and Miller 2015,
-doi 10.3368/jhr.50.2.317 (intervals from blocks that are correlated within).
+doi 10.1007/BF01932995 (the Jacobian); Marquardt 1963, doi 10.1137/0111030 (the steps).
 """
 
 from __future__ import annotations
@@ -16,22 +15,22 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, lsq_linear
+from scipy.optimize import lsq_linear
 from scipy.stats import qmc
 from scipy.stats import t as student
 
 from hybrid.errors import IdentificationError
+from hybrid.identify.block_covariance import block_covariance
 from hybrid.robot.chain import Array
 
-_STEP = 1e-5  # of a shape's range, for differences
+_STEP = 1e-6  # of a shape's range, for differences
 _MOST_STEPS = 60
 _AT_BOUND = 1e-4  # of a shape's range
-_REFINED = 3  # starts that are followed to their optimum
+_FOLLOWED = 3  # starts that are followed downhill
+_ROUGHLY, _FINALLY = 1e-3, 1e-10  # share of the squares below which a step ends it
+_EXACT = 1e-28  # share of the target's squares that counts as nothing left
 _WIDE = 10.0  # ratio of bounds from which a shape is searched by its logarithm
-_FINE_BLOCKS = 384
-_FEWEST_BLOCKS = 24
-_UNCORRELATED = 0.05
-_BLIND = 1e-12  # relative curvature below which a parameter is not determined
+_ALIKE = 1e-13  # eigenvalue below which normalised columns count as dependent
 
 
 @dataclass(frozen=True)
@@ -90,10 +89,9 @@ class SeparableProblem:
         """Orthonormal columns that span ``free``, shape (M, ≤ m)."""
         assert self.free is not None
         size = np.linalg.norm(self.free, axis=0)
-        Q, spread, _ = np.linalg.svd(
-            self.free / np.where(size > 0, size, 1.0), full_matrices=False
-        )
-        return np.asarray(Q[:, spread > 1e-10 * spread[0]])
+        Q, R = np.linalg.qr(self.free / np.where(size > 0, size, 1.0))
+        turn, spread, _ = np.linalg.svd(R)
+        return np.asarray(Q @ turn[:, : len(spread)][:, spread > 1e-10 * spread[0]])
 
     def without_free(self, x: Array) -> Array:
         """What ``free`` cannot explain of some columns."""
@@ -102,7 +100,8 @@ class SeparableProblem:
         return np.asarray(x - self._basis @ (self._basis.T @ x))
 
     @cached_property
-    def _rest(self) -> Array:
+    def rest(self) -> Array:
+        """What ``free`` cannot explain of the target, shape (M,)."""
         return self.without_free(self.target)
 
     def gains(self, shapes: Array) -> tuple[Array, Array, Array]:
@@ -113,16 +112,20 @@ class SeparableProblem:
             (M, p); what is left of the target, shape (M,).
         """
         B = self.without_free(self.columns(shapes))
-        size = np.linalg.norm(B, axis=0)
-        size = np.where(size > 0, size, 1.0)
-        Q, R = np.linalg.qr(B / size)
-        z = Q.T @ self._rest
-        low, high = self.gain_lower * size, self.gain_upper * size
-        g = np.linalg.lstsq(R, z, rcond=1e-12)[0]
+        root, inverse = _roots(B)
+        g = inverse.T @ (inverse @ (B.T @ self.rest))
+        low, high = self.gain_lower, self.gain_upper
+        left = self.rest - B @ g
+        step = inverse.T @ (inverse @ (B.T @ left))  # what rounding has cost
+        g, left = g + step, left - B @ step
         if np.any(g < low) or np.any(g > high):
-            g = lsq_linear(R, z, bounds=(low, high), method="bvls").x
-        g = g / size
-        return g, B, self._rest - B @ g
+            size = np.linalg.norm(root, axis=0)
+            size = np.where(size > 0, size, 1.0)
+            z = inverse @ (B.T @ self.rest)
+            bounds = (low * size, high * size)
+            g = lsq_linear(root / size, z, bounds=bounds, method="bvls").x / size
+            left = self.rest - B @ g
+        return g, B, left
 
     def inside(self, gains: Array) -> NDArray[np.bool_]:
         """Which gains are at none of their bounds, shape (p,)."""
@@ -132,13 +135,25 @@ class SeparableProblem:
 
     def slope(self, u: Array, gains: Array) -> Array:
         """Change of the fitted torque per coordinate at fixed gains, shape (M, s)."""
+        here = self.columns(self.shapes(u)) @ gains
         slopes = np.empty((len(self.target), len(u)))
         for k in range(len(u)):
-            ends = np.repeat(u[None], 2, axis=0)
-            ends[:, k] = np.clip(u[k] + np.array([-_STEP, _STEP]), 0.0, 1.0)
-            below, above = (self.columns(self.shapes(end)) for end in ends)
-            slopes[:, k] = (above - below) @ gains / (ends[1, k] - ends[0, k])
+            there = u.copy()
+            there[k] += _STEP if u[k] < 0.5 else -_STEP
+            torque = self.columns(self.shapes(there)) @ gains
+            slopes[:, k] = (torque - here) / (there[k] - u[k])
         return slopes
+
+
+def _roots(B: Array) -> tuple[Array, Array]:
+    """A with AᵀA = BᵀB, and A⁺ᵀ; directions that B does not see are left out."""
+    G = B.T @ B
+    size = np.sqrt(np.diag(G))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(G / np.outer(size, size))
+    seen = values > _ALIKE * values[-1]
+    spread, turn = np.sqrt(values[seen])[:, None], vectors[:, seen].T
+    return np.asarray(spread * turn * size), np.asarray(turn / spread / size)
 
 
 @dataclass(frozen=True)
@@ -206,31 +221,85 @@ def fit_separable(
             power of 2; the best of them are followed to their optimum. 0 with a first
             guess that is good.
     """
-    count = [0]
-    size = max(float(np.linalg.norm(problem.target)), 1e-300)  # tolerances are absolute
-
-    def left(u: Array) -> Array:
-        count[0] += 1
-        return problem.gains(problem.shapes(u))[2] / size
-
-    def jacobian(u: Array) -> Array:
-        gains, B, _ = problem.gains(problem.shapes(u))
-        count[0] += 1 + 2 * len(u)
-        slope = problem.without_free(problem.slope(u, gains))
-        Q = np.linalg.qr(B[:, problem.inside(gains)])[0]
-        return np.asarray(-(slope - Q @ (Q.T @ slope)) / size)
-
-    s = len(problem.lower)
-    if s == 0:
+    if len(problem.lower) == 0:
         return _solution(problem, np.zeros(0), 1, True)
-    points = _tried(problem, start, starts)
-    squares = [float(np.sum(left(u) ** 2)) for u in points]
-    found = [
-        least_squares(left, u, jacobian, bounds=(0.0, 1.0), max_nfev=_MOST_STEPS)
-        for u in points[np.argsort(squares)[:_REFINED]]
-    ]
-    best = min(found, key=lambda f: float(f.cost))
-    return _solution(problem, best.x, count[0], bool(best.status > 0))
+    starting = [_Point.at(problem, u) for u in _tried(problem, start, starts)]
+    starting.sort(key=lambda point: point.squares)
+    ends = [_descend(problem, p, _ROUGHLY) for p in starting[:_FOLLOWED]]
+    best = min(ends, key=lambda end: end.point.squares)
+    final = _descend(problem, best.point, _FINALLY)
+    count = len(starting) + sum(end.evaluations for end in (*ends, final))
+    return _solution(problem, final.point.u, count, final.converged)
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Coordinates with their best gains; see :meth:`SeparableProblem.gains`."""
+
+    u: Array
+    gains: Array
+    B: Array
+    left: Array
+    squares: float
+
+    @classmethod
+    def at(cls, problem: SeparableProblem, u: Array) -> _Point:
+        gains, B, left = problem.gains(problem.shapes(u))
+        return cls(u, gains, B, left, float(left @ left))
+
+    def jacobian(self, problem: SeparableProblem) -> Array:
+        """Change of what is left per coordinate, gains following, shape (M, s)."""
+        slope = problem.without_free(problem.slope(self.u, self.gains))
+        B = self.B[:, problem.inside(self.gains)]
+        if not B.shape[1]:
+            return -slope
+        _, inverse = _roots(B)
+        return np.asarray(B @ (inverse.T @ (inverse @ (B.T @ slope))) - slope)
+
+
+@dataclass(frozen=True)
+class _End:
+    point: _Point
+    evaluations: int
+    converged: bool
+
+
+def _descend(problem: SeparableProblem, point: _Point, tolerance: float) -> _End:
+    """Levenberg–Marquardt steps, cut at the bounds, until one gains next to nothing."""
+    count, damping = 0, 1e-3
+    nothing = _EXACT * float(problem.target @ problem.target)
+    for _ in range(_MOST_STEPS):
+        J = point.jacobian(problem)
+        count += 1 + len(point.u)
+        slope, curvature = J.T @ point.left, J.T @ J
+        held = (point.u <= 0) & (slope > 0) | (point.u >= 1) & (slope < 0)
+        before = point
+        while point is before:
+            move = _step(slope, curvature, ~held, damping)
+            u = np.clip(point.u + move, 0.0, 1.0)
+            if np.abs(u - point.u).max() < 1e-9:
+                return _End(point, count, True)
+            trial = _Point.at(problem, u)
+            count += 1
+            better = trial.squares < point.squares
+            damping *= 0.1 if better else 8.0
+            point = trial if better else point
+        gained = before.squares - point.squares
+        if gained <= tolerance * before.squares or point.squares <= nothing:
+            return _End(point, count, True)
+    return _End(point, count, False)
+
+
+def _step(
+    slope: Array, curvature: Array, free: NDArray[np.bool_], damping: float
+) -> Array:
+    """Damped step in the coordinates that are free to move, shape (s,)."""
+    move = np.zeros(len(slope))
+    H = curvature[np.ix_(free, free)]
+    size = np.diag(H)
+    size = np.where(size > 0, size, 1.0)
+    move[free] = -np.linalg.solve(H + damping * np.diag(size), slope[free])
+    return move
 
 
 def _tried(problem: SeparableProblem, start: Array | None, starts: int) -> Array:
@@ -273,7 +342,7 @@ def _solution(
     per_u = np.where(problem._wide, shapes * log_width, high - low)
     J = np.hstack([problem.slope(u, gains) / per_u, columns])
     J = problem.without_free(J[:, ~at_bound])
-    part, degrees = _block_covariance(J, residual, problem.block)
+    part, degrees = block_covariance(J, residual, problem.block)
     covariance = np.zeros((len(at_bound), len(at_bound)))
     covariance[np.ix_(~at_bound, ~at_bound)] = part
     return SeparableFit(
@@ -288,36 +357,3 @@ def _solution(
         degrees=degrees,
         logarithmic=np.concatenate([problem._wide, np.zeros(len(gains), dtype=bool)]),
     )
-
-
-def _block_covariance(
-    J: Array, residual: Array, block: NDArray[np.intp] | None
-) -> tuple[Array, int]:
-    """Covariance of J's parameters from scores of blocks; degrees of freedom."""
-    rows = len(residual)
-    if block is None:
-        block = np.arange(rows) * min(_FINE_BLOCKS, rows) // rows
-    size = np.linalg.norm(J, axis=0)
-    unit = J / np.where(size > 0, size, 1.0)
-    scores = np.zeros((int(block.max()) + 1, J.shape[1]))
-    np.add.at(scores, block, unit * residual[:, None])
-    scores = _independent(scores)
-    values, vectors = np.linalg.eigh(unit.T @ unit)
-    seen = values > _BLIND * values.max(initial=0.0)
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-    count = len(scores)
-    spread = scores @ inverse / np.where(size > 0, size, 1.0)
-    covariance = count / max(count - 1, 1) * spread.T @ spread
-    blind = (vectors[:, ~seen] ** 2).sum(axis=1) > 0.01
-    covariance[np.diag_indices_from(covariance)] += np.where(blind, np.inf, 0.0)
-    return covariance, max(count - 1, 1)
-
-
-def _independent(scores: Array) -> Array:
-    """Neighbouring blocks joined until the scores of successive ones are unrelated."""
-    while len(scores) >= 2 * _FEWEST_BLOCKS:
-        power = np.maximum((scores**2).sum(axis=0), 1e-300)
-        if np.mean((scores[1:] * scores[:-1]).sum(axis=0) / power) < _UNCORRELATED:
-            break
-        scores = np.add.reduceat(scores, np.arange(0, len(scores), 2), axis=0)
-    return scores

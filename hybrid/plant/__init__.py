@@ -1,5 +1,6 @@
 """A simulated arm with known effects: where recordings with a known truth come from."""
 
+from hybrid.plant.install import install
 from hybrid.plant.noise import Noise
 from hybrid.plant.plant import Plant
 from hybrid.plant.reference import Reference, random_fourier
@@ -12,6 +13,7 @@ __all__ = [
     "Plant",
     "Reference",
     "Servo",
+    "install",
     "load_truth",
     "random_fourier",
     "simulate",

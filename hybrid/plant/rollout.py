@@ -171,12 +171,12 @@ def _start(
         return windows.first([getattr(m, name) for m in seen])
 
     warm = first("temperature") if seen[0].temperature is not None else None
-    names = ("t", "q", "v", "a", "tau", "mask")
-    start = Motion(*map(first, names), warm)  # type: ignore[arg-type]
-    rates = [np.gradient(b.load, m.t, axis=0) for b, m in zip(bodies, seen, strict=True)]
+    t, q, v, a, tau = map(first, ("t", "q", "v", "a", "tau"))
+    start = Motion(t, q, v, a, tau, np.ones(len(t), dtype=bool), warm)
+    pairs = list(zip(seen, bodies, strict=True))
+    rates = [np.gradient(body.load, m.t, axis=0) for m, body in pairs]
     load = np.stack([windows.first([b.load for b in bodies]), windows.first(rates)])
     state = _Moving(arm, effects, start, load)
-    pairs = list(zip(seen, bodies, strict=True))
     past = [e for e in effects if overrides(e, "resist")]
     state.bend([windows.first([e.torque(m, b) for m, b in pairs]) for e in past])
     return state
@@ -197,7 +197,7 @@ def _shown(effects: Sequence[Effect], state: _Moving) -> Array:
             j = list(effect.joints)
             q[:, j], v[:, j] = effect.sense(q[:, j], v[:, j])
     q[state.lost] = np.nan
-    return q
+    return np.asarray(q)
 
 
 def _delivered(motion: Motion, effects: Sequence[Effect], factor: int) -> Array:
@@ -208,7 +208,7 @@ def _delivered(motion: Motion, effects: Sequence[Effect], factor: int) -> Array:
     t = np.linspace(motion.t[0], motion.t[-1], samples)
     torque: Array = motion.tau
     if factor > 1:
-        torque = CubicSpline(motion.t, motion.tau)(t)
+        torque = np.asarray(CubicSpline(motion.t, motion.tau)(t))
     for effect in reversed([e for e in effects if e.reports]):
         j = list(effect.joints)
         torque = torque.copy()

@@ -1,7 +1,7 @@
 "use strict";
 // Pictures of one joint at a time, as SVG; each can be zoomed along its abscissa.
 
-const { joints, inks } = JSON.parse(document.getElementById("data").textContent);
+const { joints, inks, first } = JSON.parse(document.getElementById("data").textContent);
 const CURVES = {
   today: ["simulator as it stands", "#f0a573"],
   corrected: ["its own numbers corrected", "#8c8c8c", "hidden"],
@@ -40,7 +40,7 @@ function ends(values, room) {
   let low = Infinity, high = -Infinity;
   for (const x of values) if (x !== null) { low = Math.min(low, x); high = Math.max(high, x); }
   if (low > high) return [-1, 1];
-  const more = room * (high - low) || 1e-3 + 0.1 * Math.abs(high);
+  const more = high > low ? room * (high - low) : 1e-3 + 0.1 * Math.abs(high);
   return [low - more, high + more];
 }
 
@@ -136,7 +136,7 @@ class Plot {
       make("line", { class: y === 0 ? "zero" : "grid", x1: left, x2: right, y1: Y(y), y2: Y(y) }, svg);
       make("text", { x: left - 6, y: Y(y) + 4, "text-anchor": "end" }, svg, written(y));
     }
-    for (const x of ticks(low, high, width / 90)) {
+    for (const x of ticks(low, high, width / 65)) {
       make("text", { x: X(x), y: floor + 15, "text-anchor": "middle" }, svg, written(x));
     }
     for (const mark of this.marks.filter((m) => inside(m.x))) {
@@ -189,7 +189,7 @@ function build(k) {
   const add = (parent, options) => plots[k].push(new Plot(parent, options)) && plots[k].at(-1);
   let time;
   keys(host, named, () => [time]);
-  time = add(host, { layers, axes: ["gap [N·m]", "time, recording after recording [s]"],
+  time = add(host, { layers, axes: [`gap [${joint.unit}]`, "time, recording after recording [s]"],
     height: 280, floor: joint.noise, marks: joint.marks });
   for (const { effect, y, law, order } of joint.clouds) {
     const names = effect
@@ -202,7 +202,7 @@ function build(k) {
     for (const name of order) {  // first what the law is most clearly a function of
       const { x, unit } = joint.over[name];
       const clouds = [y, law].slice(0, names.length);
-      own.push(add(grid, { height: 210, axes: ["torque [N·m]", `${name} [${unit}]`],
+      own.push(add(grid, { height: 210, axes: [`gap [${joint.unit}]`, `${name} [${unit}]`],
         layers: clouds.map((values, i) => ({ x, y: values, ink: names[i][1], dots: 3.4 - 1.4 * i })) }));
     }
   }
@@ -219,7 +219,7 @@ function show(k) {
   plots[k].forEach((plot) => plot.draw());
 }
 
-let current = Math.max(0, joints.findIndex((j) => j.clouds[0].effect));
+let current = first;
 all("[data-pick]").forEach((button) => button.addEventListener("click", () => {
   show(current = +button.dataset.pick);
   if (button.classList.contains("name")) document.getElementById("joint").scrollIntoView();

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 PAGE, CONTENT = "report.html", "diagnosis.json"
 
+_SMALL = 0.005  # a share that would be shown as 0%
+
 # Told apart by colour-blind readers, and by lightness in print.
 _INKS = ("#08519c", "#e69f00", "#56b4e9", "#009e73", "#cc79a7", "#5a5a5a")
 
@@ -68,13 +70,16 @@ def render_diagnosis(result: Result) -> str:
         rows=_overview(result),
         shares=_shares(diagnosis),
         findings=[_finding(f, _ink(k)) for k, f in enumerate(diagnosis.findings)],
+        remainder=_remainder(result),
         matrix=evidence_matrix(result.search),
         regions=_regions(diagnosis),
         variables=list(dict.fromkeys(r.variable for r in diagnosis.where)),
         advice=[_advice(x) for x in diagnosis.advice],
         effect_name=effect_name,
         number=number,
-        data=_embedded({"joints": curves, "inks": _inks(diagnosis)}),
+        data=_embedded(
+            {"joints": curves, "inks": _inks(diagnosis), "first": _widest(result)}
+        ),
         provenance=_readable(diagnosis.provenance),
     )
 
@@ -87,28 +92,52 @@ def _overview(result: Result) -> list[dict[str, Any]]:
     return [
         {
             "joint": joint,
+            "unit": "N·m" if result.gap.robot.chain.revolute[i] else "N",
             "rms": {k: number(row[k]) for k in row},
-            "percent": number(100 * row["today"] / row["torque"]) if row["torque"] else "",
+            "percent": number(100 * row["today"] / row["torque"])
+            if row["torque"]
+            else "",
             # Bars are relative to the torque: a wrist is as visible as a shoulder.
             "width": {
-                k: 100 * min(1.0, row[k] / row["torque"] / widest) if row["torque"] else 0
+                k: 100 * min(1.0, row[k] / row["torque"] / widest)
+                if row["torque"]
+                else 0
                 for k in ("today", "after", "noise")
             },
         }
-        for joint, row in zip(result.diagnosis.joints, table, strict=True)
+        for i, (joint, row) in enumerate(
+            zip(result.diagnosis.joints, table, strict=True)
+        )
     ]
 
 
 def _shares(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Parts of the explainable gap, in per cent: each finding's, and the rest."""
     explained = 1.0 - diagnosis.unexplained
-    parts = [
+    parts: list[dict[str, Any]] = [
         {"name": effect_name(f.effect), "ink": _ink(k), "part": f.share * explained}
         for k, f in enumerate(diagnosis.findings)
     ]
-    if diagnosis.unexplained > 0.005:
+    if diagnosis.unexplained >= _SMALL:
         parts.append({"name": "unexplained", "ink": "", "part": diagnosis.unexplained})
     return [{**x, "part": 100 * x["part"]} for x in parts]
+
+
+def _remainder(result: Result) -> list[dict[str, str]]:
+    """Joints where structure is left, and what a flexible regression says of it."""
+    found = result.account
+    whole = float((found.explained + found.missed).sum())
+    if not (whole > 0 and result.diagnosis.unexplained >= _SMALL):
+        return []
+    parts = zip(
+        result.diagnosis.joints, found.missed / whole, found.depends, strict=True
+    )
+    rows = sorted(parts, key=lambda x: -x[1])
+    return [
+        {"joint": joint, "share": f"{part:.0%}", "depends": depends}
+        for joint, part, depends in rows
+        if part >= _SMALL
+    ]
 
 
 def _finding(f: Finding, ink: str) -> dict[str, Any]:
@@ -163,6 +192,12 @@ def _advice(x: Advice) -> dict[str, str]:
     }
 
 
+def _widest(result: Result) -> int:
+    """The joint with most of the gap above noise: the one to look at first."""
+    above = result.account.explained + result.account.missed
+    return int(above.argmax())
+
+
 def _ink(k: int) -> str:
     return _INKS[k % len(_INKS)]
 
@@ -173,7 +208,9 @@ def _inks(diagnosis: Diagnosis) -> dict[str, str]:
 
 def _embedded(content: Mapping[str, Any]) -> Markup:
     """JSON inside a script element; no name in it can end the element."""
-    text = json.dumps(content, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    text = json.dumps(
+        content, allow_nan=False, ensure_ascii=False, separators=(",", ":")
+    )
     return Markup(text.replace("<", "\\u003c"))
 
 

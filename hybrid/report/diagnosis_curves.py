@@ -33,9 +33,10 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
         i: The joint.
 
     Returns:
-        JSON-ready: ``name``, ``noise`` [N·m]; ``time`` with one curve for the simulator
-        as it stands, with its own numbers corrected, and with the findings added;
-        ``marks``, where recordings begin; ``over``, values of position, speed,
+        JSON-ready: ``name``, ``noise`` and its ``unit``; ``time`` with one curve for
+        the simulator as it stands, with its own numbers corrected, and with the
+        findings added;
+        ``marks``, where samples of each recording begin; ``over``, values of position, speed,
         acceleration and load; ``clouds``, one for each finding that acts here: what
         is left without it, and its fitted law, at those values.
     """
@@ -49,16 +50,20 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
     }
     if not scored.terms:
         del left["corrected"]  # the same as after
-    t, marks = _one_after_another(m.t, gap.trajectory, rows, [x.source for x in gap.motions])
+    t, marks = _one_after_another(
+        m.t, gap.trajectory, rows, [x.source for x in gap.motions]
+    )
     spots = np.arange(0, len(rows), max(1, -(-len(rows) // MOST_POINTS)))
+    turn, force = ("rad", "N·m") if gap.robot.chain.revolute[i] else ("m", "N")
     over = {
-        "position": (m.q[rows, i], "rad"),
-        "speed": (m.v[rows, i], "rad/s"),
-        "acceleration": (m.a[rows, i], "rad/s²"),
-        "load": (gap.load[rows, i], "N·m"),
+        "position": (m.q[rows, i], turn),
+        "speed": (m.v[rows, i], f"{turn}/s"),
+        "acceleration": (m.a[rows, i], f"{turn}/s²"),
+        "load": (gap.load[rows, i], force),
     }
     return {
         "name": gap.robot.joints[i],
+        "unit": force,
         "noise": result.diagnosis.noise_floor[i],
         "time": {name: thin(t, y, rows) for name, y in left.items()},
         "marks": marks,
@@ -107,7 +112,7 @@ def _one_after_another(
         whole = t[trajectory == k]
         out[of == k] = t[rows[of == k]] - whole[0] + start
         name = Path(sources[k]).name or f"recording {k + 1}"
-        marks.append({"x": float(f"{start:.{_DIGITS}g}"), "name": name})
+        marks.append({"x": _short(out[of == k][:1])[0], "name": name})
         start += whole[-1] - whole[0]
     return out, marks
 
@@ -126,12 +131,21 @@ def _clouds(
                     "effect": effect,
                     "y": _short(after + law),
                     "law": _short(law),
-                    "order": sorted(over, key=lambda name: _roughness(over[name], law)),
+                    "order": _clearest(over, law),
                 }
             )
-    return clouds or [
-        {"effect": "", "y": _short(after), "law": [], "order": list(over)}
-    ]
+    rest = {
+        "effect": "",
+        "y": _short(after),
+        "law": [],
+        "order": _clearest(over, after),
+    }
+    return clouds or [rest]
+
+
+def _clearest(over: Mapping[str, Array], y: Array) -> list[str]:
+    """What y is most clearly a function of, first."""
+    return sorted(over, key=lambda name: _roughness(over[name], y))
 
 
 def _roughness(x: Array, y: Array) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Region, Shrink, Value
 
 MOST_LINES = 10
+_ABOVE = 1.2  # times its noise: a joint with less of a gap is not worth a word
 _BOUND = "\u00a0"  # between a number and its unit
 
 
@@ -28,16 +29,35 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 
 def verdict_lines(diagnosis: Diagnosis) -> list[str]:
-    """The diagnosis in at most ten lines: what, how sure, and what to run next."""
+    """The diagnosis in at most ten lines: what, where, how sure, what to run next."""
+    begin = [verdict_sentence(diagnosis), *_places(diagnosis)]
     end = list(_endings(diagnosis))
-    room = MOST_LINES - 1 - len(end)
+    room = MOST_LINES - len(begin) - len(end)
     entries = [list(_entry(k + 1, f)) for k, f in enumerate(diagnosis.findings)]
     if sum(map(len, entries)) > room:
         entries = [entry[:1] for entry in entries]
     lines = [line for entry in entries for line in entry]
     if len(lines) > room:
         lines = [*lines[: room - 1], f"… and {len(lines) - room + 1} more"]
-    return [verdict_sentence(diagnosis), *lines, *end]
+    return [*begin, *lines, *end]
+
+
+def _places(diagnosis: Diagnosis) -> Iterator[str]:
+    """The joints that have a gap, widest over its noise first, and under what."""
+    gaps = zip(diagnosis.joints, diagnosis.rms, diagnosis.noise_floor, strict=True)
+    over = [(rms / max(noise, 1e-12), j, rms, noise) for j, rms, noise in gaps]
+    named = [
+        f"{joint} {number(rms)} (noise {number(noise)})"
+        for ratio, joint, rms, noise in sorted(over, reverse=True)
+        if ratio > _ABOVE
+    ]
+    if diagnosis.verdict in ("no_gap", "not_excited") or not named:
+        return
+    yield f"RMS gap in N·m: {_few(named, between=', ')}"
+    conditions = [r for r in diagnosis.where if r.variable != "link"]
+    if conditions:
+        first = conditions[0]
+        yield f"Densest: {region_name(first)}, {first.share:.0%} of the whole gap"
 
 
 def _entry(number: int, f: Finding) -> Iterator[str]:
@@ -52,15 +72,15 @@ def _entry(number: int, f: Finding) -> Iterator[str]:
 
 
 def _endings(diagnosis: Diagnosis) -> Iterator[str]:
-    if diagnosis.verdict == "unexplained" and diagnosis.where:
-        yield f"Largest part of the gap: {region_name(diagnosis.where[0])}"
     if diagnosis.not_excited:
         yield f"Not excited, so nothing is said of: {_few(diagnosis.not_excited)}"
     if diagnosis.warnings:
         yield f"Take care: {_few(diagnosis.warnings)}"
     if diagnosis.advice:
         first = diagnosis.advice[0]
-        splits = f", to tell {effects_listed(first.splits, 'from')}" if first.splits else ""
+        splits = (
+            f", to tell {effects_listed(first.splits, 'from')}" if first.splits else ""
+        )
         yield f"Run next: {first.experiment}{splits}"
 
 
@@ -68,10 +88,12 @@ def shrink_sentence(kind: str, s: Shrink) -> str:
     """How far a gap falls: of torque in N·m, of motion in rad."""
     unit = "rad" if kind == "motion" else "N·m"
     over = f" over {s.horizon_s:g} s" if s.horizon_s is not None else ""
-    low, high = s.interval
+    removed, low, high = (
+        f"{100 * x:.0f}".replace("-", "−") for x in (s.removed, *s.interval)
+    )
     return (
         f"{kind} gap{over} {number(s.before)} → {number(s.after)}{_BOUND}{unit}, "
-        f"{s.removed:.0%} less (95 % interval {low:.0%} to {high:.0%})"
+        f"{removed}% less (95% interval {low} to {high}%)"
     )
 
 
@@ -134,6 +156,6 @@ def words(names: Sequence[str], last: str = "and") -> str:
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
-def _few(texts: Sequence[str], most: int = 3) -> str:
+def _few(texts: Sequence[str], most: int = 3, between: str = "; ") -> str:
     more = f" and {len(texts) - most} more" if len(texts) > most else ""
-    return "; ".join(texts[:most]) + more
+    return between.join(texts[:most]) + more

@@ -87,17 +87,23 @@ def information_figure(design: Design) -> Figure:
     above.set_yscale("log")
     above.set_ylabel("singular value")
     above.set_xlabel(f"of {design.observation.size}, largest first")
-    labels = design.observation.base.kept_labels
+    labels = [_short(x) for x in design.observation.base.kept_labels]
     errors = design.standard_errors() / design.observation.scale
-    below.bar(order, errors, color=BLUE, width=0.7)
+    below.plot(order, errors, "o", color=BLUE, markersize=4)
     below.set_yscale("log")
     below.set_ylabel("predicted standard error\n[SI units]")
     small = 8 if len(labels) < 30 else 5
-    shown = [x.split("[")[0] + "…" if len(x) > 18 else x for x in labels]
-    below.set_xticks(order, shown, rotation=90, fontsize=small)
-    below.margins(x=0.01)
+    below.set_xticks(order, labels, rotation=90)
     for axes in (above, below):
         clean(axes, grid="y")
+        axes.tick_params(which="both", labelsize=8)
     below.tick_params(axis="x", labelsize=small)
     legend(figure, handles[:8])
     return figure
+
+
+def _short(label: str) -> str:
+    """``viscous.coefficient[elbow]`` as ``viscous, elbow``; others as they are."""
+    effect, _, rest = label.partition(".")
+    joint = rest.partition("[")[2].rstrip("]")
+    return f"{effect}, {joint}" if joint else label

@@ -1,0 +1,66 @@
+"""How often the diagnosis is right on plants whose truth it is not told.
+
+A table of shares with intervals appears, beside simpler methods, for the arm that
+thresholds were tuned on and for arms that they were never tuned on, and a confusion
+matrix: which effect is named for which. Cases that an earlier run has answered are not
+run again.
+
+    python experiments/blind_diagnosis.py --cases 600 --seed 1
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+from hybrid.benchmark.case import TUNED, Case, plan
+from hybrid.benchmark.run import run_cases
+from hybrid.benchmark.tables import write_benchmark
+from hybrid.report import numbers_table
+
+ROOT = Path(__file__).parents[1]
+LOG = ROOT / "build" / "blind_diagnosis.jsonl"  # delete it when the diagnosis changes
+REPORT = ROOT / "reports" / "blind_diagnosis"
+KNOWN = tuple(f"models/{name}.xml" for name in TUNED)
+NEW = ("ur5", "panda", "models/scara.xml", "z1", "xarm7", "ur10")
+
+
+def cases_of(count: int, seed: int) -> list[Case]:
+    """Half of the cases on robots tuned on, half on others, alternating."""
+    halves = (
+        plan(KNOWN, count - count // 2, seed=seed),
+        plan(NEW, count // 2, seed=seed),
+    )
+    ranked = [
+        (k / len(half), case)
+        for half in halves
+        for k, case in enumerate(half)
+    ]  # fmt: skip
+    return [case for _, case in sorted(ranked, key=lambda x: x[0])]
+
+
+def main() -> None:
+    """Run the cases, print the table, write the report."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--cases", type=int, default=600)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--log", type=Path, default=LOG)
+    args, console = parser.parse_args(), Console(width=200)
+    rows = run_cases(
+        cases_of(args.cases, args.seed),
+        args.log,
+        workers=args.workers,
+        tell=lambda row: console.print(row["key"], row.get("verdict", "no answer")),
+    )
+    command = (
+        f"python experiments/blind_diagnosis.py --cases {args.cases} --seed {args.seed}"
+    )
+    table = write_benchmark(rows, REPORT, tuned=TUNED, command=command)
+    console.print(numbers_table(table))
+
+
+if __name__ == "__main__":
+    main()

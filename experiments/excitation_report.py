@@ -1,0 +1,104 @@
+"""Table and figure of the torque error after identification from several designs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hybrid.files import atomic_path
+from hybrid.report import (
+    Table,
+    markdown_table,
+    provenance,
+    save_figure,
+    write_results,
+)
+from hybrid.report.style import BLUE, GREY, OTHERS, clean, legend, new_figure
+
+INKS = (GREY, OTHERS[0], OTHERS[1], BLUE)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Errors of D designs over S seeds and P plants; the first design is the measure.
+
+    Attributes:
+        joints: Joint names, n of them.
+        designs: Names of the designs.
+        rms: RMS torque error on another motion, shape (S, P, D, n), [N·m].
+        seconds: CPU time of each design, shape (S, D), [s].
+        conditions: Condition number of each, shape (S, D).
+    """
+
+    joints: tuple[str, ...]
+    designs: tuple[str, ...]
+    rms: np.ndarray
+    seconds: np.ndarray
+    conditions: np.ndarray
+
+    @property
+    def lower(self) -> np.ndarray:
+        """By how much each error is lower than that of the first design, [%]."""
+        return 100 * (1 - self.rms / self.rms[:, :, :1])
+
+    def table(self, plant: int) -> Table:
+        """Medians over the seeds on one plant."""
+        rms, lower = self.rms[:, plant], self.lower[:, plant]
+        rows = []
+        for k, name in enumerate(self.designs):
+            errors = [f"{x:.3f}" for x in np.median(rms[:, k], axis=0)]
+            gains = [spread(x) if k else "" for x in lower[:, k].T]
+            figures = (self.conditions[:, k], self.seconds[:, k])
+            rows.append(
+                (name, *errors, *gains, *(f"{np.median(x):.1f}" for x in figures))
+            )
+        header = ("", *(f"{x} [N·m]" for x in self.joints))
+        header += tuple(f"{x}: lower by [%]" for x in self.joints)
+        return Table((*header, "condition", "design [CPU s]"), tuple(rows))
+
+    def write(
+        self, folder: Path, name: str, plants: tuple[str, ...], lead: str
+    ) -> None:
+        """Write the table, the figure and JSON, and print the table."""
+        seeds = len(self.rms)
+        command = f"python experiments/{name}.py --seeds {seeds}"
+        parts = [
+            f"RMS torque error on another motion: median of {seeds} seeds, and in "
+            f"brackets the lowest and the highest; {lead}."
+        ]
+        for k, plant in enumerate(plants):
+            parts += [f"Arm with {plant} friction:", markdown_table(self.table(k))]
+        text = "\n\n".join((*parts, f"`{command}`\n"))
+        with atomic_path(folder / "table.md") as path:
+            path.write_text(text, encoding="utf-8")
+        content = {"provenance": provenance(command=command), **vars(self)}
+        write_results(folder / "results.json", content | {"plants": plants})
+        save_figure(self.figure(plants), folder / "figure.png")
+        print(text)
+
+    def figure(self, plants: tuple[str, ...]):
+        """Error of every design, joint and plant."""
+        figure = new_figure(2.2 * len(plants) + 0.4)
+        grid = figure.subplots(len(plants), len(self.joints), squeeze=False)
+        for p, row in enumerate(grid):
+            for j, axes in enumerate(row):
+                clean(axes, grid="y")
+                bars = axes.boxplot(
+                    self.rms[:, p, :, j], patch_artist=True, widths=0.5,
+                    medianprops={"color": "black"},
+                )  # fmt: skip
+                for box, ink, label in zip(
+                    bars["boxes"], INKS, self.designs, strict=True
+                ):
+                    box.set_facecolor(ink)
+                    box.set_label(label)
+                axes.set_xticks([])
+                axes.set_title(f"{self.joints[j]}, {plants[p]}", loc="left", fontsize=9)
+                axes.set_ylabel("RMS error [N·m]")
+        legend(figure, bars["boxes"])
+        return figure
+
+
+def spread(x: np.ndarray) -> str:
+    """Median, lowest and highest."""
+    return f"{np.median(x):.1f} ({x.min():.1f}…{x.max():.1f})"

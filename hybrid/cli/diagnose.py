@@ -1,0 +1,81 @@
+"""``hybrid diagnose``: what a simulator lacks, from logs of the real arm."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hybrid.cli.options import (
+    add_common,
+    add_recordings,
+    add_robot,
+    check_outputs,
+    load_robot,
+    positive,
+    record,
+    whole,
+    write_record,
+)
+
+if TYPE_CHECKING:
+    from hybrid.cli.screen import Screen
+
+HELP = """say what a simulator lacks: where, which effect, how far the gap shrinks
+reads logs of the real arm (time, position, torque; temperature where it is there) and
+its simulator as it stands. Writes DIR/report.html, a page that opens offline, and
+DIR/diagnosis.json with the same content for other programs.
+
+verdicts: no_gap, explained, partly_explained, unexplained (no known effect is the
+cause), not_excited (the recordings move the arm too little).
+
+--json: what is in diagnosis.json.
+
+examples:
+  hybrid simulate --robot models/coman_like.xml --effects stribeck:elbow --out logs
+  hybrid diagnose --robot models/coman_like.xml --recordings logs --out diagnosis"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    add_robot(parser, more=", the simulator as it stands today")
+    add_recordings(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument(
+        "--cutoff",
+        type=positive,
+        metavar="HZ",
+        help="cut-off of columns and torque (default: from the spectrum)",
+    )
+    parser.add_argument("--seed", type=whole, default=0, metavar="N")
+    add_common(parser)
+
+
+def run(args: Namespace, screen: Screen) -> None:
+    """Diagnose, write the report and say what came out."""
+    from hybrid.diagnose.diagnose import examine
+    from hybrid.diagnose.thresholds import thresholds
+    from hybrid.files import atomic_folder
+    from hybrid.recording import read_all
+    from hybrid.report.diagnosis import CONTENT, PAGE, write_diagnosis
+    from hybrid.report.diagnosis_text import verdict_lines
+
+    robot = load_robot(args)
+    with screen.working("reading recordings"):
+        recordings = read_all(args.recordings, joints=robot.joints)
+    inputs = [args.robot, *(Path(x.source) for x in recordings)]
+    check_outputs([args.out / PAGE, args.out / CONTENT, args.json], inputs)
+    how = record(args, inputs) | {"thresholds": thresholds().version}
+    with screen.working(f"diagnosing {robot.name}") as tell:
+        result = examine(
+            robot, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell
+        )
+        diagnosis = replace(result.diagnosis, provenance=how)
+        tell("writing the report")
+        with atomic_folder(args.out) as folder:
+            write_diagnosis(replace(result, diagnosis=diagnosis), folder)
+    write_record(args, how, diagnosis.as_dict())
+    for line in verdict_lines(diagnosis):
+        screen.say(line)
+    screen.say(f"Report: {args.out / PAGE}")

@@ -1,0 +1,129 @@
+"""The simulator with what a diagnosis found, in files that can be used at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybrid.diagnose.explanation import Explanation, refit
+from hybrid.diagnose.express import express
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.simulator import corrected
+from hybrid.dynamics import stacked_base
+from hybrid.effects import Effect
+from hybrid.effects.armature import Armature
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.viscous import Viscous
+from hybrid.files import atomic_path
+from hybrid.identify import DynamicModel
+from hybrid.robot import Robot
+
+if TYPE_CHECKING:
+    from hybrid.diagnose.diagnose import Result
+
+SIMULATOR = "sim_fixed.xml"
+MODEL = "model.json"
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """A corrected simulator, written.
+
+    Attributes:
+        simulator: MuJoCo's file.
+        model: The model of torque, with all that was found.
+        notes: What the simulator has only nearly, or not at all, in words.
+    """
+
+    simulator: Path
+    model: Path
+    notes: tuple[str, ...]
+
+
+def write_fixed(result: Result, directory: str | Path) -> Fixed:
+    """Write ``sim_fixed.xml`` and ``model.json``.
+
+    The XML file has the arm without geometry, joints named as before, and a motor at
+    each that takes the torque that the drive would report. What MJCF cannot express is
+    listed in a comment at its top; ``model.json`` has all of it. Where nothing was
+    found, both are the simulator as it stands.
+
+    Args:
+        result: A diagnosis with what led to it.
+        directory: A folder that exists.
+
+    Raises:
+        EffectError: An effect cannot be simulated.
+    """
+    robot, effects = fixed_simulator(result)
+    spec, notes = express(result.gap, robot, effects)
+    spec.compile()
+    folder = Path(directory)
+    with atomic_path(folder / SIMULATOR) as temporary:
+        text = _comment(result.gap, notes) + spec.to_xml()
+        temporary.write_text(text, encoding="utf-8")
+    fixed_model(result.gap, robot, effects).save(folder / MODEL)
+    return Fixed(folder / SIMULATOR, folder / MODEL, notes)
+
+
+def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
+    """The arm with its own numbers corrected, and the effects that act on it.
+
+    All numbers are those of the fit to all recordings, as they are reported.
+    """
+    if not result.effects:
+        return result.gap.robot, ()
+    solution, _ = refit(result.gap, result.search)
+    rigid = len(result.search.background)
+    scored: Explanation = result.scored
+    return corrected(scored, result.effects, solution.gains[:rigid])
+
+
+def fixed_model(gap: Gap, robot: Robot, effects: Sequence[Effect]) -> DynamicModel:
+    """What the drives report along a motion: links, declared friction and effects.
+
+    Args:
+        gap: What was diagnosed.
+        robot: The corrected arm.
+        effects: The effects that act on it.
+    """
+    declared: list[Effect] = []
+    for j in range(robot.size):
+        for cls, value in (
+            (Armature, robot.chain.armature[j]),
+            (Viscous, robot.damping[j]),
+            (Coulomb, robot.frictionloss[j]),
+        ):
+            if value > 0:
+                declared.append(cls((j,), {cls.gains[0].name: float(value)}))
+    base = stacked_base(robot.chain, (), ())
+    inertial = robot.chain.inertial
+    return DynamicModel(
+        robot=gap.robot,
+        base=base.with_values(base.mapping @ inertial.ravel()),
+        effects=(*declared, *effects),
+        cutoff=gap.cutoff,
+        standing=np.zeros(robot.size),
+        range=_visited(gap),
+        inertial=inertial,
+    )
+
+
+def _visited(gap: Gap) -> dict[str, np.ndarray]:
+    q, v = (getattr(gap.sampled, name)[gap.sampled.mask] for name in "qv")
+    fastest = np.abs(v).max(axis=0)
+    return {"q_min": q.min(axis=0), "q_max": q.max(axis=0), "v_max": fastest}
+
+
+def _comment(gap: Gap, notes: Sequence[str]) -> str:
+    lines = [
+        f"{gap.robot.name} with what a diagnosis of its sim-to-real gap found.",
+        "Motors take the torque that the drives would report.",
+        *(f"Not in this file, or only nearly: {note}." for note in notes),
+    ]
+    text = "\n     ".join(line.replace("--", "-") for line in lines)
+    return f"<!-- {text} -->\n"

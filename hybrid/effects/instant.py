@@ -1,0 +1,78 @@
+"""What an effect does at one instant, for models that run in a control loop.
+
+The same law as for whole motions, written for scalars: numbers, arrays, or the symbols
+of which an export makes C or ONNX. Scalars know arithmetic, comparisons and NumPy's
+functions, and cannot be branched on: use ``np.where``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+from hybrid.effects.state import Array, JointState
+from hybrid.errors import EffectError
+
+Scalar = Any  # float, array or symbol
+Memory = tuple[Scalar, ...]
+# What a joint of a simulator may have: τ = armature·a + damping·v + quadratic·v|v|
+# + cubic·v³ + stiffness·q + frictionloss·sgn v, none of them negative.
+FIELDS = ("armature", "damping", "quadratic", "cubic", "stiffness", "frictionloss")
+
+
+class Instant:
+    """An effect at one instant, with what it remembers of the one before.
+
+    Attributes:
+        memory: Names of what it remembers.
+        not_in_loop: Why a model in a control loop leaves it out; empty if it does not.
+        fields: Gains that a simulator's joint has a field for, as ``FIELDS``.
+    """
+
+    id: ClassVar[str]
+    memory: ClassVar[tuple[str, ...]] = ()
+    not_in_loop: ClassVar[str] = ""
+    fields: ClassVar[Mapping[str, str]] = {}
+
+    def rigid_change(self, size: int, gravity: Array) -> tuple[Array, Array] | None:
+        """Change of the rigid body that has the effect's torque, or None.
+
+        Args:
+            size: Number of joints n of the arm.
+            gravity: Acceleration of gravity in the base frame, shape (3,), [m/s²].
+
+        Returns:
+            Change of link parameters, shape (n, 10), and of gravity, shape (3,).
+        """
+        return None
+
+    def true_state(
+        self, q: Scalar, v: Scalar, a: Scalar
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """Motion of the effect's one joint, from what its encoder shows."""
+        raise self._not_exportable("it changes the motion by its past and future")
+
+    def begin(self, joints: Sequence[JointState]) -> Memory:
+        """Memory before the first instant, given the state at it."""
+        return ()
+
+    def at_instant(
+        self, joints: Sequence[JointState], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """Torque at the effect's joints, [N·m], and what to remember.
+
+        Args:
+            joints: State of each of the effect's joints.
+            memory: What it remembers of the last instant.
+            step: Time since then, [s].
+        """
+        raise self._not_exportable("it states no torque at one instant")
+
+    def report_at_instant(
+        self, torque: Sequence[Scalar], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """What the log shows of torques at its joints, and what to remember."""
+        raise self._not_exportable("it reports torque by its past and future")
+
+    def _not_exportable(self, reason: str) -> EffectError:
+        return EffectError(f"{self.id} cannot run in a control loop: {reason}")

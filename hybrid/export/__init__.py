@@ -1,0 +1,7 @@
+"""Models for other programs: C, ONNX, MJCF, URDF, JSON."""
+
+from hybrid.export.export import FORMATS, export
+from hybrid.export.manifest import read_manifest
+from hybrid.export.program import Program, program_from_model
+
+__all__ = ["FORMATS", "Program", "export", "program_from_model", "read_manifest"]

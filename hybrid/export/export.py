@@ -1,0 +1,67 @@
+"""The public verb: a model in a format that other programs run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from hybrid.errors import HybridError
+from hybrid.export.c_project import write_c
+from hybrid.export.manifest import build_manifest, model_digest, seal
+from hybrid.export.onnx_graph import import_onnx, onnx_model
+from hybrid.export.program import program_from_model
+from hybrid.export.simulator import mjcf_text, urdf_text
+from hybrid.files import atomic_folder
+from hybrid.identify.model import DynamicModel
+
+FORMATS = ("onnx", "c", "mjcf", "urdf", "json")
+
+
+def export(model: DynamicModel, folder: str | Path, *, format: str) -> tuple[str, ...]:
+    """Write a model for other programs, with a manifest that says what it is.
+
+    ``c`` is one C99 header with an example and a build file; ``onnx`` the inverse
+    dynamics with a free batch axis; ``mjcf`` and ``urdf`` the simulator with identified
+    links, rotors and friction; ``json`` the model itself. (TorchScript is not among
+    them: its files are pickles. ``remainder.to_torch()`` gives torch modules.)
+
+    Args:
+        model: An identified model.
+        folder: Where the files shall be.
+        format: One of ``FORMATS``.
+
+    Returns:
+        What the format cannot express; it is in the manifest, too.
+
+    Raises:
+        HybridError: The format is unknown, or its package is missing.
+        EffectError: An effect cannot run in a control loop.
+    """
+    if format not in FORMATS:
+        raise HybridError(f"no format {format!r}; valid are {', '.join(FORMATS)}")
+    if format == "onnx":
+        import_onnx()
+    digest = model_digest(model)
+    left_out: Sequence[str] = ()
+    memory: Sequence[str] = ()
+    with atomic_folder(folder) as hidden:
+        if format == "json":
+            model.save(hidden / "model.json")
+        elif format in ("mjcf", "urdf"):
+            text, left_out = (mjcf_text if format == "mjcf" else urdf_text)(model)
+            suffix = "xml" if format == "mjcf" else "urdf"
+            name = f"{model.robot.name}.{suffix}"
+            (hidden / name).write_text(text, encoding="utf-8")
+        else:
+            program = program_from_model(model)
+            left_out, memory = program.left_out, program.memory_names
+        manifest = build_manifest(
+            model, format=format, digest=digest, left_out=left_out, memory=memory
+        )
+        if format == "c":
+            write_c(model, program, digest, hidden)
+        elif format == "onnx":
+            content = onnx_model(program, manifest).SerializeToString()
+            (hidden / f"{model.robot.name}.onnx").write_bytes(content)
+        seal(manifest, hidden)
+    return tuple(left_out)

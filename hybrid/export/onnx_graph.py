@@ -1,0 +1,211 @@
+"""A program as an ONNX graph in double precision, with a free batch axis."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hybrid.compensator.arm_remainder import JointRemainder
+from hybrid.compensator.gmr import FARTHEST, GaussianMixtureRegression
+from hybrid.errors import HybridError
+from hybrid.export.program import Program
+from hybrid.export.tape import Symbol
+
+_OPSET, _FORMAT = 18, 9  # operators and file format, of 2023: old runtimes read them
+_NAMES = {
+    "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div",
+    "power": "Pow", "negative": "Neg", "absolute": "Abs", "sign": "Sign",
+    "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "sin": "Sin", "cos": "Cos",
+    "tanh": "Tanh", "minimum": "Min", "maximum": "Max", "where": "Where",
+    "less": "Less", "less_equal": "LessOrEqual", "greater": "Greater",
+    "greater_equal": "GreaterOrEqual",
+}  # fmt: skip
+
+
+class Graph:
+    """Nodes and constants in the order in which they were added."""
+
+    def __init__(self) -> None:
+        import_onnx()
+        self.nodes: list[Any] = []
+        self.constants: dict[bytes, Any] = {}
+
+    def node(self, operator: str, *inputs: str, **attributes: Any) -> str:
+        """Add an operation; the name of its result."""
+        from onnx import helper
+
+        name = f"x{len(self.nodes)}"
+        self.nodes.append(
+            helper.make_node(operator, list(inputs), [name], **attributes)
+        )
+        return name
+
+    def constant(self, values: Any, kind: Any = np.float64) -> str:
+        """The name of a constant; equal ones are kept once."""
+        from onnx import numpy_helper
+
+        array = np.asarray(values, dtype=kind)
+        key = array.tobytes() + str((array.shape, array.dtype)).encode()
+        if key not in self.constants:
+            name = f"c{len(self.constants)}"
+            self.constants[key] = numpy_helper.from_array(array, name)
+        return str(self.constants[key].name)
+
+    def sum(self, x: str, axis: int, keepdims: int = 1) -> str:
+        """Sum over an axis."""
+        axes = self.constant([axis], np.int64)
+        return self.node("ReduceSum", x, axes, keepdims=keepdims)
+
+    def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int]) -> Any:
+        """The whole graph; ``inputs`` and ``outputs`` are names with their columns."""
+        from onnx import TensorProto, helper
+
+        def infos(columns: Mapping[str, int]) -> list[Any]:
+            return [
+                helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width])
+                for name, width in columns.items()
+            ]
+
+        graph = helper.make_graph(
+            self.nodes, "hybrid", infos(inputs), infos(outputs),
+            list(self.constants.values()),
+        )  # fmt: skip
+        opset = helper.make_opsetid("", _OPSET)
+        return helper.make_model(graph, opset_imports=[opset], ir_version=_FORMAT)
+
+
+def import_onnx() -> None:
+    """Fail early, naming what to install.
+
+    Raises:
+        HybridError: The package onnx is not installed.
+    """
+    try:
+        import onnx  # noqa: F401
+    except ImportError as error:
+        raise HybridError(
+            "ONNX needs the package onnx: pip install 'hybrid-arm[export]'"
+        ) from error
+
+
+def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
+    """The program as an ``onnx.ModelProto``, with the manifest in its metadata.
+
+    Inputs q, v and a, shape (N, n), and where they matter t, step, known (N, 1) and
+    memory (N, s); outputs tau and variance, shape (N, n), and memory_out (N, s).
+    """
+    graph, n, s = Graph(), len(program.joints), len(program.memory)
+    inputs = {"q": n, "v": n, "a": n}
+    inputs |= {x: 1 for x in ("t", "step", "known") if x in program.uses}
+    inputs |= {"memory": s} if s else {}
+    names = _operations(graph, program)
+
+    def columns(values: Sequence[Any]) -> list[str]:
+        return [_column(graph, names, x) for x in values]
+
+    torque, state = columns(program.torque), columns(program.state)
+    variance = [_column(graph, names, np.nan)] * n
+    if program.remainder is not None:
+        for part in program.remainder.parts:
+            seen = [*part.positions, *(n + j for j in part.speeds)]
+            mean, spread = _mixture(graph, part, [state[i] for i in seen])
+            torque[part.joint] = graph.node("Add", torque[part.joint], mean)
+            variance[part.joint] = spread
+    outputs = {"tau": (torque, n), "variance": (variance, n)}
+    if s:
+        outputs["memory_out"] = (columns(program.memory), s)
+    for name, (parts, _) in outputs.items():
+        graph.node("Concat", *parts, axis=1)
+        graph.nodes[-1].output[0] = name
+    model = graph.model(inputs, {name: width for name, (_, width) in outputs.items()})
+    for key, value in manifest.items():
+        text = value if isinstance(value, str) else json.dumps(value)
+        model.metadata_props.add(key=key, value=text)
+    return model
+
+
+def _operations(graph: Graph, program: Program) -> dict[int, str]:
+    """A node for each line of the tape, shape (N, 1); their names."""
+    names: dict[int, str] = {}
+    one = graph.constant([1.0])
+    for line in program.tape.needed(program.results):
+        operation = program.tape.lines[line]
+        if operation.name == "input":
+            whole, _, index = str(operation.arguments[0]).partition("[")
+            names[line] = whole
+            if index:
+                at = graph.constant([int(index.rstrip("]"))], np.int64)
+                names[line] = graph.node("Gather", whole, at, axis=1)
+            continue
+        given = [
+            names[x] if isinstance(x, int) else graph.constant([float(x)])
+            for x in operation.arguments
+        ]
+        if operation.name == "where":
+            given[0] = graph.node("Equal", given[0], one)
+        result = graph.node(_NAMES[operation.name], *given)
+        if operation.name in ("less", "less_equal", "greater", "greater_equal"):
+            from onnx import TensorProto
+
+            result = graph.node("Cast", result, to=TensorProto.DOUBLE)
+        names[line] = result
+    return names
+
+
+def _column(graph: Graph, names: Mapping[int, str], x: Any) -> str:
+    """A result as a column, shape (N, 1), also if it is a plain number."""
+    if isinstance(x, Symbol):
+        return names[x.line]
+    first = graph.node("Gather", "q", graph.constant([0], np.int64), axis=1)
+    zero = graph.node("Mul", first, graph.constant([0.0]))
+    return graph.node("Add", zero, graph.constant([float(x)]))
+
+
+def _mixture(graph: Graph, part: JointRemainder, inputs: list[str]) -> tuple[str, str]:
+    """Mean and variance of one joint's mixture, shape (N, 1) each."""
+    mixture = part.regression
+    if not isinstance(mixture, GaussianMixtureRegression):
+        raise HybridError(f"a remainder of kind {mixture.kind} has no ONNX; gmr has")
+    node, constant, c = graph.node, graph.constant, mixture.conditional
+    k, d = mixture.components, mixture.inputs
+    x = node("Concat", *inputs, axis=1)
+    z = node("Div", node("Sub", x, constant(mixture.input_offset)),
+             constant(mixture.input_scale))  # fmt: skip
+    z = _within(graph, z, FARTHEST)
+    whitening = constant(c.whitening.reshape(k * d, d).T)
+    w = node("Sub", node("MatMul", z, whitening), constant(c.centre.reshape(1, k * d)))
+    w = node("Reshape", w, constant([-1, k, d], np.int64))
+    distance = graph.sum(node("Mul", w, w), 2, keepdims=0)  # (N, K)
+    reply = graph.sum(node("Mul", w, constant(c.gain[:, 0])), 2, keepdims=0)
+    reply = node("Add", reply, constant(c.output_mean[:, 0]))
+    nearest = node("ReduceMin", distance, constant([1], np.int64), keepdims=1)
+    half = constant([0.5])
+    closeness = node("Exp", node("Mul", node("Sub", nearest, distance), half))
+    weight = constant(np.exp(c.log_weight - c.log_weight.max()))
+    share = node("Mul", closeness, weight)
+    share = node("Div", share, graph.sum(share, 1))
+    bound = float(mixture.bound[0])
+    mean = _within(graph, graph.sum(node("Mul", share, reply), 1), bound)
+    off = node("Sub", reply, mean)
+    spread = node("Add", node("Mul", off, off), constant(c.output_variance[:, 0]))
+    spread = graph.sum(node("Mul", share, spread), 1)
+    log = node("Log", graph.sum(closeness, 1))
+    soft = node("Sub", nearest, node("Mul", log, constant([2.0])))
+    start, end = (float(f) for f in mixture.fade)
+    u = node("Div", node("Sub", constant([end]), soft), constant([end - start]))
+    u = node("Max", node("Min", u, constant([1.0])), constant([0.0]))
+    rise = node("Sub", constant([3.0]), node("Mul", u, constant([2.0])))
+    trust = node("Mul", node("Mul", u, u), rise)
+    doubt = node("Sub", constant([1.0]), trust)
+    square = node("Mul", doubt, node("Mul", mean, mean))
+    known = node("Mul", trust, node("Add", spread, square))
+    prior = node("Mul", doubt, constant(mixture.prior_variance))
+    return node("Mul", trust, mean), node("Add", known, prior)
+
+
+def _within(graph: Graph, x: str, bound: float) -> str:
+    low, high = graph.constant([-bound]), graph.constant([bound])
+    return graph.node("Max", graph.node("Min", x, high), low)

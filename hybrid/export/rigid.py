@@ -1,0 +1,132 @@
+"""Recursive Newton–Euler for scalars: numbers, arrays, or symbols of a tape.
+
+Source: Luh, Walker and Paul 1980, doi 10.1115/1.3149599; with parameters about the
+frame origin as in Atkeson et al. 1986, doi 10.1177/027836498600500306.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hybrid.robot.chain import Array, Chain
+from hybrid.robot.spatial import skew
+
+Vector = list[Any]
+_ROUNDING = 1e-15  # entries of a rotation below are zero but for a file's angles
+
+
+def newton_euler(
+    chain: Chain,
+    inertial: Array,
+    gravity: Array,
+    *,
+    q: Sequence[Any],
+    v: Sequence[Any],
+    a: Sequence[Any],
+) -> list[Any]:
+    """Rigid-body joint torque, length n, [N·m].
+
+    Args:
+        chain: The arm.
+        inertial: Link parameters, shape (n, 10).
+        gravity: Acceleration of gravity in the base frame, shape (3,), [m/s²].
+        q: Position of each joint, length n, [rad].
+        v: Speed of each joint, length n, [rad/s].
+        a: Acceleration of each joint, length n, [rad/s²].
+    """
+    omega, alpha, accel = [0.0] * 3, [0.0] * 3, [float(-g) for g in gravity]
+    frames, wrenches = [], []
+    for k in range(chain.size):
+        turn, arm = _placement(chain, k, q[k])
+        axis = [float(x) for x in chain.axis[k]]
+        accel = _add(accel, _cross(alpha, arm), _cross(omega, _cross(omega, arm)))
+        omega, alpha, accel = (_turned_back(turn, x) for x in (omega, alpha, accel))
+        spin = _cross(omega, axis)
+        if chain.revolute[k]:
+            alpha = _add(alpha, _times(spin, v[k]), _times(axis, a[k]))
+            omega = _add(omega, _times(axis, v[k]))
+        else:
+            accel = _add(accel, _times(spin, 2.0 * v[k]), _times(axis, a[k]))
+        frames.append((turn, arm, axis))
+        wrenches.append(_wrench(inertial[k], omega, alpha, accel))
+    force, moment = [0.0] * 3, [0.0] * 3
+    torque: list[Any] = []
+    for k in reversed(range(chain.size)):
+        turn, arm, axis = frames[k]
+        force, moment = _add(force, wrenches[k][0]), _add(moment, wrenches[k][1])
+        torque.append(_dot(axis, moment if chain.revolute[k] else force))
+        force = _turned(turn, force)
+        moment = _add(_turned(turn, moment), _cross(arm, force))
+    return torque[::-1]
+
+
+def _placement(chain: Chain, k: int, q: Any) -> tuple[list[Vector], Vector]:
+    """Rotation and offset of frame k in its parent."""
+    fixed, offset = chain.rotation[k], chain.translation[k]
+    if not chain.revolute[k]:
+        direction = _clean(fixed @ chain.axis[k])
+        return _clean(fixed), [
+            o + d * q for o, d in zip(offset, direction, strict=True)
+        ]
+    s = skew(chain.axis[k])
+    constant, sine, cosine = (
+        _clean(fixed @ m) for m in (np.eye(3) + s @ s, s, -(s @ s))
+    )
+    sin_q, cos_q = np.sin(q), np.cos(q)
+    turn = [
+        [constant[r][c] + sine[r][c] * sin_q + cosine[r][c] * cos_q for c in range(3)]
+        for r in range(3)
+    ]
+    return turn, [float(x) for x in offset]
+
+
+def _wrench(
+    inertial: Array, omega: Vector, alpha: Vector, accel: Vector
+) -> tuple[Vector, Vector]:
+    """Force and moment about the frame origin that move a link."""
+    m, *rest = (float(x) for x in inertial)
+    mc, (xx, xy, yy, xz, yz, zz) = rest[:3], rest[3:]
+    inertia = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+    force = _add(_times(accel, m), _cross(alpha, mc), _cross(omega, _cross(omega, mc)))
+    moment = _add(
+        _turned(inertia, alpha),
+        _cross(omega, _turned(inertia, omega)),
+        _cross(mc, accel),
+    )
+    return force, moment
+
+
+def _clean(matrix: Array) -> list[Any]:
+    kept: list[Any] = np.where(np.abs(matrix) < _ROUNDING, 0.0, matrix).tolist()
+    return kept
+
+
+def _add(*vectors: Vector) -> Vector:
+    return [sum(x[1:], x[0]) for x in zip(*vectors, strict=True)]
+
+
+def _times(x: Vector, factor: Any) -> Vector:
+    return [factor * c for c in x]
+
+
+def _dot(x: Vector, y: Vector) -> Any:
+    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+
+
+def _cross(x: Vector, y: Vector) -> Vector:
+    return [
+        x[1] * y[2] - x[2] * y[1],
+        x[2] * y[0] - x[0] * y[2],
+        x[0] * y[1] - x[1] * y[0],
+    ]
+
+
+def _turned(matrix: list[Vector], x: Vector) -> Vector:
+    return [_dot(row, x) for row in matrix]
+
+
+def _turned_back(matrix: list[Vector], x: Vector) -> Vector:
+    return [_dot(list(column), x) for column in zip(*matrix, strict=True)]

@@ -1,0 +1,201 @@
+"""A tape of scalar operations: what C and ONNX are made of.
+
+Arithmetic and NumPy functions on a :class:`Symbol` write down what they do instead of
+doing it. So the laws that simulate and fit an arm are also the ones that are exported.
+Constants are folded, and what was written down once is used again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hybrid.errors import HybridError
+
+# Operation -> what it does to numbers. Names are NumPy's where it has one.
+OPERATIONS: Mapping[str, Callable[..., Any]] = {
+    "add": np.add, "subtract": np.subtract, "multiply": np.multiply,
+    "divide": np.divide, "power": np.power, "negative": np.negative,
+    "absolute": np.abs, "sign": np.sign, "sqrt": np.sqrt, "exp": np.exp,
+    "log": np.log, "sin": np.sin, "cos": np.cos, "tanh": np.tanh,
+    "minimum": np.minimum, "maximum": np.maximum, "where": np.where,
+    "less": np.less, "less_equal": np.less_equal,
+    "greater": np.greater, "greater_equal": np.greater_equal,
+}  # fmt: skip
+_SAME = {"true_divide": "divide", "float_power": "power"}
+_MOST_FACTORS = 4  # of a whole power that is written as products
+
+
+@dataclass(frozen=True)
+class Operation:
+    """One line of a tape.
+
+    Attributes:
+        name: One of ``OPERATIONS``, or ``input``.
+        arguments: Lines that it works on, and numbers; for an input its name.
+    """
+
+    name: str
+    arguments: tuple[int | float | str, ...]
+
+
+class Tape:
+    """Operations in the order in which they can be carried out."""
+
+    def __init__(self) -> None:
+        self.lines: list[Operation] = []
+        self._known: dict[Any, int] = {}
+
+    def input(self, name: str) -> Any:
+        """A symbol of a number that is known only when the tape is run."""
+        return Symbol(self, self._line("input", (name,)))
+
+    def apply(self, name: str, *arguments: Any) -> Any:
+        """Write an operation down; a number if that is what comes out."""
+        name = _SAME.get(name, name)
+        if name not in OPERATIONS:
+            raise HybridError(
+                f"{name} cannot be exported; valid are {', '.join(OPERATIONS)}"
+            )
+        plain = [x if isinstance(x, Symbol) else float(x) for x in arguments]
+        if not any(isinstance(x, Symbol) for x in plain):
+            return float(OPERATIONS[name](*plain))
+        short = _shortened(name, plain)
+        if short is not None:
+            return short
+        lines = tuple(x.line if isinstance(x, Symbol) else x for x in plain)
+        return Symbol(self, self._line(name, lines))
+
+    def needed(self, results: Sequence[Any]) -> list[int]:
+        """Lines that some results depend on, in order."""
+        marked = [False] * len(self.lines)
+        for x in results:
+            if isinstance(x, Symbol):
+                marked[x.line] = True
+        for line in reversed(range(len(self.lines))):
+            if marked[line] and self.lines[line].name != "input":
+                for x in self.lines[line].arguments:
+                    if isinstance(x, int):
+                        marked[x] = True
+        return [line for line, needed in enumerate(marked) if needed]
+
+    def run(self, results: Sequence[Any], inputs: Mapping[str, Any]) -> list[Any]:
+        """Values of some results.
+
+        Args:
+            results: Symbols of this tape, and numbers.
+            inputs: Value of each input, numbers or arrays of one shape.
+        """
+        values: dict[int, Any] = {}
+        for line in self.needed(results):
+            name, arguments = self.lines[line].name, self.lines[line].arguments
+            if name == "input":
+                values[line] = inputs[str(arguments[0])]
+            else:
+                given = [values[x] if isinstance(x, int) else x for x in arguments]
+                values[line] = OPERATIONS[name](*given)
+        return [values[x.line] if isinstance(x, Symbol) else x for x in results]
+
+    def _line(self, name: str, arguments: tuple[Any, ...]) -> int:
+        key = (name, *((type(x), x) for x in arguments))
+        if key not in self._known:
+            self._known[key] = len(self.lines)
+            self.lines.append(Operation(name, arguments))
+        return self._known[key]
+
+
+class Symbol:
+    """A number on a tape."""
+
+    def __init__(self, tape: Tape, line: int) -> None:
+        self.tape, self.line = tape, line
+
+    def __array_ufunc__(
+        self, function: np.ufunc, method: str, *inputs: Any, **options: Any
+    ) -> Any:
+        if method != "__call__" or options:
+            raise HybridError(f"{function.__name__}.{method} cannot be exported")
+        return self.tape.apply(function.__name__, *inputs)
+
+    def __array_function__(
+        self, function: Any, types: Any, args: Any, kwargs: Any
+    ) -> Any:
+        if function is np.where:
+            return self.tape.apply("where", *args)
+        if function is np.clip and not kwargs:
+            x, low, high = args
+            x = x if low is None else self.tape.apply("maximum", x, low)
+            return x if high is None else self.tape.apply("minimum", x, high)
+        raise HybridError(f"numpy.{function.__name__} cannot be exported")
+
+    def __bool__(self) -> bool:
+        raise HybridError("a law that is exported cannot branch; use numpy.where")
+
+    def __add__(self, other: Any) -> Any:
+        return self.tape.apply("add", self, other)
+
+    def __sub__(self, other: Any) -> Any:
+        return self.tape.apply("subtract", self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return self.tape.apply("subtract", other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return self.tape.apply("multiply", self, other)
+
+    def __truediv__(self, other: Any) -> Any:
+        return self.tape.apply("divide", self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return self.tape.apply("divide", other, self)
+
+    def __pow__(self, other: Any) -> Any:
+        return self.tape.apply("power", self, other)
+
+    def __neg__(self) -> Any:
+        return self.tape.apply("negative", self)
+
+    def __abs__(self) -> Any:
+        return self.tape.apply("absolute", self)
+
+    def __lt__(self, other: Any) -> Any:
+        return self.tape.apply("less", self, other)
+
+    def __le__(self, other: Any) -> Any:
+        return self.tape.apply("less_equal", self, other)
+
+    def __gt__(self, other: Any) -> Any:
+        return self.tape.apply("greater", self, other)
+
+    def __ge__(self, other: Any) -> Any:
+        return self.tape.apply("greater_equal", self, other)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def _shortened(name: str, x: list[Any]) -> Any:
+    """The same with less work, or None. Inputs are finite: 0·x is 0."""
+    if name == "power" and x[1] in range(1, _MOST_FACTORS + 1):
+        product = x[0]
+        for _ in range(int(x[1]) - 1):
+            product = product * x[0]
+        return product
+    if name == "add" and 0.0 in x:
+        return x[1] if x[0] == 0.0 else x[0]
+    if name == "multiply" and 0.0 in x:
+        return 0.0
+    if name == "multiply" and 1.0 in x:
+        return x[1] if x[0] == 1.0 else x[0]
+    if name == "subtract" and x[1] == 0.0 or name == "divide" and x[1] == 1.0:
+        return x[0]
+    if name == "divide" and x[0] == 0.0:
+        return 0.0
+    opposite = (name == "multiply" and -1.0 in x) or (
+        name == "subtract" and x[0] == 0.0
+    )
+    if opposite:
+        return -(x[0] if isinstance(x[0], Symbol) else x[1])
+    return None

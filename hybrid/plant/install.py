@@ -1,0 +1,154 @@
+"""Effects and learned torque that MuJoCo has no word for, added while it steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from hybrid.effects import Effect, JointState
+from hybrid.effects.instant import FIELDS
+from hybrid.errors import HybridError
+from hybrid.plant.arm import has_hook, overrides
+from hybrid.plant.laws import Laws, part
+from hybrid.plant.native import split_effects
+from hybrid.robot.chain import Array
+from hybrid.robot.robot import Robot
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+class _Remainder(Protocol):
+    def predict(self, q: Array, v: Array) -> Array: ...
+
+
+class _Model(Protocol):
+    """What is needed of a dynamic model."""
+
+    @property
+    def robot(self) -> Robot: ...
+    @property
+    def effects(self) -> tuple[Effect, ...]: ...
+    @property
+    def remainder(self) -> _Remainder | None: ...
+
+
+class Installed:
+    """The torque that is added to one simulation; ``remove`` takes it out again.
+
+    Attributes:
+        left_out: Effects that cannot be added to a simulator's torque.
+    """
+
+    def __init__(self, model: Any, data: Any, dynamic_model: _Model) -> None:
+        robot = dynamic_model.robot
+        self._data, self._remainder = data, dynamic_model.remainder
+        self._dof = _dofs(model, robot.joints)
+        effects = [
+            e
+            for e in dynamic_model.effects
+            if e.rigid_change(robot.size, robot.chain.gravity) is None
+        ]
+        _, rest = split_effects(effects, FIELDS, robot.size)
+        rest = [e for e in rest if not overrides(e, "edit_spec")]
+        self._laws = Laws(rest, 1, robot.size)
+        self._resisting = [e for e in rest if overrides(e, "resist")]
+        self._resisted = [np.zeros((1, len(e.joints))) for e in self._resisting]
+        self._declared = model.dof_frictionloss.copy()
+        self._time = -np.inf
+        hooked = [e for e in rest if has_hook(e) and e not in self._resisting]
+        self.left_out = tuple(e.id for e in hooked)
+
+    def remove(self) -> None:
+        """Leave the simulation as it was."""
+        _INSTALLED.pop(id(self._data), None)
+        if not _INSTALLED:
+            import mujoco
+
+            mujoco.set_mjcb_passive(None)
+
+    def add(self, model: Any, data: Any) -> None:
+        """Add to passive forces, and set friction levels for the next step."""
+        dof = self._dof
+        q = data.qpos[model.jnt_qposadr[model.dof_jntid[dof]]][None]
+        v, a = data.qvel[dof][None], data.qacc[dof][None]
+        push = np.where(data.qfrc_smooth[dof] < 0.0, -1.0, 1.0)
+        sign = np.where(v == 0.0, push, np.sign(v))
+        state = JointState(
+            np.full_like(q, data.time), q, v, a, sign, self._load(data, a)
+        )
+        self._laws.evaluate(state, state)
+        torque = self._laws.drive + self._laws.link
+        step = max(data.time - self._time, 0.0)
+        self._time = data.time
+        for k, effect in enumerate(self._resisting):
+            j = list(effect.joints)
+            if 0.0 < step < np.inf:
+                own = part(state, j)
+                self._resisted[k] = effect.resist(own, self._resisted[k], step)
+            torque[:, j] += self._resisted[k]
+        if self._remainder is not None:
+            torque = torque + self._remainder.predict(q, v)
+        data.qfrc_passive[dof] -= torque[0]
+        level = self._declared[dof] + (sign * self._laws.dry)[0]
+        model.dof_frictionloss[dof] = np.maximum(level, 0.0)
+        self._armature = model.dof_armature[dof]
+
+    def _load(self, data: Any, a: Array) -> Array:
+        """Torque transmitted to the links in the last step."""
+        dof = self._dof
+        driven = data.qfrc_actuator[dof] + data.qfrc_applied[dof]
+        kept = data.qfrc_passive[dof] + data.qfrc_constraint[dof]
+        armature = getattr(self, "_armature", 0.0)
+        return np.asarray((driven + kept)[None] - armature * a)
+
+
+_INSTALLED: dict[int, Installed] = {}
+
+
+def install(
+    model: mujoco.MjModel, data: mujoco.MjData, dynamic_model: _Model
+) -> Installed:
+    """Let a simulation feel what its MJCF file cannot say.
+
+    MuJoCo knows links, rotors, viscous and dry friction of a joint; an exported MJCF
+    file holds them. This adds the rest of the model's effects, and its learned torque,
+    by MuJoCo's passive-force callback, of which a process has one: other code that sets
+    it takes this out.
+
+    Args:
+        model: The exported MJCF file, compiled; it may hold other things, too.
+        data: The simulation.
+        dynamic_model: The model that was exported.
+
+    Returns:
+        A handle with ``remove()``.
+
+    Raises:
+        HybridError: A joint of the model is not in the simulation.
+    """
+    import mujoco
+
+    installed = Installed(model, data, dynamic_model)
+    _INSTALLED[id(data)] = installed
+    mujoco.set_mjcb_passive(_add)
+    return installed
+
+
+def _add(model: Any, data: Any) -> None:
+    installed = _INSTALLED.get(id(data))
+    if installed is not None:
+        installed.add(model, data)
+
+
+def _dofs(model: Any, joints: Sequence[str]) -> Any:
+    known = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
+    missing = [name for name in joints if name not in known]
+    if missing:
+        raise HybridError(
+            f"the simulation has no joint {', '.join(missing)}; its joints are "
+            f"{', '.join(known)}"
+        )
+    return np.array([known[name] for name in joints])

@@ -1,0 +1,220 @@
+"""``hybrid diagnose``: the verdict, the folder, and nothing half-written."""
+
+import json
+from contextlib import contextmanager
+from importlib import import_module
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from arms import MODELS
+from rich.console import Console
+
+from hybrid.cli import main
+from hybrid.cli.options import sha256
+from hybrid.cli.screen import Screen
+from hybrid.diagnose.thresholds import thresholds
+from hybrid.effects import registry
+from hybrid.recording import Recording, read, write
+
+PLANAR = str(MODELS / "planar.xml")
+OWN = """
+import numpy as np
+from hybrid.effects import JointEffect, Port, Quantity
+
+class Hose(JointEffect):
+    id = "hose"
+    port = Port.ENVIRONMENT
+    gains = (Quantity("level", "N·m", 0.05, 0.0, 1.0, per=(1, 0)),)
+    equation = "τ = k · exp(-(q - 0.3)² / 0.02)"
+    source = "made up"
+    sentence = "A hose gets stuck at {joints}."
+    remedy = "Take it off."
+
+    @staticmethod
+    def law(state, **shapes):
+        return (np.exp(-(((state.q - 0.3) / 0.14) ** 2)),)
+"""
+
+
+def run(command: str) -> None:
+    assert main(command.split()) == 0
+
+
+def failed(capsys, command: str, code: int = 2) -> str:
+    """The one line that a command fails with."""
+    capsys.readouterr()
+    assert main(command.split()) == code
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("error: ") and err.count("\n") == 1, err
+    return err
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder with its content, hidden ones too."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory) -> Path:
+    """A planar arm whose elbow has Stribeck friction that its simulator has not."""
+    folder = tmp_path_factory.mktemp("logs")
+    run(
+        f"simulate --robot {PLANAR} --effects stribeck:elbow(level=1.5;velocity=0.1) "
+        f"--trajectories 4 --duration 6 --out {folder}"
+    )
+    return folder
+
+
+@pytest.fixture
+def diagnose(logs) -> str:
+    return f"diagnose --robot {PLANAR} --recordings {logs}"
+
+
+def test_it_names_the_cause_in_ten_lines_and_in_a_folder(
+    diagnose, logs, tmp_path, capsys
+):
+    run(f"{diagnose} --out {tmp_path}/deep/new --json {tmp_path}/result.json")
+    out, err = capsys.readouterr()
+    assert err == ""  # no spinner where nobody looks
+    *verdict, report = out.splitlines()
+    assert len(verdict) <= 10
+    assert verdict[0].startswith("Explained: one effect accounts for")
+    assert any(line.startswith("1. Stribeck at elbow") for line in verdict)
+    assert report == f"Report: {tmp_path}/deep/new/report.html"
+    found = tree(tmp_path)
+    assert {"deep/new/report.html", "deep/new/diagnosis.json", "result.json"} <= set(
+        found
+    )
+    assert not any(Path(name).name.startswith(".") for name in found)
+    content = json.loads(found["result.json"])
+    assert content == json.loads(found["deep/new/diagnosis.json"])
+    (finding,) = content["findings"]
+    assert (finding["effect"], finding["joints"]) == ("stribeck", ["elbow"])
+    assert b"Stribeck" in found["deep/new/report.html"]
+
+
+def test_it_says_how_the_result_came_about(diagnose, logs, tmp_path):
+    run(f"{diagnose} --cutoff 9 --seed 5 --out {tmp_path}/out")
+    text = (tmp_path / "out" / "diagnosis.json").read_text("utf-8")
+    how = json.loads(text)["provenance"]
+    assert (how["command"], how["seed"]) == ("diagnose", 5)
+    assert how["settings"] == {"joints": None, "cutoff": 9}
+    assert how["thresholds"] == thresholds().version
+    hashes = {x["file"]: x["sha256"] for x in how["inputs"]}
+    assert hashes["planar.xml"] == sha256(Path(PLANAR))
+    assert hashes["trajectory_4.csv"] == sha256(logs / "trajectory_4.csv")
+    assert str(logs) not in text and hashes["trajectory_4.csv"] in (
+        tmp_path / "out" / "report.html"
+    ).read_text("utf-8")
+
+
+def test_the_same_run_gives_the_same_files_and_leaves_others_alone(diagnose, tmp_path):
+    (tmp_path / "two").mkdir()
+    (tmp_path / "two" / "notes.txt").write_text("mine")
+    (tmp_path / "two" / "report.html").write_text("old")
+    for name in ("one", "two"):
+        run(f"{diagnose} --out {tmp_path}/{name}")
+    one, two = (tree(tmp_path / name) for name in ("one", "two"))
+    assert two.pop("notes.txt") == b"mine"
+    assert one == two
+
+
+def test_effects_of_a_users_own_take_part(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(registry, "_added", {})
+    (tmp_path / "mine.py").write_text(OWN, "utf-8")
+    own = f"--effects-from {tmp_path}/mine.py"
+    run(
+        f"simulate --robot {PLANAR} --effects hose:elbow(level=3) --trajectories 4 "
+        f"--duration 6 --out {tmp_path}/logs {own}"
+    )
+    diagnose = f"diagnose --robot {PLANAR} --recordings {tmp_path}/logs"
+    run(f"{diagnose} --out {tmp_path}/out {own}")
+    assert "1. Hose at elbow" in capsys.readouterr().out
+    assert "A hose gets stuck at elbow." in (tmp_path / "out/report.html").read_text(
+        "utf-8"
+    )
+
+
+def test_progress_is_told_step_by_step(diagnose, tmp_path, monkeypatch):
+    shown = []
+
+    @contextmanager
+    def working(self, text):
+        shown.append(text)
+        yield shown.append
+
+    monkeypatch.setattr(Screen, "working", working)
+    run(f"{diagnose} --out {tmp_path}/out")
+    assert shown[:2] == ["reading recordings", "diagnosing planar"]
+    assert shown[-1] == "writing the report"
+    assert len(shown) > 4
+
+
+def test_a_terminal_shows_what_is_being_done():
+    screen, target = Screen(), StringIO()
+    screen._err = Console(file=target, force_terminal=True, width=80)
+    with screen.working("at first") as tell:
+        tell("and now this")
+    assert "and now this" in target.getvalue()
+
+
+@pytest.mark.parametrize("is_new", [True, False])
+@pytest.mark.parametrize(
+    ("home", "step"),
+    [
+        ("hybrid.diagnose.diagnose", "examine"),
+        ("hybrid.report.diagnosis", "write_results"),  # the page is written by then
+    ],
+)
+def test_ctrl_c_leaves_what_was_there(
+    diagnose, tmp_path, capsys, monkeypatch, is_new, home, step
+):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    out = tmp_path / "out"
+    if not is_new:
+        out.mkdir()
+        (out / "report.html").write_text("old")
+    before = tree(tmp_path)
+    monkeypatch.setattr(import_module(home), step, interrupted)
+    assert "interrupted" in failed(capsys, f"{diagnose} --out {out}", code=130)
+    assert tree(tmp_path) == before
+    assert out.exists() is not is_new
+
+
+def test_bad_input_is_one_line_and_writes_nothing(diagnose, logs, tmp_path, capsys):
+    log = read(logs / "trajectory_1.csv")
+    write(Recording(t=log.t, q=log.q, joints=log.joints), tmp_path / "silent.csv")
+    still = {"q": 0 * log.q + 0.3, "tau": log.tau}
+    write(Recording(t=log.t, **still, joints=log.joints), tmp_path / "still.csv")
+    (tmp_path / "file").write_text("in the way")
+    before = tree(tmp_path)
+    alone = f"diagnose --robot {PLANAR} --recordings {tmp_path}"
+    for command, words in {
+        f"diagnose --recordings {logs}": "--robot, --out",
+        f"diagnose --robot {PLANAR} --recordings nowhere --out {tmp_path}/x": "nowhere",
+        f"diagnose --robot no.xml --recordings {logs} --out {tmp_path}/x": "no.xml",
+        f"{diagnose} --out {tmp_path}/file": "file",
+        f"{diagnose} --out {tmp_path}/x --cutoff 0": "above 0",
+        f"{diagnose} --out {tmp_path}/x --json {tmp_path}": "is a folder",
+        f"{diagnose} --joints elbow,knee --out {tmp_path}/x": "knee",
+        f"{alone}/silent.csv --out {tmp_path}/x": "no torques",
+        f"{alone}/still.csv --out {tmp_path}/x": "no joint moves",
+    }.items():
+        assert words in failed(capsys, command), command
+    assert tree(tmp_path) == before
+
+
+def test_it_is_the_public_function(diagnose, logs, tmp_path):
+    import hybrid
+
+    run(f"{diagnose} --out {tmp_path}")
+    robot = hybrid.Robot.load(PLANAR)
+    found = hybrid.diagnose(robot, hybrid.read_recordings(logs, joints=robot.joints))
+    assert isinstance(found, hybrid.Diagnosis)
+    expected = json.loads((tmp_path / "diagnosis.json").read_text("utf-8"))
+    content = json.loads(json.dumps(found.as_dict()))
+    assert content | {"provenance": {}} == expected | {"provenance": {}}

@@ -1,0 +1,379 @@
+"""The report of a diagnosis: what it says is true, and the page works alone."""
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html import unescape
+
+import numpy as np
+import pytest
+from diagnosed import RIPPLE, faultless, planar
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from hybrid.diagnose.diagnosis import Advice, Finding, Region, Shrink, Value
+from hybrid.report.diagnosis import render_diagnosis, write_diagnosis
+from hybrid.report.diagnosis_curves import MOST_POINTS, joint_curves, rms_table, thin
+from hybrid.report.diagnosis_evidence import evidence_matrix
+from hybrid.report.diagnosis_text import (
+    MOST_LINES,
+    range_name,
+    region_name,
+    value_cells,
+    verdict_lines,
+)
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+SLOW = Region("elbow", "speed", 0.0, 0.1, "rad/s", 0.42, (0.35, 0.48))
+WHOLE = Region("elbow", "link", 0.0, 1.0, "torque to motion", 0.6, (0.5, 0.7))
+
+
+def told(result, **changes):
+    """A result whose diagnosis says something else."""
+    return replace(result, diagnosis=replace(result.diagnosis, **changes))
+
+
+def plain(page: str) -> str:
+    """The words of a page without its markup, its script and its data."""
+    body = re.sub(r"<(script|style)\b.*?</\1>", " ", page, flags=re.DOTALL)
+    return " ".join(re.sub(r"<[^>]*>", " ", body).split())
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return render_diagnosis(planar())
+
+
+class TestPage:
+    def test_it_comes_with_the_same_in_json(self, tmp_path):
+        write_diagnosis(planar(), tmp_path / "new")
+        found = {path.name for path in (tmp_path / "new").iterdir()}
+        assert found == {"report.html", "diagnosis.json"}
+        content = json.loads((tmp_path / "new" / "diagnosis.json").read_text("utf-8"))
+        assert content.pop("provenance")["packages"]["numpy"] == np.__version__
+        expected = planar().diagnosis.as_dict()
+        expected.pop("provenance")
+        assert content == json.loads(json.dumps(expected))
+
+    def test_it_names_nothing_outside_itself(self, page):
+        assert not re.search(r"""https?://(?!www\.w3\.org)|src=|@import|url\(""", page)
+        assert "default-src 'none'" in page
+
+    def test_it_tells_of_every_finding_in_words_and_in_numbers(self, page):
+        words = plain(page)
+        for f in planar().diagnosis.findings:
+            assert f.sentence in words and f.remedy in words
+            for value in f.parameters:
+                assert all(cell in words for cell in value_cells(value))
+            assert f"{f.share:.0%} of what is explained" in words
+
+    def test_what_cannot_be_told_apart_is_said_openly(self):
+        first, *rest = planar().diagnosis.findings
+        alike = replace(first, alternatives=(first.effect, "spring", "torque_offset"))
+        words = plain(render_diagnosis(told(planar(), findings=(alike, *rest))))
+        assert "Cannot be told from spring or torque offset by these" in words
+
+    def test_what_stays_unexplained_is_said_openly(self):
+        found = replace(
+            planar().account, missed=planar().account.before, depends=("time", "load")
+        )
+        result = told(planar(), unexplained=0.5, verdict="partly_explained")
+        words = plain(render_diagnosis(replace(result, account=found)))
+        assert "unexplained 50%" in words
+        assert "no known effect is its cause" in words
+        assert "shoulder time" in words and "elbow load" in words
+
+    def test_where_may_be_known_or_not(self):
+        unknown = plain(render_diagnosis(told(planar(), where=())))
+        assert "No condition was found" in unknown
+        words = plain(render_diagnosis(told(planar(), where=(WHOLE, SLOW))))
+        assert "elbow, from torque to motion 60%" in words
+        assert "elbow, speed 0 to 0.1 rad/s 42%" in words
+
+    def test_motion_advice_warnings_and_limits_are_shown_where_there_are_some(self):
+        first, *rest = planar().diagnosis.findings
+        motion = Shrink(0.012, 0.003, 0.75, (-0.01, 0.8), 0.5)
+        moved = replace(first, shrink={**first.shrink, "motion": motion})
+        advice = Advice("a velocity ladder", ("stribeck", "coulomb"), 14.2, "next.csv")
+        words = plain(
+            render_diagnosis(
+                told(
+                    planar(),
+                    findings=(moved, *rest),
+                    advice=(advice,),
+                    warnings=("the clock jumps",),
+                    not_excited=("elbow above 3 rad/s",),
+                )
+            )
+        )
+        assert "motion gap over 0.5 s 0.012 → 0.003 rad, 75% less" in words
+        assert "interval −1 to 80%" in words
+        assert "a velocity ladder — tells stribeck from coulomb; expected" in words
+        assert "14 times the noise ( next.csv )" in words
+        assert "the clock jumps" in words and "elbow above 3 rad/s" in words
+
+    def test_without_a_gap_nothing_is_blamed(self):
+        result = faultless()
+        assert result.diagnosis.verdict == "no_gap"
+        words = plain(render_diagnosis(result))
+        assert "No gap" in words and "Nothing needs a cause" in words
+        assert "Remedy" not in words
+
+    def test_without_a_cause_none_is_named(self):
+        unknown = told(planar(), findings=(), verdict="unexplained", unexplained=1.0)
+        words = plain(render_diagnosis(unknown))
+        assert (
+            "no known effect is its cause" in words and "No effect was named" in words
+        )
+        assert "unexplained 100%" in words and "Remedy" not in words
+
+    def test_a_name_cannot_break_out_of_the_page(self):
+        nasty = "</script><b>&"
+        joints = (nasty, "elbow")
+        page = render_diagnosis(told(planar(), robot=nasty, joints=joints))
+        assert nasty not in page and "&lt;/script&gt;&lt;b&gt;&amp;" in page
+
+    def test_the_foot_names_each_file_with_its_hash(self):
+        files = [{"file": "arm.xml", "sha256": "a" * 64}]
+        words = plain(render_diagnosis(told(planar(), provenance={"inputs": files})))
+        assert f"inputs arm.xml {'a' * 64}" in words
+
+
+class TestCurves:
+    """What is drawn, on samples that no step has seen."""
+
+    def test_the_fitted_law_is_the_true_one(self):
+        curves = joint_curves(planar(), 0)
+        (cloud,) = curves["clouds"]
+        q = np.array(curves["over"]["position"]["x"])
+        sine, cosine, turns = (RIPPLE.values[k] for k in ("sine", "cosine", "periods"))
+        true = sine * np.sin(turns * q) + cosine * np.cos(turns * q)
+        error = np.array(cloud["law"]) - true
+        assert cloud["effect"] == "torque_ripple"
+        assert np.sqrt(np.mean(error**2)) < 0.05 * np.sqrt(np.mean(true**2))
+
+    def test_what_is_left_beside_a_law_is_noise(self):
+        for i, name in enumerate(("torque_ripple", "stribeck")):
+            curves = joint_curves(planar(), i)
+            (cloud,) = curves["clouds"]
+            left = np.array(cloud["y"]) - np.array(cloud["law"])
+            assert cloud["effect"] == name
+            assert np.std(left) == pytest.approx(curves["noise"], rel=0.1)
+
+    def test_a_law_is_first_shown_over_what_it_is_a_function_of(self):
+        for i, name in enumerate(("position", "speed")):
+            assert joint_curves(planar(), i)["clouds"][0]["order"][0] == name
+
+    def test_the_gap_falls_to_its_noise(self):
+        for row in rms_table(planar()):
+            assert row["noise"] == pytest.approx(row["after"], rel=0.1)
+            assert row["today"] > 2 * row["after"]
+            assert row["torque"] > row["today"]
+
+    def test_no_curve_is_long(self):
+        for i in range(2):
+            curves = joint_curves(planar(), i)
+            lines = [curve["y"] for curve in curves["time"].values()]
+            lines += [cloud["y"] for cloud in curves["clouds"]]
+            assert all(np.size(y) - y.count(None) <= MOST_POINTS for y in lines)
+
+    @given(
+        arrays(float, st.integers(0, 300), elements=st.integers(-999, 999)),
+        st.integers(4, 40),
+    )
+    def test_thinning_keeps_order_and_peaks(self, y, most):
+        t = np.arange(len(y)) / 8
+        curve = thin(t, y, np.arange(len(y)), most)
+        assert len(curve["y"]) <= max(most, 4)
+        assert curve["x"] == sorted(curve["x"])
+        if len(y):
+            assert (min(curve["y"]), max(curve["y"])) == (y.min(), y.max())
+
+    def test_a_line_breaks_where_samples_are_left_out(self):
+        rows = np.array([0, 1, 5, 6])
+        curve = thin(rows / 4, np.ones(4), rows)
+        assert curve["x"] == [0.0, 0.25, None, 1.25, 1.5]
+        assert curve["y"] == [1.0, 1.0, None, 1.0, 1.0]
+
+
+class TestEvidence:
+    def test_the_named_cells_are_the_findings(self):
+        matrix = evidence_matrix(planar().search)
+        named = {(e, c.joints) for e, cells in matrix.rows for c in cells if c.named}
+        assert named == {("torque_ripple", "shoulder"), ("stribeck", "elbow")}
+        assert {matrix.rows[0][0], matrix.rows[1][0]} == {"torque_ripple", "stribeck"}
+
+    def test_an_imitation_has_evidence_alone_and_none_beside_the_cause(self):
+        rows = dict(evidence_matrix(planar().search).rows)
+        dry = rows["coulomb"][1]
+        assert dry.joints == "elbow" and dry.alone > 2
+        assert dry.beside < 0.1 * dry.alone
+
+    def test_every_row_is_as_wide_as_the_arm(self):
+        for _, cells in evidence_matrix(planar().search).rows:
+            assert sum(cell.width for cell in cells) == 2
+            assert all(0 <= x <= 1 for cell in cells for x in cell.shade)
+
+
+def many(count: int) -> tuple[Finding, ...]:
+    """Findings at several joints."""
+    shrink = {"torque": Shrink(1.0, 0.5, 0.5, (0.4, 0.6))}
+    return tuple(
+        Finding("coulomb", (f"joint_{k}",), ("coulomb", "spring"), 1 / count, (),
+                shrink, "", "")
+        for k in range(count)
+    )  # fmt: skip
+
+
+class TestVerdict:
+    @given(
+        st.integers(0, 12), st.integers(0, 5), st.booleans(), st.booleans(),
+        st.sampled_from(["explained", "partly_explained", "unexplained", "no_gap"]),
+    )  # fmt: skip
+    def test_it_is_never_more_than_ten_lines(
+        self, causes, cares, where, next_, verdict
+    ):
+        diagnosis = replace(
+            planar().diagnosis,
+            findings=many(causes),
+            verdict=verdict,
+            warnings=("w",) * cares,
+            not_excited=("x",) * cares,
+            where=(WHOLE, SLOW) if where else (),
+            advice=(Advice("run it slowly", ("a", "b"), 3.0),) if next_ else (),
+        )
+        lines = verdict_lines(diagnosis)
+        assert len(lines) <= MOST_LINES == 10
+        assert ("Run next: run it slowly, to tell a from b" in lines) is next_
+        shown = sum(bool(re.match(r"\d+\. ", line)) for line in lines)
+        hidden = [int(m[1]) for x in lines if (m := re.match(r"… and (\d+) more", x))]
+        assert shown + sum(hidden) == causes
+
+    def test_it_says_what_where_and_how_far(self):
+        lines = verdict_lines(planar().diagnosis)
+        assert lines[0].startswith("Explained: 2 effects account for all of the gap")
+        assert lines[1].startswith("RMS gap in N·m: shoulder 1.")
+        assert lines[2].startswith("1. Torque ripple at shoulder: ")
+        assert "% less (95% interval " in lines[3]
+
+    def test_it_says_what_cannot_be_told_apart(self):
+        text = "\n".join(verdict_lines(replace(planar().diagnosis, findings=many(1))))
+        assert "1. Coulomb at joint_0" in text and "may as well be spring" in text
+
+    @pytest.mark.parametrize(
+        ("region", "words"),
+        [
+            (SLOW, "0 to 0.1\xa0rad/s"),
+            (WHOLE, "torque to motion"),
+            (replace(SLOW, variable="direction", low=-1.0, high=0.0), "moving down"),
+            (replace(SLOW, variable="direction", low=0.0, high=1.0), "moving up"),
+        ],
+    )
+    def test_regions_have_plain_names(self, region, words):
+        assert range_name(region) == words
+        assert region_name(region).startswith("elbow, ")
+
+    @given(st.floats(-1e4, 1e4, allow_subnormal=False), st.floats(1e-6, 1e3))
+    def test_a_rounded_value_stays_in_its_rounded_interval(self, value, half):
+        cells = value_cells(Value("j", "x", value, "N·m", (value - half, value + half)))
+        mid, ends, unit = (c.replace("−", "-") for c in cells)
+        low, high = map(float, ends.split(" to "))
+        assert low <= float(mid) <= high and unit == "N·m"
+        assert abs(float(mid) - value) <= 0.06 * half + 1e-9 * abs(value) + 1e-9
+
+    def test_a_shape_that_was_searched_for_has_no_interval(self):
+        cells = value_cells(Value("j", "x", 0.0123456, "s", (0.0123456, 0.0123456)))
+        assert cells == ("0.01235", "–", "s")
+
+
+# Picks every joint, zooms by key and by pointer, hides a curve, changes the matrix.
+ACTIONS = """
+const out = { errors: [], joints: [] };
+addEventListener("error", (event) => out.errors.push(event.message));
+const click = (selector) => document.querySelector(selector).click();
+const visible = () => [...document.querySelectorAll(".joint:not([hidden])")];
+const labels = (plot) => [...plot.querySelectorAll("text")].map((x) => x.textContent);
+const press = (plot, key) =>
+  plot.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
+const number = document.querySelectorAll(".picker [data-pick]").length;
+for (let k = 0; k < number; k++) {
+  click(`.picker [data-pick="${k}"]`);
+  out.joints.push([visible().length, visible()[0].querySelector("h3").textContent,
+    visible()[0].querySelectorAll("svg path").length]);
+}
+const plot = visible()[0].querySelector(".plot");
+const before = labels(plot).join();
+press(plot, "+");
+out.zoomed = labels(plot).join() !== before && !document.getElementById("whole").hidden;
+click("#whole");
+out.whole = labels(plot).join() === before;
+const box = plot.firstChild.getBoundingClientRect();
+plot.firstChild.setPointerCapture = () => {};
+const at = (kind, part) => plot.firstChild.dispatchEvent(new PointerEvent(kind, {
+  bubbles: true, pointerId: 1, clientX: box.left + part * box.width, clientY: box.top,
+}));
+at("pointerdown", 0.4); at("pointermove", 0.5); at("pointerup", 0.6);
+out.dragged = labels(plot).join() !== before;
+press(plot, "0");
+click(".joint:not([hidden]) .key");
+out.hidden = plot.querySelectorAll("path").length;
+click('[data-layer="beside"]');
+const style = (selector) => getComputedStyle(document.querySelector(selector)).display;
+out.layers = [style(".layer.alone"), style(".layer.beside")];
+dispatchEvent(new Event("beforeprint"));
+const joint = [...document.querySelectorAll(".joint")];
+out.printed = joint.every((x) => x.querySelector("path"));
+out.width = document.documentElement.scrollWidth - innerWidth;
+out.requests = performance.getEntriesByType("resource").length;
+document.body.innerHTML = "";
+document.body.append(JSON.stringify(out));
+"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> str:
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        pytest.skip(f"no browser found; tried {', '.join(BROWSERS)}")
+    return found
+
+
+def opened(browser, folder, page, size) -> tuple[dict, list[str]]:
+    """What a page did in a browser, and the lines of its console."""
+    path = folder / f"{size}.html"
+    path.write_text(
+        page.replace("</body>", f"<script>{ACTIONS}</script></body>"), "utf-8"
+    )
+    done = subprocess.run(
+        [browser, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom",
+         "--enable-logging=stderr", f"--window-size={size}", "--no-first-run",
+         f"--user-data-dir={folder / 'profile'}", path.as_uri()],
+        capture_output=True, timeout=120,
+    )  # fmt: skip
+    dom, log = done.stdout.decode(), done.stderr.decode(errors="replace")
+    body = re.search(r"<body[^>]*>(\{.*\})\s*</body>", dom, flags=re.DOTALL)
+    assert body, dom[-500:] + log
+    return json.loads(unescape(body[1])), [
+        x for x in log.splitlines() if "CONSOLE" in x
+    ]
+
+
+@pytest.mark.parametrize("size", ["1200,900", "390,800"])
+def test_the_page_works_in_a_browser(browser, page, tmp_path, size):
+    found, console = opened(browser, tmp_path, page, size)
+    assert console == [] and found["errors"] == []
+    assert found["requests"] == 0
+    assert [x[:2] for x in found["joints"]] == [
+        [1, "shoulder: gap over time"],
+        [1, "elbow: gap over time"],
+    ]
+    # Two curves over time, and four clouds with a law each.
+    assert all(paths == 2 + 4 * 2 for *_, paths in found["joints"])
+    assert found["zoomed"] and found["whole"] and found["dragged"]
+    assert found["hidden"] == 1
+    assert found["layers"] == ["none", "block"]
+    assert found["printed"]
+    assert found["width"] <= 0, "the page is wider than its window"

@@ -1,0 +1,386 @@
+"""Exports against Python: C, ONNX, MJCF, URDF and JSON say what the model says."""
+
+import ctypes
+import json
+import subprocess
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from arms import MODELS, public_arm, random_arm, random_states
+
+import hybrid
+from hybrid.cli import main
+from hybrid.compensator import GaussianMixtureRegression
+from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
+from hybrid.dynamics import BaseParameters
+from hybrid.dynamics.base import inertial_labels
+from hybrid.effects import Effect, Port, effect_class, effect_classes
+from hybrid.effects.actuator_lag import ActuatorLag
+from hybrid.effects.presliding import Presliding
+from hybrid.effects.viscous import Viscous
+from hybrid.errors import EffectError, HybridError, ModelFileError
+from hybrid.export import FORMATS, export, program_from_model, read_manifest
+from hybrid.export.tape import OPERATIONS, Tape
+from hybrid.identify import DynamicModel
+from hybrid.plant import load_truth
+from hybrid.plant.scale import joint_scales
+from hybrid.robot import Robot
+from hybrid.signals import Motion
+
+STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic")
+# Effects that need future samples, or torque that was measured.
+NOT_CAUSAL = {"backlash", "deadzone", "elasticity", "saturation"}
+DYNAMIC = {n for n, cls in effect_classes().items() if cls.memory}
+WRAPPER = """#include "{p}.h"
+int run(int count, int keep, const double *q, const double *v, const double *a,
+        double *tau, double *variance)
+{{
+    {p}_state s;
+    int k, bad = 0;
+    {p}_start(&s, 0.01);
+    for (k = 0; k < count * {n}; k += {n}) {{
+        if (!keep)
+            {p}_start(&s, 0.01);
+        bad |= {p}_torque(&s, q + k, v + k, a + k, tau + k, variance + k);
+    }}
+    return bad;
+}}
+"""
+
+
+def model_of(robot, effects=(), **parts):
+    """A model that knows the robot's links exactly."""
+    labels, units = inertial_labels(robot.size)
+    count = len(labels)
+    links = robot.chain.inertial
+    base = BaseParameters(
+        labels, units, tuple(range(count)), np.eye(count), links.ravel()
+    )
+    return DynamicModel(robot, base, tuple(effects), inertial=links, **parts)
+
+
+def mixture(seed, inputs, components):
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(1500, inputs))
+    y = np.sin(2 * x[:, :1]) + 0.3 * x[:, 1:2] ** 2 + 0.1 * rng.normal(size=(1500, 1))
+    return GaussianMixtureRegression.fit(
+        x, y, components=components, covariance_floor=1e-3
+    )
+
+
+@cache
+def full_model():
+    """The COMAN-like truth, with learned parts of different widths."""
+    nominal, plant = load_truth(MODELS / "coman_truth.yaml")
+    parts = [(0, (0,), (0,), 8), (3, (2, 3, 4), (3,), 20), (5, (5,), (4, 5), 3)]
+    remainder = ArmRemainder(
+        6,
+        tuple(
+            JointRemainder(j, p, v, mixture(j, len(p) + len(v), k))
+            for j, p, v, k in parts
+        ),
+    )
+    seen = {"q_min": np.full(6, -1.0), "q_max": np.full(6, 1.0), "v_max": np.ones(6)}
+    robot = replace(plant.robot, path=nominal.path)
+    return model_of(robot, plant.effects, remainder=remainder, range=seen)
+
+
+def motion_of(robot, samples, seed=0):
+    q, v, a = random_states(robot.size, samples, seed)
+    t = np.arange(samples) * 0.01
+    return Motion(t, q, v, a, np.full_like(q, np.nan), np.ones(samples, bool))
+
+
+def compiled(folder, name, n):
+    """The exported header as a function of arrays."""
+    (folder / "wrapper.c").write_text(WRAPPER.format(p=name, n=n))
+    source, library = folder / "wrapper.c", folder / "wrapper.so"
+    command = ["cc", *STRICT, "-shared", "-fPIC", "-o", library, source, "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    run = ctypes.CDLL(str(library)).run
+    pointer = ctypes.POINTER(ctypes.c_double)
+
+    def torque(q, v, a, *, keep=False):
+        arrays = [np.array(x, order="C") for x in (q, v, a)]
+        arrays += [np.zeros_like(arrays[0]), np.zeros_like(arrays[0])]
+        given = (x.ctypes.data_as(pointer) for x in arrays)
+        bad = run(len(q), int(keep), *given)
+        return bad, arrays[3], arrays[4]
+
+    return torque
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Every format of the full model."""
+    folder = tmp_path_factory.mktemp("exports")
+    for kind in FORMATS:
+        export(full_model(), folder / kind, format=kind)
+    return folder
+
+
+# --- the tape -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("robot", [*map(random_arm, range(8)), public_arm("panda")])
+def test_newton_euler_on_the_tape_is_the_regressor_form_of_the_dynamics(robot):
+    model, motion = model_of(robot), motion_of(robot, 50)
+    tau, _ = program_from_model(model).run(motion.q, motion.v, motion.a)
+    expected = model.predict(motion)
+    np.testing.assert_allclose(tau, expected, atol=1e-11 * np.abs(expected).max())
+
+
+def test_a_tape_folds_constants_and_writes_nothing_twice():
+    tape = Tape()
+    x = tape.input("x")
+    assert 0.0 * x == 0.0
+    assert (1.0 * x + 0.0).line == x.line
+    before = np.sin(x) * np.sin(x)
+    assert (np.sin(x) * np.sin(x)).line == before.line
+    assert np.clip(tape.input("x"), None, None).line == x.line
+    (value,) = tape.run([before + x**3], {"x": 0.5})
+    assert value == pytest.approx(np.sin(0.5) ** 2 + 0.125)
+
+
+def test_a_law_that_branches_is_refused_with_advice():
+    with pytest.raises(HybridError, match="use numpy.where"):
+        bool(Tape().input("x") > 0)
+
+
+def test_a_function_without_counterpart_is_refused_by_name():
+    with pytest.raises(HybridError, match="arctan cannot be exported; valid are add"):
+        np.arctan(Tape().input("x"))
+
+
+# --- effects --------------------------------------------------------------------------
+
+
+def joints_for(cls):
+    return {"joint": (1,), "coupling": (3, 4), "arm": tuple(range(6))}[cls.scope]
+
+
+@pytest.mark.parametrize("name", sorted(set(effect_classes()) - DYNAMIC))
+def test_every_effect_is_exported_or_says_why_not(name):
+    robot = full_model().robot
+    cls = effect_class(name)
+    effect = cls.typical(joints_for(cls), joint_scales(robot))
+    model, motion = model_of(robot, [effect]), motion_of(robot, 40)
+    if name in NOT_CAUSAL:
+        with pytest.raises(EffectError, match=f"{name} cannot run in a control loop"):
+            program_from_model(model)
+        return
+    program = program_from_model(model)
+    if effect.not_in_loop:
+        assert program.left_out == (f"{name}: {effect.not_in_loop}",)
+        model = model_of(robot)
+    for k in range(0, 40, 13):  # one at a time: a law may depend on time
+        q, v, a = (x[k : k + 1] for x in (motion.q, motion.v, motion.a))
+        tau, _ = program.run(q, v, a, t=motion.t[k])
+        np.testing.assert_allclose(
+            tau[0], model.predict(motion)[k], rtol=1e-10, atol=1e-9
+        )
+
+
+def test_an_effect_of_a_user_needs_nothing_more_than_its_law():
+    class Cube(effect_class("viscous")):
+        id = "cube"
+
+        @staticmethod
+        def law(state, **shapes):
+            return (np.where(np.abs(state.v) > 0.1, state.v**3, 0.0),)
+
+    robot = full_model().robot
+    model, motion = model_of(robot, [Cube((2,), {"coefficient": 3.0})]), None
+    motion = motion_of(robot, 100)
+    tau, _ = program_from_model(model).run(motion.q, motion.v, motion.a)
+    np.testing.assert_allclose(tau, model.predict(motion), atol=1e-10)
+
+
+def test_an_effect_with_no_torque_at_one_instant_is_named():
+    class Odd(Effect):
+        id, port, gains = "odd", Port.DRIVE, Viscous.gains
+
+        def columns(self, motion, body):
+            return np.cumsum(motion.v[:, :1], axis=0)[:, :, None]
+
+    with pytest.raises(EffectError, match="odd cannot run in a control loop"):
+        program_from_model(model_of(full_model().robot, [Odd((0,))]))
+
+
+# --- C --------------------------------------------------------------------------------
+
+
+def test_c_is_python_on_ten_thousand_random_states(folders):
+    model, motion = full_model(), motion_of(full_model().robot, 10_000)
+    torque = compiled(folders / "c", "coman_like", 6)
+    bad, tau, variance = torque(motion.q, motion.v, motion.a)
+    assert bad == 0
+    np.testing.assert_allclose(tau, model.predict(motion), rtol=0, atol=1e-9)
+    expected = model.remainder.predict_distribution(motion.q, motion.v)[1]
+    np.testing.assert_allclose(variance, expected, rtol=0, atol=1e-9)
+
+
+def test_c_remembers_what_dynamic_effects_need(tmp_path):
+    robot = public_arm("ur10")
+    effects = [
+        Presliding((1,), {"level": 3.0, "distance": 0.02}),
+        ActuatorLag((2,), {"time": -0.03}),
+        Presliding((4,), {"level": 0.5, "distance": 0.1}),
+    ]
+    model = model_of(robot, effects)
+    t = np.arange(300) * 0.01
+    q = np.sin(np.outer(t, [3.0, 2.0, 4.0, 1.0, 5.0, 2.5]))
+    v, a = (np.gradient(q, 0.01, axis=0, edge_order=2), -9.0 * q)
+    motion = Motion(t, q, v, a, np.full_like(q, np.nan), np.ones(300, bool))
+    export(model, tmp_path, format="c")
+    bad, tau, _ = compiled(tmp_path, "ur10", 6)(q, v, a, keep=True)
+    assert bad == 0
+    np.testing.assert_allclose(tau, model.predict(motion), rtol=0, atol=1e-9)
+
+
+def test_a_leading_drive_is_ahead_by_its_time_constant(tmp_path):
+    robot = public_arm("ur10")
+    model = model_of(robot, [ActuatorLag((1,), {"time": 0.02})])
+    program, plain = program_from_model(model), program_from_model(model_of(robot))
+    t = np.arange(200) * 0.001
+    memory, lead, rigid = None, [], []
+    for k in range(200):
+        q = np.full((1, 6), 0.5 * np.sin(2.0 * t[k]))
+        v, a = np.cos(2.0 * t[k]) + 0 * q, -4.0 * q
+        tau, memory = program.run(q, v, a, memory=memory, step=0.001)
+        lead.append(tau[0, 1])
+        rigid.append(plain.run(q, v, a)[0][0, 1])
+    # The difference looks back by half a step.
+    slope = np.diff(rigid) / 0.001
+    np.testing.assert_allclose(lead[1:], rigid[1:] + 0.02 * slope, rtol=1e-9)
+
+
+def test_c_refuses_numbers_that_are_not_finite(folders):
+    torque = compiled(folders / "c", "coman_like", 6)
+    zero = np.zeros((1, 6))
+    for k, bad in enumerate((np.nan, np.inf, -np.inf)):
+        states = [zero.copy() for _ in range(3)]
+        states[k][0, 2] = bad
+        status, tau, _ = torque(*states)
+        assert status == -1
+        assert not tau.any()
+
+
+def test_the_c_example_builds_with_cmake_in_both_precisions(folders, tmp_path):
+    for command in (
+        ["cmake", "-S", folders / "c", "-B", tmp_path],
+        ["cmake", "--build", tmp_path],
+        ["ctest", "--test-dir", tmp_path],
+    ):
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+# --- ONNX -----------------------------------------------------------------------------
+
+
+def session(folder, name):
+    runtime = pytest.importorskip("onnxruntime", reason="an optional extra")
+    return runtime.InferenceSession(folder / f"{name}.onnx")
+
+
+def test_onnx_is_python_for_any_batch(folders):
+    model, run = full_model(), session(folders / "onnx", "coman_like").run
+    for samples in (1, 7, 2000):
+        motion = motion_of(model.robot, samples, seed=samples)
+        tau, variance = run(None, {"q": motion.q, "v": motion.v, "a": motion.a})
+        np.testing.assert_allclose(tau, model.predict(motion), rtol=0, atol=1e-6)
+        expected = model.remainder.predict_distribution(motion.q, motion.v)[1]
+        np.testing.assert_allclose(variance, expected, rtol=0, atol=1e-6)
+
+
+def test_onnx_hands_its_memory_back(tmp_path):
+    robot = public_arm("ur10")
+    model = model_of(robot, [Presliding((1,), {"level": 3.0, "distance": 0.02})])
+    export(model, tmp_path, format="onnx")
+    run, program = session(tmp_path, "ur10").run, program_from_model(model)
+    memory, known = np.zeros((1, 2)), np.zeros((1, 1))
+    ours = None
+    for k in range(20):
+        q = np.full((1, 6), 0.1 * np.sin(k))
+        v, a = np.full((1, 6), np.cos(k)), 0.0 * q
+        given = {"q": q, "v": v, "a": a, "memory": memory, "known": known}
+        tau, _, memory = run(None, given)
+        expected, ours = program.run(q, v, a, memory=ours)
+        known = np.ones((1, 1))
+        np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-9)
+
+
+def test_onnx_carries_its_manifest(folders):
+    found = session(folders / "onnx", "coman_like").get_modelmeta().custom_metadata_map
+    manifest = json.loads((folders / "onnx" / "manifest.json").read_text())
+    assert found["model_sha256"] == manifest["model_sha256"]
+    assert json.loads(found["joints"]) == manifest["joints"]
+
+
+# --- manifest and command -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_a_manifest_says_what_the_numbers_mean(folders, kind):
+    model = full_model()
+    found = read_manifest(folders / kind, robot=model.robot, model=model)
+    assert found["joints"] == list(model.robot.joints)
+    assert found["version"] == hybrid.__version__
+    assert found["units"]["tau"] == "N·m"
+    assert found["training_range"]["q_max"] == [1.0] * 6
+    assert found["limits"]["tau_max"] == list(model.robot.tau_max)
+
+
+def test_another_version_robot_or_model_is_refused(tmp_path):
+    model = model_of(Robot.load(MODELS / "planar.xml"))
+    export(model, tmp_path, format="json")
+    with pytest.raises(ModelFileError, match="of arm planar .* this is ur10"):
+        read_manifest(tmp_path, robot=public_arm("ur10"))
+    other = replace(model, effects=(Viscous((0,), {"coefficient": 1.0}),))
+    with pytest.raises(ModelFileError, match="of another model"):
+        read_manifest(tmp_path, model=other)
+    path = tmp_path / "manifest.json"
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "version": "0.0.9"}))
+    with pytest.raises(ModelFileError, match="version 0.0.9 .* export the model again"):
+        read_manifest(tmp_path)
+
+
+def test_a_changed_file_is_noticed(tmp_path):
+    export(model_of(Robot.load(MODELS / "planar.xml")), tmp_path, format="c")
+    header = tmp_path / "planar.h"
+    header.write_text(header.read_text().replace("#define PLANAR_JOINTS 2", "", 1))
+    with pytest.raises(ModelFileError, match="planar.h: changed since"):
+        read_manifest(tmp_path)
+
+
+def test_an_exported_model_file_is_the_model(folders):
+    again, motion = DynamicModel.load(folders / "json" / "model.json"), None
+    motion = motion_of(again.robot, 20)
+    assert np.array_equal(again.predict(motion), full_model().predict(motion))
+
+
+def test_an_unknown_format_is_refused_with_the_valid_ones(tmp_path):
+    with pytest.raises(HybridError, match="no format 'pickle'; valid are onnx, c"):
+        export(full_model(), tmp_path, format="pickle")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_exports_and_says_what_is_missing(folders, tmp_path, capsys):
+    given = ["--model", str(folders / "json" / "model.json"), "--format", "urdf"]
+    assert main(["export", *given, "--out", str(tmp_path / "arm")]) == 0
+    assert "not in it: stribeck of base" in capsys.readouterr().out
+    assert read_manifest(tmp_path / "arm")["format"] == "urdf"
+
+
+def test_every_operation_of_a_tape_has_its_c_and_onnx():
+    from hybrid.export import c_code, onnx_graph
+
+    for name in OPERATIONS:
+        assert name in onnx_graph._NAMES
+        operation = c_code.Operation(name, (0, 1.0, 2.0))
+        assert "x0" in c_code._expression(operation, "P")

@@ -1,0 +1,175 @@
+"""Simulators written from a model: loaded back, rolled out, completed by a callback."""
+
+import json
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from arms import MODELS
+from simulated import quiet
+from test_export import full_model, model_of, motion_of
+
+from hybrid.effects.armature import Armature
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.payload import Payload
+from hybrid.effects.threshold_friction import ThresholdFriction
+from hybrid.effects.viscous import Viscous
+from hybrid.errors import HybridError
+from hybrid.export import export
+from hybrid.plant import install, load_truth
+from hybrid.plant.lockstep import Lockstep
+from hybrid.plant.native import split_effects
+from hybrid.robot import Robot
+
+
+def declared(robot):
+    """What a robot file declares, as effects."""
+    kinds = (
+        (Armature, "inertia", robot.chain.armature),
+        (Coulomb, "level", robot.frictionloss),
+        (Viscous, "coefficient", robot.damping),
+    )
+    return [
+        cls((j,), {name: float(x)})
+        for cls, name, values in kinds
+        for j, x in enumerate(values)
+    ]
+
+
+def true_model():
+    """The COMAN-like arm as it is."""
+    _, plant = load_truth(MODELS / "coman_truth.yaml")
+    model = model_of(plant.robot, [*plant.effects, *declared(plant.robot)])
+    return model, plant
+
+
+def rollout(folder, model, plant, *, complete):
+    """Largest difference of an exported simulator from the plant, one second, [rad]."""
+    mj = mujoco.MjModel.from_xml_path(str(folder / "coman_like.xml"))
+    mj.opt.timestep, mj.opt.tolerance = plant.step, 1e-12
+    mj.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    mj.dof_solref[:], mj.dof_solimp[:, :2] = (2 * plant.step, 1.0), 0.9999
+    data, real = mujoco.MjData(mj), Lockstep(plant.arm, plant.effects, np.zeros((1, 6)))
+    added = install(mj, data, model) if complete else None
+    rng = np.random.default_rng(0)
+    speed, size = rng.uniform(2, 6, 6), 0.2 * model.robot.tau_max
+    worst = 0.0
+    for k in range(round(1.0 / plant.step)):
+        tau = size * (np.sin(speed * k * plant.step) - 3.0 * real.q[0])
+        tau -= 0.05 * model.robot.tau_max * real.v[0]
+        data.ctrl[:] = tau
+        mujoco.mj_step(mj, data)
+        real.step(tau[None])
+        worst = max(worst, float(np.abs(data.qpos - real.q[0]).max()))
+    if added is not None:
+        assert added.left_out == ()
+        added.remove()
+    return worst
+
+
+def test_an_exported_simulator_moves_as_the_plant_and_the_callback_adds_the_rest(
+    tmp_path,
+):
+    model, plant = true_model()
+    left_out = export(model, tmp_path, format="mjcf")
+    assert any(text.startswith("stribeck of base (level 3 N·m") for text in left_out)
+    exported = rollout(tmp_path, model, plant, complete=False)
+    completed = rollout(tmp_path, model, plant, complete=True)
+    assert completed < 0.01
+    assert completed < exported / 10
+
+
+def test_the_callback_is_gone_when_it_is_removed(tmp_path):
+    model, _ = true_model()
+    export(model, tmp_path, format="mjcf")
+    mj = mujoco.MjModel.from_xml_path(str(tmp_path / "coman_like.xml"))
+    data = mujoco.MjData(mj)
+    data.qpos[:] = 0.3
+    mujoco.mj_forward(mj, data)
+    plain = data.qfrc_passive.copy()
+    added = install(mj, data, model)
+    mujoco.mj_forward(mj, data)
+    assert np.abs(data.qfrc_passive - plain).max() > 0.1
+    added.remove()
+    mujoco.mj_forward(mj, data)
+    np.testing.assert_array_equal(data.qfrc_passive, plain)
+
+
+def test_a_learned_torque_is_felt_in_the_simulation(tmp_path):
+    model = replace(full_model(), effects=())
+    export(model, tmp_path, format="mjcf")
+    mj = mujoco.MjModel.from_xml_path(str(tmp_path / "coman_like.xml"))
+    data = mujoco.MjData(mj)
+    data.qpos[:], data.qvel[:] = 0.2, 0.5
+    added = install(mj, data, model)
+    mujoco.mj_forward(mj, data)
+    added.remove()
+    expected = model.remainder.predict(data.qpos[None], data.qvel[None])[0]
+    np.testing.assert_allclose(data.qfrc_passive, -expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind, suffix", [("mjcf", "xml"), ("urdf", "urdf")])
+def test_a_robot_file_loads_back_with_the_identified_numbers(tmp_path, kind, suffix):
+    model, plant = true_model()
+    export(model, tmp_path, format=kind)
+    # Our reader has no place for damping that grows with speed, which MJCF has.
+    found, _ = quiet(Robot.load, tmp_path / f"coman_like.{suffix}")
+    robot = plant.robot
+    assert found.joints == robot.joints
+    total = {name: np.zeros(6) for name in ("armature", "damping", "frictionloss")}
+    total |= split_effects(model.effects, tuple(total), 6)[0]
+    np.testing.assert_allclose(found.chain.armature, total["armature"], rtol=1e-5)
+    np.testing.assert_allclose(found.frictionloss, total["frictionloss"], rtol=1e-5)
+    np.testing.assert_allclose(found.damping, total["damping"], rtol=1e-5)
+    for name in ("q_min", "q_max", "v_max", "a_max", "tau_max"):
+        np.testing.assert_allclose(getattr(found, name), getattr(robot, name), 1e-5)
+    motion = motion_of(robot, 50)
+    rigid = model_of(robot).predict(motion)
+    again = model_of(found).predict(motion)
+    np.testing.assert_allclose(again, rigid, rtol=0, atol=1e-4 * np.abs(rigid).max())
+
+
+def test_a_payload_becomes_part_of_the_last_link(tmp_path):
+    robot = Robot.load(MODELS / "coman_like.xml")
+    values = {"mass": 2.0, "mz": 0.2, "Ixx": 0.03, "Iyy": 0.03, "Izz": 0.01}
+    model = model_of(robot, [Payload(tuple(range(6)), values)])
+    assert export(model, tmp_path, format="mjcf") == ()
+    found = Robot.load(tmp_path / "coman_like.xml")
+    motion = motion_of(robot, 50)
+    expected = model.predict(motion)
+    np.testing.assert_allclose(
+        model_of(found).predict(motion), expected, atol=1e-4 * np.abs(expected).max()
+    )
+
+
+def test_friction_is_split_into_what_a_joint_has_fields_for_and_the_rest():
+    values = {"coulomb_positive": 3.0, "coulomb_negative": 2.0, "viscous": 4.0}
+    law = ThresholdFriction((1,), {**values, "falling": 0.5})
+    fields, rest = split_effects([law], ("frictionloss", "damping"), 3)
+    np.testing.assert_array_equal(fields["frictionloss"], [0.0, 2.0, 0.0])
+    np.testing.assert_array_equal(fields["damping"], [0.0, 4.0, 0.0])
+    assert rest[0].values["coulomb_positive"] == 1.0
+    assert rest[0].values["coulomb_negative"] == rest[0].values["viscous"] == 0.0
+    assert rest[0].values["falling"] == 0.5
+
+
+def test_what_a_urdf_has_no_place_for_is_in_its_manifest(tmp_path):
+    model, _ = true_model()
+    left_out = export(model, tmp_path, format="urdf")
+    assert any(x.startswith("nonlinear_viscous of base") for x in left_out)
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    assert tuple(manifest["left_out"]) == left_out
+
+
+def test_links_that_could_not_be_built_are_refused(tmp_path):
+    model = replace(full_model(), inertial=None)
+    with pytest.raises(HybridError, match="identify with consistent=True"):
+        export(model, tmp_path / "new", format="mjcf")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_simulation_of_another_arm_is_refused():
+    mj = mujoco.MjModel.from_xml_path(str(MODELS / "planar.xml"))
+    with pytest.raises(HybridError, match="the simulation has no joint base"):
+        install(mj, mujoco.MjData(mj), full_model())

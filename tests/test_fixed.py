@@ -1,0 +1,203 @@
+"""The corrected simulator: what MJCF can say of it, and the model with the rest."""
+
+import warnings
+from dataclasses import replace
+from functools import cache
+
+import diagnosed
+import mujoco
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from simulated import arm
+
+from hybrid.diagnose.express import express
+from hybrid.diagnose.fixed import fixed_model, fixed_simulator, write_fixed
+from hybrid.diagnose.gap import measure_gap
+from hybrid.dynamics import RigidBody
+from hybrid.effects import effect_classes
+from hybrid.errors import HybridWarning
+from hybrid.identify import DynamicModel
+from hybrid.plant import Noise, Plant, random_fourier
+from hybrid.plant.scale import joint_scales
+from hybrid.robot import Robot
+
+EXACT = {
+    "coulomb": {}, "viscous": {}, "nonlinear_viscous": {}, "spring": {"preload": 2.0},
+    "torque_offset": {}, "torque_gain": {}, "saturation": {"limit": 2.0, "loss": 1.0},
+    "actuator_lag": {"time": 0.02}, "transmission_coupling": {}, "gravity_tilt": {},
+}  # fmt: skip
+NEARLY = ("asymmetric_friction", "load_friction", "presliding", "thermal_friction")
+NOT = ("stribeck", "torque_ripple", "encoder_offset", "delay")
+
+
+def effect_of(name, **values):
+    robot, cls = arm("planar"), effect_classes()[name]
+    joints = (1,) if cls.scope == "joint" else (0, 1)
+    return cls.typical(joints, joint_scales(robot), **values)
+
+
+@cache
+def motion_of(effect_id):
+    """A noise-free recording of an arm with an effect; and the gap of its simulator."""
+    robot, rng = arm("planar"), np.random.default_rng(4)
+    reference = random_fourier(robot, duration=5.0, rate=500.0, rng=rng)
+    effects = [effect_of(effect_id, **EXACT.get(effect_id, {}))] if effect_id else []
+    plant = Plant(robot, effects, nominal=robot, noise=Noise.none(robot.size))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HybridWarning)  # it saturates
+        logs = plant.run([reference], rng=rng)
+    return logs[0], measure_gap(robot, logs, cutoff=40.0), effects
+
+
+def written(gap, robot, effects):
+    spec, notes = express(gap, robot, effects)
+    spec.compile()
+    return mujoco.MjModel.from_xml_string(spec.to_xml()), notes
+
+
+def left_behind(model, log, start=1.0, seconds=0.5):
+    """RMS of what a simulator departs from a log under the log's own torque, rad."""
+    data = mujoco.MjData(model)
+    joints = [model.joint(name).dofadr[0] for name in arm("planar").joints]
+    torque, q = CubicSpline(log.t, log.tau), CubicSpline(log.t, log.q)
+    data.qpos[joints], data.qvel[joints] = q(start), q(start, 1)
+    if model.na:
+        data.act[:] = torque(start)[model.actuator_actadr >= 0]
+    off = []
+    for k in range(round(seconds / model.opt.timestep)):
+        t = start + k * model.opt.timestep
+        data.ctrl[:] = torque(t + model.opt.timestep / 2)
+        off.append(data.qpos[joints] - q(t))
+        mujoco.mj_step(model, data)
+    return float(np.sqrt(np.mean(np.square(off))))
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_what_mjcf_can_express_repeats_the_motion_of_the_plant(name):
+    log, gap, effects = motion_of(name)
+    robot = arm("planar")
+    before = left_behind(written(gap, robot, [])[0], log)
+    model, notes = written(gap, robot, effects)
+    assert notes == ()
+    plain, own, _ = motion_of(None)
+    floor = left_behind(written(own, robot, [])[0], plain)
+    assert before > 2 * floor, "the effect shows in motion"
+    assert left_behind(model, log) < max(0.1 * before, 1.1 * floor)
+
+
+def test_a_gear_that_twists_becomes_a_spring_behind_the_motor():
+    _, gap, _ = motion_of(None)
+    model, notes = written(
+        gap, arm("planar"), [effect_of("elasticity", compliance=0.01)]
+    )
+    behind = model.joint(f"{arm('planar').joints[1]}/deflection")
+    assert notes == ()
+    assert model.jnt_stiffness[behind.id] == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize("name", NEARLY)
+def test_friction_that_mjcf_lacks_is_replaced_and_said_to_be(name):
+    log, gap, effects = motion_of(name)
+    robot = arm("planar")
+    model, (note,) = written(gap, robot, effects)
+    assert note.startswith(f"{name} of {robot.joints[1]}, as ")
+    assert left_behind(model, log) < 0.8 * left_behind(written(gap, robot, [])[0], log)
+
+
+@pytest.mark.parametrize("name", NOT)
+def test_what_has_no_place_in_mjcf_is_only_listed(name):
+    _, gap, effects = motion_of(name)
+    model, (note,) = written(gap, arm("planar"), effects)
+    plain, _ = written(gap, arm("planar"), [])
+    assert note == f"{name} of {arm('planar').joints[1]}"
+    for field in ("dof_damping", "dof_frictionloss", "dof_armature", "body_mass"):
+        np.testing.assert_array_equal(getattr(model, field), getattr(plain, field))
+
+
+def test_friction_below_zero_is_cut_and_said():
+    _, gap, _ = motion_of("coulomb")
+    robot = arm("planar")
+    wrong = effect_of("viscous", coefficient=-10 * robot.damping[1])
+    model, notes = written(gap, robot, [wrong])
+    assert model.dof_damping.min() >= 0
+    assert notes == (
+        f"friction of {robot.joints[1]} below zero, which is left at zero",
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The corrected simulator of a diagnosed arm."""
+    path = tmp_path_factory.mktemp("fixed")
+    return path, write_fixed(diagnosed.planar(), path)
+
+
+def load(path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HybridWarning)
+        return Robot.load(path, joints=arm("planar").joints)
+
+
+def test_both_files_load_and_say_what_the_simulator_lacks(folder):
+    path, fixed = folder
+    mujoco.MjModel.from_xml_path(str(fixed.simulator))
+    robot, model = load(fixed.simulator), DynamicModel.load(fixed.model)
+    assert robot.joints == arm("planar").joints
+    np.testing.assert_allclose(robot.q_max, arm("planar").q_max, rtol=1e-5)
+    np.testing.assert_allclose(robot.v_max, arm("planar").v_max, rtol=1e-5)
+    np.testing.assert_allclose(robot.tau_max, arm("planar").tau_max, rtol=1e-5)
+    found = {e.id for e in diagnosed.planar().effects}
+    assert found <= {e.id for e in model.effects}
+    assert any("torque_ripple" in note for note in fixed.notes)
+    head = fixed.simulator.read_text(encoding="utf-8").split("-->")[0]
+    assert all(note in head for note in fixed.notes)
+
+
+def test_the_model_predicts_what_the_findings_explain(folder):
+    _, fixed = folder
+    gap, model = diagnosed.planar().gap, DynamicModel.load(fixed.model)
+    before, after = np.zeros(2), np.zeros(2)
+    for k, (motion, _, sampler) in enumerate(gap):
+        own = gap.trajectory == k
+        left = gap.left[own] - sampler(model.predict(motion) - motion.tau)
+        use = gap.moving[own]
+        before += np.where(use, gap.left[own] ** 2, 0.0).sum(axis=0)
+        after += np.where(use, left**2, 0.0).sum(axis=0)
+    count = gap.moving.sum(axis=0)
+    floor = np.array(diagnosed.planar().diagnosis.noise_floor)
+    assert np.all(np.sqrt(after / count) < 0.6 * np.sqrt(before / count))
+    np.testing.assert_allclose(np.sqrt(after / count), floor, rtol=0.1)
+
+
+def test_the_written_links_are_the_fitted_ones(folder):
+    _, fixed = folder
+    result = diagnosed.planar()
+    robot, (own, _) = load(fixed.simulator), fixed_simulator(result)
+    for motion in result.gap.motions:
+        np.testing.assert_allclose(
+            RigidBody(robot.chain, motion).load,
+            RigidBody(own.chain, motion).load,
+            rtol=1e-4,
+            atol=1e-4,
+        )
+
+
+def test_nothing_found_leaves_the_simulator_as_it_stands(tmp_path):
+    result = diagnosed.faultless()
+    bare = replace(result, effects=())
+    fixed = write_fixed(bare, tmp_path)
+    robot, original = load(fixed.simulator), bare.gap.robot
+    assert fixed.notes == ()
+    for name in ("damping", "frictionloss"):
+        np.testing.assert_allclose(getattr(robot, name), getattr(original, name))
+    np.testing.assert_allclose(
+        robot.chain.inertial, original.chain.inertial, rtol=1e-5, atol=1e-7
+    )
+
+
+def test_the_model_of_a_plain_simulator_has_its_torque():
+    _, gap, _ = motion_of("coulomb")
+    model = fixed_model(gap, gap.robot, ())
+    for motion, _, _ in gap:
+        np.testing.assert_allclose(model.predict(motion), motion.tau, atol=1e-9)

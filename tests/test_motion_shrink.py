@@ -1,0 +1,175 @@
+"""How far the motion gap shrinks when an effect is added to the simulator."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from simulated import arm
+
+from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.candidates import candidate
+from hybrid.diagnose.explanation import explain, split
+from hybrid.diagnose.gap import measure_gap
+from hybrid.diagnose.motion import (
+    HORIZONS,
+    Replay,
+    motion_shrink,
+    rollout_agrees,
+    step_warning,
+)
+from hybrid.effects import effect_classes
+from hybrid.plant import Noise, Plant, random_fourier
+from hybrid.plant.rollout import Windows, rollout
+from hybrid.plant.scale import joint_scales
+
+# At the elbow; what the arm as a whole has at its usual joints.
+EFFECTS = [
+    "actuator_lag", "armature", "backlash", "coulomb", "delay", "elasticity",
+    "encoder_eccentricity", "encoder_offset", "gravity_tilt", "load_friction",
+    "payload", "presliding", "saturation", "spring", "torque_gain", "torque_ripple",
+    "transmission_coupling",
+]  # fmt: skip
+# So large that they show in the motion of an arm that gravity does not load.
+LARGE = {
+    "backlash": {"half_width": 0.01},
+    "elasticity": {"compliance": 0.01},
+    "saturation": {"limit": 2.0},
+}
+
+
+def effect_of(name, joint=1, **values):
+    robot, cls = arm("planar"), effect_classes()[name]
+    joints = (joint,) if cls.scope == "joint" else (0, 1)
+    return cls.typical(joints, joint_scales(robot), **LARGE.get(name, {}) | values)
+
+
+@cache
+def logs(effects, noisy=False, trajectories=4):
+    robot, rng = arm("planar"), np.random.default_rng(4)
+    references = [
+        random_fourier(robot, duration=6.0, rate=500.0, rng=rng)
+        for _ in range(trajectories)
+    ]
+    noise = None if noisy else Noise.none(robot.size)
+    present = [effect_of(name) for name in effects]
+    plant = Plant(robot, present, nominal=robot, noise=noise)
+    return tuple(plant.run(references, rng=rng))
+
+
+@cache
+def explained(effects, terms, noisy=False, trajectories=4):
+    """An explanation with some terms, fitted; no search."""
+    gap = measure_gap(arm("planar"), logs(effects, noisy, trajectories), cutoff=40.0)
+    learn = split(gap)
+    search = Search(gap, learn, without=list(effect_classes()))
+    search.evidence.spread(search.background, 0.003)
+    search.terms = [search._term(candidate(gap, effect_of(name))) for name in terms]
+    return explain(gap, search, learn)
+
+
+def as_it_stands(scored):
+    """Without any correction of the simulator's own numbers."""
+    return replace(scored, gains=np.zeros_like(scored.gains))
+
+
+def error(replay, effects, horizon=0.5):
+    squares = replay.squares_of(effects)
+    fits = replay.fits[HORIZONS.index(horizon)]
+    return float(np.median(replay.error(squares, [0, 1], horizon)[fits]))
+
+
+def test_the_true_plant_repeats_its_motion_under_its_own_torque():
+    replay = Replay(as_it_stands(explained((), ())))
+    swing = np.ptp(np.concatenate([m.q for m in replay.motions]), axis=0).max()
+    assert error(replay, [], 0.5) < 3e-4 * swing
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_the_true_effect_removes_the_motion_gap(name):
+    replay = Replay(as_it_stands(explained((name,), ())))
+    before, after = error(replay, []), error(replay, [effect_of(name)])
+    still = error(Replay(as_it_stands(explained((), ()))), [])
+    assert before > 2 * still, "the effect shows in motion"
+    assert after - still < 0.1 * before
+
+
+@pytest.mark.parametrize("name", ["coulomb", "payload", "torque_ripple"])
+def test_a_fitted_effect_removes_nine_tenths_on_motions_it_was_not_fitted_on(name):
+    replay = Replay(explained((name,), (name,)))
+    for horizon in HORIZONS:
+        s = motion_shrink(replay, [0], np.random.default_rng(0), horizon=horizon)
+        assert s.horizon_s == horizon
+        assert s.removed == pytest.approx(1 - s.after / s.before)
+        assert s.removed > 0.9
+        assert s.interval[0] <= s.removed <= s.interval[1]
+    assert rollout_agrees(replay, 0, np.random.default_rng(0)) is True
+    assert step_warning(replay) is None
+
+
+def test_with_noise_the_gap_still_shrinks_and_windows_are_not_seen_in_fitting():
+    scored = explained(("coulomb",), ("coulomb",), noisy=True)
+    replay = Replay(scored)
+    assert motion_shrink(replay, [0], np.random.default_rng(0)).removed > 0.8
+    learn = split(scored.gap)
+    seen = {
+        m.source
+        for r, m in enumerate(scored.gap.motions)
+        if learn[scored.gap.trajectory == r].any()
+    }
+    assert seen.isdisjoint(m.source for m in replay.motions)
+
+
+def test_blocks_of_one_log_are_replayed_where_none_was_learnt_from():
+    scored = explained(("coulomb",), ("coulomb",), trajectories=1)
+    replay, learn = Replay(scored), split(scored.gap)
+    (motion,) = replay.motions
+    assert len(motion.t) == len(learn)
+    for sample in replay.windows.sample[replay.fits[1]]:
+        assert not learn[sample : sample + round(0.5 * scored.gap.rate)].any()
+
+
+def test_terms_are_told_apart_by_what_each_removes():
+    both = ("coulomb", "payload")
+    replay, rng = Replay(explained(both, both)), np.random.default_rng(0)
+    together = motion_shrink(replay, [0, 1], rng)
+    assert together.removed > 0.95
+    for k in (0, 1):
+        assert motion_shrink(replay, [k], rng).removed > 0.8
+
+
+def test_a_term_that_is_not_there_does_not_pass():
+    replay = Replay(explained(("coulomb",), ("coulomb",)))
+    wrong = effect_of("armature", inertia=2.0)
+    rivals = [replay.effects[0]]
+    assert rollout_agrees(replay, 0, np.random.default_rng(0), instead=[wrong]) is True
+    assert error(replay, [*rivals, wrong]) > 3 * error(replay, rivals)
+
+
+def test_only_windows_count_in_which_a_term_acts():
+    scored = explained(("contact",), ("contact",))
+    replay = Replay(scored)
+    pick = replay.where([0], 0.5)
+    t = [
+        replay.motions[m].t[k] - replay.motions[m].t[0]
+        for m, k in zip(
+            replay.windows.motion[pick], replay.windows.sample[pick], strict=True
+        )
+    ]
+    assert len(pick) < replay.fits[1].sum()
+    assert all(0.4 < x < 1.6 for x in t)  # it lasts from 1 to 1.5 s
+
+
+def test_a_replay_that_diverges_ends_as_lost():
+    scored = as_it_stands(explained((), ()))
+    replay = Replay(scored)
+    wild = effect_of("spring", stiffness=-2e4)
+    shown = rollout(arm("planar"), [wild], replay.motions, replay.windows)
+    assert np.isnan(shown[-1]).any()
+    assert np.isfinite(replay.squares_of([wild])).all()
+
+
+def test_windows_hold_the_last_sample_where_a_motion_ends():
+    x = np.arange(5.0)[:, None]
+    windows = Windows(np.array([0]), np.array([3]), 3)
+    np.testing.assert_array_equal(windows.of([x])[:, 0, 0], [3.0, 4.0, 4.0, 4.0])
