@@ -21,6 +21,7 @@ import argparse
 import json
 import time
 import warnings
+from collections.abc import Iterator
 from importlib.metadata import files
 from pathlib import Path
 from typing import Any
@@ -63,17 +64,19 @@ def arm(name: str) -> Robot:
     raise SystemExit("the example-robot-data wheel is needed")
 
 
-def run(task: tuple[Any, ...], seeds: int) -> dict[str, Any]:
-    """Figures of one task, one entry a seed."""
+def run(task: tuple[Any, ...], seeds: int) -> Iterator[dict[str, Any]]:
+    """Figures of one task so far, one entry a seed, after every seed."""
     name, columns, collision, order, starts, peer = task
     robot = arm(name)
     names = FRICTION if columns == "full" else ()
     effects = [effect_class(e)((j,)) for j in range(robot.size) for e in names]
     observation = observe(robot.chain, effects)
     family = Fourier(order, 1 / 24)
-    found: dict[str, list[float]] = {
-        key: [] for key in ("seconds", "raw", "normalised", "log_det", "excess")
-    }
+    title = f"{name}, {columns}, {observation.size} parameters"
+    if collision:
+        title += f", {len(Clearance.of(robot, Limits.of(robot)).pairs)} link pairs"
+    keys = ("seconds", "raw", "normalised", "log_det", "excess")
+    found: dict[str, list[float]] = {key: [] for key in keys}
     for seed in range(seeds):
         start = time.process_time()
         kept = [Clearance.of(robot, Limits.of(robot))] if collision else []
@@ -87,10 +90,9 @@ def run(task: tuple[Any, ...], seeds: int) -> dict[str, Any]:
         found["log_det"].append(result.log_det)
         found["excess"].append(max(result.excess.values()))
         print(name, columns, collision, seed, [round(x[-1], 3) for x in found.values()])
-    title = f"{name}, {columns}, {observation.size} parameters"
-    pairs = len(kept[0].pairs) if collision else 0
-    title += f", {pairs} link pairs" if collision else ""
-    return {"task": title, "harmonics": order, "starts": starts, "peer": peer, **found}
+        yield {
+            "task": title, "harmonics": order, "starts": starts, "peer": peer, **found
+        }  # fmt: skip
 
 
 def main() -> None:
@@ -103,7 +105,8 @@ def main() -> None:
     )
     options = parser.parse_args()
     for k in options.tasks:
-        write(options, run(TASKS[k], options.seeds))
+        for result in run(TASKS[k], options.seeds):
+            write(options, result)
 
 
 def write(options: argparse.Namespace, result: dict[str, Any]) -> None:
@@ -120,7 +123,6 @@ def write(options: argparse.Namespace, result: dict[str, Any]) -> None:
     text = f"{LEAD}\n\n{markdown_table(table)}\n\n`{command}`\n"
     with atomic_path(options.out / "table.md") as temporary:
         temporary.write_text(text, encoding="utf-8")
-    print(text)
 
 
 def row(x: dict[str, Any]) -> tuple[str, ...]:

@@ -14,7 +14,8 @@ from scipy.optimize import differential_evolution
 
 from hybrid.effects import JointState
 from hybrid.effects.improved_stribeck import ImprovedStribeck
-from hybrid.identify.separable import SeparableProblem, fit_separable
+from hybrid.identify.separable import fit_separable
+from hybrid.identify.separable_problem import SeparableProblem
 from hybrid.robot.chain import Array
 from hybrid.search import minimise
 from hybrid.search.adaptive_genetic import AdaptiveGenetic

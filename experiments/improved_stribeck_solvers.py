@@ -10,6 +10,7 @@ from joint_friction_logs import NAMES
 
 from hybrid.report.table import Table
 
+PUBLISHED = "10.76, 19.66, 0.0385, 24.03"  # on its own logs
 SEARCHES = ("genetic", "annealed")
 
 
@@ -39,6 +40,8 @@ def solvers_table(joints: Sequence[dict[str, Any]], generations: int) -> Table:
                 ratio = f"{np.median(worst):.4f} ({max(worst):.3f})"
                 rows.append((f"{k} {law}: {name}", ratio, steps, "",
                     "" if np.isnan(time) else f"{time:.0f}", point))  # fmt: skip
+            if law == "Stribeck":
+                rows.append((f"{k} {law}: published, 3 solvers", *4 * [""], PUBLISHED))
     caption = "Solvers: squares over ours, median (worst); generations to within 1 %"
     header = (
         "joint, law",

@@ -1,28 +1,22 @@
-"""Simulated logs of single joints with improved Stribeck friction, and of all at once.
+"""Simulated logs of an arm with improved Stribeck friction. Nothing here prints.
 
 The arm is the repository's COMAN-like one, with the published friction of joints 1–3;
 the wrist, not published, has a quarter of it. The motion is prescribed; the log holds
-its position on a 19-bit encoder and rigid torque + friction + ripple of 5 % of f_C,
-which no law here knows, + correlated noise (1 % of f_S). Nothing here prints.
+its position on a 19-bit encoder and rigid torque + friction + ripple, 5 % of f_C unless
+said otherwise, which no law here knows, + correlated noise (1 % of f_S).
 """
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hybrid.dynamics import RigidBody, inverse_dynamics
-from hybrid.effects import Effect, JointState
+from hybrid.effects import JointState
 from hybrid.effects.improved_stribeck import ImprovedStribeck
-from hybrid.effects.torque_offset import TorqueOffset
-from hybrid.identify.effect_shapes import Log, fit_effects
-from hybrid.identify.problem import build_problem
-from hybrid.plant import Noise, random_fourier
-from hybrid.plant.scale import joint_scales
+from hybrid.plant import Noise
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
@@ -37,7 +31,7 @@ TRUE = np.array(
         [38.53, 53.78, 0.01557, 89.49, -4.74, 0.010],
     ]
 )
-RATE, CUTOFF, REPEATS = 500.0, 10.0, 10
+RATE, CUTOFF, REPEATS, RIPPLE = 500.0, 10.0, 10, 0.05
 ARM = Robot.load(ROOT / "models" / "coman_like.xml")
 ALL_TRUE = np.vstack([TRUE, TRUE * [0.25, 0.25, 1, 0.25, 0.25, 1]])
 
@@ -51,7 +45,7 @@ def improved(v: Array, p: Array) -> Array:
     return np.asarray(f_C * slide + f_S * stick + f_V * drag + f_P)
 
 
-def _log(q: Array, rng: np.random.Generator) -> Motion:
+def logged(q: Array, rng: np.random.Generator, ripple: float = RIPPLE) -> Motion:
     """What the arm logs along a motion (N, 6), filtered and differentiated."""
     v, a = (
         np.gradient(x, 1 / RATE, axis=0) for x in (q, np.gradient(q, 1 / RATE, axis=0))
@@ -59,7 +53,7 @@ def _log(q: Array, rng: np.random.Generator) -> Motion:
     tau = inverse_dynamics(ARM.chain, ARM.chain.inertial, q, v, a)
     f_C, f_S = ALL_TRUE[:, 0], ALL_TRUE[:, 1]
     tau += np.stack([improved(v[:, j], ALL_TRUE[j]) for j in range(ARM.size)], axis=1)
-    tau += 0.05 * f_C * np.sin(100 * q)
+    tau += ripple * f_C * np.sin(100 * q)
     noise = replace(Noise.typical(ARM), torque_covariance=np.diag((0.01 * f_S) ** 2))
     signals = noise.apply({"q": q, "v": v, "tau": tau}, rate=RATE, rng=rng)
     t = np.arange(len(q)) / RATE
@@ -68,14 +62,14 @@ def _log(q: Array, rng: np.random.Generator) -> Motion:
 
 
 def one_joint(
-    joint: int, angles: list[Array], rng: np.random.Generator
+    joint: int, angles: list[Array], rng: np.random.Generator, ripple: float = RIPPLE
 ) -> tuple[Array, Array]:
     """Speed and friction torque of one moving joint, repeats averaged, filtered."""
     parts = []
     for angle in angles:
         q = np.tile([0.0, 0.5, -0.7, 0.3, 0.6, 0.0], (len(angle), 1))
         q[:, joint] = angle
-        logs = [_log(q, rng) for _ in range(REPEATS)]
+        logs = [logged(q, rng, ripple) for _ in range(REPEATS)]
         torque = [m.tau - RigidBody(ARM.chain, m).load for m in logs]
         sampler = Sampler.for_rate(RATE, CUTOFF)
         used = sampler.keep(logs[0].mask)
@@ -83,37 +77,3 @@ def one_joint(
         parts.append((v[used], sampler(np.mean(torque, axis=0)[:, joint])[used]))
     v, y = (np.concatenate(x) for x in zip(*parts, strict=True))
     return v, y
-
-
-def all_joints_at_once(rng: np.random.Generator) -> dict[str, Any]:
-    """All joints moving, rigid body unknown: 60 s of random motion, one fit."""
-    references = [
-        random_fourier(ARM, duration=20.0, rate=RATE, rng=rng, fill=0.5) for _ in "12"
-    ]
-    motions = [_log(reference.q, rng) for reference in references]
-    kept = list(build_problem(ARM.chain, ()).base.kept)
-    bodies = [RigidBody(ARM.chain, m) for m in motions]
-    logs = [
-        Log(m, b, m.tau, rigid=b.columns[:, :, kept])
-        for m, b in zip(motions, bodies, strict=True)
-    ]
-    effects: list[Effect] = []
-    for j in range(ARM.size):
-        effects += [ImprovedStribeck((j,)), TorqueOffset((j,))]
-    bounds = {"velocity": (0.001, 0.1), "width": (0.0, 0.1)}
-    start = time.perf_counter()
-    fit = fit_effects(
-        effects, logs, scales=joint_scales(ARM), cutoff=CUTOFF, bounds=bounds
-    )
-    seconds = time.perf_counter() - start
-    order = ("coulomb", "static", "velocity", "viscous", "level", "width")
-    ends = fit.interval()
-    rows: Any = [
-        [ends[2 * j + (name == "level"), name] for name in order]
-        for j in range(ARM.size)
-    ]
-    values = [
-        [(a.values | b.values)[name] for name in order]
-        for a, b in zip(fit.effects[::2], fit.effects[1::2], strict=True)
-    ]
-    return {"true": ALL_TRUE, "x": values, "interval": rows, "seconds": seconds}

@@ -1,7 +1,7 @@
 """A free-floating robot reduced to two joints, without gravity, with shared friction.
 
 Regressor of the reduced dynamics (Slotine and Li 1987, doi 10.1177/027836498700600303)
-in α, β, ε, η; motion under desired torques; searches and fits. Nothing here prints.
+in α, β, ε, η, and motion under desired torques. Nothing here prints.
 
 The printed argument of the desired torques is ambiguous. Here they are 5 sin and 5 cos
 of 3·2πk/55 N·m, samples 0.1 s apart; they move the arm, the drives add the friction.
@@ -11,19 +11,14 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import differential_evolution
 
 from hybrid.robot.chain import Array
-from hybrid.search.recursive_differential_evolution import (
-    RecursiveDifferentialEvolution,
-)
 
 NAMES = ("α", "β", "ε", "η", "f_c", "f_s", "v_s", "f_v")
 TRUE = np.array([1 / 12 + 1 / 4 + 3 + 2 / 5 + 3, 3.4, 3.0, 0.0, 2.8, 3.4, 0.1, 0.2])
 LOWER = np.array([0, 0, 0, 0, 0, 0, 0.01, 0])
 UPPER = np.array([10, 10, 10, 1, 5, 5, 1, 1.0])
 STEP, SAMPLES, OFFLINE = 0.1, 55, 21  # s; 34 recursions follow
-FORGETTING, PENALTY = 0.98, 1e-6
 
 
 def rigid_columns(q: Array, v: Array, a: Array) -> Array:
@@ -69,49 +64,3 @@ def predicted(p: Array, q: Array, v: Array, a: Array) -> Array:
     level = f_c + (f_s - f_c) * np.exp(-((v / v_s) ** 2))
     rigid = np.einsum("nik,pk->pni", rigid_columns(q, v, a), p[:, :4])
     return np.asarray(rigid + level * np.sign(v) + f_v * v)
-
-
-def recursive_search(
-    data: tuple[Array, ...], seed: int, detour: float, strategy: str
-) -> tuple[Array, Array]:
-    """Offline start, then 34 recursions: the best after each (34, 8), and its cost."""
-    *state, tau = data
-    rng = np.random.default_rng(seed)
-
-    def cost(p: Array, k: int) -> Array:
-        left = predicted(p, *(x[:k] for x in state)) - tau[:k]
-        return np.asarray((left**2).sum(2) @ FORGETTING ** np.arange(k)[::-1])
-
-    first = rng.uniform(LOWER, UPPER, (80, 8))
-    start = differential_evolution(
-        lambda p: cost(p.T, OFFLINE),
-        list(zip(LOWER, UPPER, strict=True)),
-        rng=rng,
-        strategy=strategy,
-        init=first,
-        mutation=1.2,
-        recombination=0.9,
-        tol=0,
-        atol=0,
-        maxiter=150,
-        vectorized=True,
-        updating="deferred",
-        polish=False,
-    )
-    search = RecursiveDifferentialEvolution(
-        LOWER, UPPER, rng=rng, population=start.population, detour=detour
-    )
-    R, path = PENALTY * np.eye(8), []
-    for k in range(1, SAMPLES + 1):
-        best = start.x if k <= OFFLINE + 1 else search.best.point
-        here = [x[k - 1 : k] for x in state]
-        tries = np.repeat(best[None], 9, axis=0) + 1e-6 * np.eye(9, 8, -1)
-        torque = predicted(tries, *here)[:, 0]  # (9, 2)
-        slope = (torque[1:] - torque[0]) / 1e-6
-        R = FORGETTING * R + slope @ slope.T
-        if k > OFFLINE:
-            search.renew(cost(search.population, k))
-            search.aim(np.linalg.solve(R, slope @ (tau[k - 1] - torque[0])))
-            search.tell(cost(search.ask(), k))
-            path.append(search.best)
-    return np.array([b.point for b in path]), np.array([b.value for b in path])

@@ -1,4 +1,4 @@
-"""The space robot as an ordinary arm of two links, tracked online. Nothing prints."""
+"""The space robot tracked online as an ordinary arm. Nothing here prints."""
 
 from __future__ import annotations
 
@@ -6,60 +6,33 @@ import time
 
 import numpy as np
 from space_robot import OFFLINE, SAMPLES, STEP
+from space_robot_arm import SharedFriction, arm
 
 from hybrid.dynamics import RigidBody
-from hybrid.effects import Effect, JointState, Port, Quantity, Scale
-from hybrid.effects.effect import Body
-from hybrid.effects.improved_stribeck import ImprovedStribeck
+from hybrid.effects import Effect, Scale
 from hybrid.identify.effect_shapes import Log, fit_effects
 from hybrid.identify.online import OnlineIdentifier, Sample
 from hybrid.identify.problem import build_problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
-_LINKS = np.array(
-    [[1, 0.5, 0, 0, 0, 0, 0, 0, 0, 1 / 3], [2, 1.5, 0, 0, 0, 0, 0, 0, 0, 2.0]]
-)
 _FIRST = {"coulomb": 1.0, "static": 1.0, "viscous": 1.0, "velocity": 0.3}
 
 
-def arm() -> Robot:
-    """Two joints about one axis, a metre apart, no gravity; the payload half known."""
-    chain = Chain(
-        joints=("first", "second"),
-        rotation=np.stack([np.eye(3)] * 2),
-        translation=np.array([[0.0, 0, 0], [1, 0, 0]]),
-        axis=np.array([[0.0, 0, 1]] * 2),
-        revolute=np.array([True, True]),
-        inertial=_LINKS,
-        gravity=np.zeros(3),
-        armature=np.zeros(2),
-    )
-    free, zero = np.full(2, np.inf), np.zeros(2)
-    return Robot(
-        "space", chain, -free, free, np.full(2, 3.0), np.full(2, 8.0), zero, zero
-    )
-
-
-class SharedFriction(Effect):
-    """Stribeck friction with the same four parameters at every joint."""
-
-    id = "shared_friction"
-    port = Port.DRIVE
-    scope = "arm"
-    gains = ImprovedStribeck.gains
-    shapes = (Quantity("velocity", "rad/s", 0.1, 0.01, 1.0),)
-    equation, source = ImprovedStribeck.equation, ImprovedStribeck.source
-    sentence, remedy = ImprovedStribeck.sentence, ImprovedStribeck.remedy
-
-    def columns(self, motion: Motion, body: Body) -> Array:
-        """See :meth:`Effect.columns`; shape (N, n, 3)."""
-        load, v = np.zeros_like(motion.v), motion.v
-        state = JointState(load, motion.q, v, motion.a, np.sign(v), load)
-        velocity = self.values["velocity"]
-        laws = ImprovedStribeck.law(state, velocity=velocity, width=0.0)
-        return np.stack(laws, axis=-1)
+def started(
+    robot: Robot, effects: list[Effect], data: tuple[Array, ...]
+) -> tuple[list[Effect], Array]:
+    """Effects and links (2, 10) by separable least squares on the first samples."""
+    q, v, a, tau = (x[:OFFLINE] for x in data)
+    motion = Motion(STEP * np.arange(OFFLINE), q, v, a, tau, np.ones(OFFLINE, bool))
+    body = RigidBody(robot.chain, motion)
+    base = build_problem(robot.chain, ()).base
+    log = Log(motion, body, tau, body.columns[:, :, list(base.kept)])
+    bounds = {"coulomb": (0.0, 5.0), "static": (0.0, 5.0)}
+    fit = fit_effects(effects, [log], scales=[Scale(8, 3)] * 2, bounds=bounds)
+    links = base.with_values(fit.separable.others).standard()
+    return list(fit.effects), links.reshape(-1, 10)
 
 
 def track(
@@ -81,21 +54,7 @@ def track(
     first, inertial = 0, robot.chain.inertial
     if offline:
         first = OFFLINE
-        t = STEP * np.arange(first)
-        mask = np.ones(first, dtype=bool)
-        motion = Motion(t, q[:first], v[:first], a[:first], tau[:first], mask)
-        body = RigidBody(robot.chain, motion)
-        base = build_problem(robot.chain, ()).base
-        log = Log(motion, body, motion.tau, body.columns[:, :, list(base.kept)])
-        fit = fit_effects(
-            effects,
-            [log],
-            scales=[Scale(8, 3)] * 2,
-            bounds={"coulomb": (0, 5), "static": (0, 5)},
-        )
-        effects = list(fit.effects)
-        known = base.with_values(fit.separable.others).standard()
-        inertial = known.reshape(-1, 10)
+        effects, inertial = started(robot, effects, data)
     tracker = OnlineIdentifier(
         robot,
         effects,

@@ -15,7 +15,10 @@ from hybrid.cli.options import sha256
 from hybrid.cli.screen import Screen
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.effects import registry
+from hybrid.errors import EffectError
+from hybrid.identify import DynamicModel
 from hybrid.recording import Recording, read, write
+from hybrid.robot import Robot
 
 PLANAR = str(MODELS / "planar.xml")
 OWN = """
@@ -78,21 +81,43 @@ def test_it_names_the_cause_in_ten_lines_and_in_a_folder(
     run(f"{diagnose} --out {tmp_path}/deep/new --json {tmp_path}/result.json")
     out, err = capsys.readouterr()
     assert err == ""  # no spinner where nobody looks
-    *verdict, report = out.splitlines()
+    *verdict, report, simulator = out.splitlines()
     assert len(verdict) <= 10
     assert verdict[0].startswith("Explained: one effect accounts for")
     assert any(line.startswith("1. Stribeck at elbow") for line in verdict)
     assert report == f"Report: {tmp_path}/deep/new/report.html"
+    assert f"{tmp_path}/deep/new/sim_fixed.xml" in simulator
+    assert "stribeck of elbow" in simulator
     found = tree(tmp_path)
-    assert {"deep/new/report.html", "deep/new/diagnosis.json", "result.json"} <= set(
-        found
-    )
+    names = ("report.html", "diagnosis.json", "sim_fixed.xml", "model.json")
+    assert {*(f"deep/new/{name}" for name in names), "result.json"} <= set(found)
     assert not any(Path(name).name.startswith(".") for name in found)
     content = json.loads(found["result.json"])
     assert content == json.loads(found["deep/new/diagnosis.json"])
     (finding,) = content["findings"]
     assert (finding["effect"], finding["joints"]) == ("stribeck", ["elbow"])
     assert b"Stribeck" in found["deep/new/report.html"]
+
+
+def test_the_simulator_it_writes_can_be_loaded(diagnose, tmp_path):
+    run(f"{diagnose} --out {tmp_path}")
+    assert Robot.load(tmp_path / "sim_fixed.xml").joints == ("shoulder", "elbow")
+    model = DynamicModel.load(tmp_path / "model.json")
+    assert "stribeck" in [effect.id for effect in model.effects]
+
+
+def test_a_simulator_that_cannot_be_written_is_a_warning(
+    diagnose, tmp_path, capsys, monkeypatch
+):
+    def refused(*_):
+        raise EffectError("hose cannot be simulated")
+
+    monkeypatch.setattr(import_module("hybrid.diagnose.fixed"), "write_fixed", refused)
+    run(f"{diagnose} --out {tmp_path}/out")
+    out, err = capsys.readouterr()
+    assert out.splitlines()[-1].startswith("Report: ")
+    assert err == "warning: no corrected simulator: hose cannot be simulated\n"
+    assert set(tree(tmp_path / "out")) == {"report.html", "diagnosis.json"}
 
 
 def test_it_says_how_the_result_came_about(diagnose, logs, tmp_path):
@@ -119,6 +144,26 @@ def test_the_same_run_gives_the_same_files_and_leaves_others_alone(diagnose, tmp
     one, two = (tree(tmp_path / name) for name in ("one", "two"))
     assert two.pop("notes.txt") == b"mine"
     assert one == two
+
+
+def test_what_cannot_be_told_apart_is_said_with_what_to_run_next(tmp_path, capsys):
+    run(
+        f"simulate --robot {PLANAR} --effects torque_offset:elbow --trajectories 2 "
+        f"--duration 5 --seed 1 --out {tmp_path}/logs"
+    )
+    capsys.readouterr()
+    logs = f"--recordings {tmp_path}/logs"
+    run(f"diagnose --robot {PLANAR} {logs} --out {tmp_path}/out")
+    lines = capsys.readouterr().out.splitlines()
+    (cause,) = (line for line in lines if line.startswith("1. "))
+    assert "Torque offset" in cause or "Asymmetric friction" in cause
+    assert "torque offset" in cause.lower() and "asymmetric friction" in cause.lower()
+    (advice,) = (line for line in lines if line.startswith("Run next: "))
+    content = json.loads((tmp_path / "out" / "diagnosis.json").read_text("utf-8"))
+    first = content["advice"][0]
+    assert first["experiment"] in advice
+    assert {"torque_offset", "asymmetric_friction"} <= set(first["splits"])
+    assert not first["file"] or (tmp_path / "out" / first["file"]).is_file()
 
 
 def test_effects_of_a_users_own_take_part(tmp_path, capsys, monkeypatch):

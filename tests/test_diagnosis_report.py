@@ -325,7 +325,9 @@ const style = (selector) => getComputedStyle(document.querySelector(selector)).d
 out.layers = [style(".layer.alone"), style(".layer.beside")];
 dispatchEvent(new Event("beforeprint"));
 const joint = [...document.querySelectorAll(".joint")];
-out.printed = joint.every((x) => x.querySelector("path"));
+out.printed = joint.every((x) => !x.hidden && x.querySelector("path"));
+dispatchEvent(new Event("afterprint"));
+out.back = visible().length;
 out.width = document.documentElement.scrollWidth - innerWidth;
 out.requests = performance.getEntriesByType("resource").length;
 document.body.innerHTML = "";
@@ -375,5 +377,5 @@ def test_the_page_works_in_a_browser(browser, page, tmp_path, size):
     assert found["zoomed"] and found["whole"] and found["dragged"]
     assert found["hidden"] == 1
     assert found["layers"] == ["none", "block"]
-    assert found["printed"]
+    assert found["printed"] and found["back"] == 1
     assert found["width"] <= 0, "the page is wider than its window"

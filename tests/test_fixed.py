@@ -47,7 +47,7 @@ def motion_of(effect_id):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)  # it saturates
         logs = plant.run([reference], rng=rng)
-    return logs[0], measure_gap(robot, logs, cutoff=40.0), effects
+        return logs[0], measure_gap(robot, logs, cutoff=40.0), effects
 
 
 def written(gap, robot, effects):
@@ -184,8 +184,7 @@ def test_the_written_links_are_the_fitted_ones(folder):
 
 
 def test_nothing_found_leaves_the_simulator_as_it_stands(tmp_path):
-    result = diagnosed.faultless()
-    bare = replace(result, effects=())
+    bare = replace(diagnosed.planar(), effects=())
     fixed = write_fixed(bare, tmp_path)
     robot, original = load(fixed.simulator), bare.gap.robot
     assert fixed.notes == ()

@@ -257,6 +257,13 @@ def test_a_payload_is_noticed_at_once_and_weighed_soon(mass):
     assert tracker.taken[3] == pytest.approx(0.1 * mass, abs=0.02)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_heavy_payload_is_noticed_once_and_not_again_as_an_error(seed):
+    tracker = tracked(log(seconds=14.5, seed=seed, mass=4.0, at=12.0))
+    assert len(tracker.changes) == 1
+    assert tracker.taken[0] == pytest.approx(4.0, rel=0.03)
+
+
 def test_an_hour_of_standstill_does_no_harm():
     tracker = tracked(log(seconds=10.0))
     before = tracker.theta, tracker.std

@@ -11,13 +11,15 @@ from scipy.signal import lfilter
 from hybrid.dynamics import RigidBody
 from hybrid.effects import JointState, Scale, effect_class
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.elasticity import Elasticity
 from hybrid.effects.improved_stribeck import ImprovedStribeck
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.errors import IdentificationError
 from hybrid.identify.effect_shapes import Log, fit_effects
 from hybrid.identify.problem import build_problem
-from hybrid.identify.separable import SeparableProblem, fit_separable
+from hybrid.identify.separable import fit_separable
+from hybrid.identify.separable_problem import SeparableProblem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
@@ -102,6 +104,28 @@ def test_columns_without_a_shape_are_fitted_along():
     fit = fit_separable(problem(CLEAN + free @ [0.3, -2.0], free=free))
     np.testing.assert_allclose(fit.others, [0.3, -2.0], atol=1e-5)
     np.testing.assert_allclose(fit.shapes, TRUE[:2], rtol=1e-4)
+
+
+def test_dependent_columns_are_no_obstacle():
+    def twice(s):
+        return np.concatenate([decays(s), decays(s)[:, :1]], axis=1)
+
+    free = np.full(3, -np.inf), np.full(3, np.inf)
+    p = problem(CLEAN, columns=twice, gain_lower=free[0], gain_upper=free[1])
+    fit = fit_separable(p)
+    assert fit.squares < 1e-12
+    assert fit.gains[0] + fit.gains[2] == pytest.approx(TRUE[2], rel=1e-5)
+    assert np.isinf(fit.std[[2, 4]]).all() and fit.std[3] < 1e-6
+
+
+def test_coordinates_and_shapes_are_inverse():
+    p = problem(CLEAN, lower=np.array([0.01, -2.0]), upper=np.array([4.0, 60.0]))
+    assert p.wide.tolist() == [True, False]
+    for u in np.random.default_rng(0).random((5, 2)):
+        x, step = p.shapes(u), 1e-7
+        np.testing.assert_allclose(p.coordinates(x), u, atol=1e-12)
+        slope = (p.shapes(u + step) - p.shapes(u - step)) / (2 * step)
+        np.testing.assert_allclose(p.per_coordinate(x), slope, rtol=1e-6)
 
 
 def test_what_the_data_do_not_tell_has_an_endless_interval():
@@ -244,6 +268,21 @@ def test_effects_that_couple_joints_are_fitted_together():
     for effect, found in zip(effects, fit.effects, strict=True):
         for name, x in effect.values.items():
             assert found.values[name] == pytest.approx(x, abs=1e-8)
+
+
+def test_an_effect_that_the_whole_arm_feels_is_fitted_at_all_of_its_joints():
+    _, motion, body, _ = arm_log()
+    scales = [Scale(50.0, 2.0)] * 2
+    twist = Elasticity((1,), {"compliance": 2e-3, "damping": 0.3})
+    rub = Coulomb((0,), {"level": 2.0})
+    tau = twist.torque(motion, body)  # felt at both joints
+    tau[:, [0]] += rub.torque(motion, body)
+    assert np.abs(tau[:, 0] - rub.torque(motion, body)[:, 0]).max() > 1e-3
+    first = [Elasticity((1,), {"damping": 0.3}), Coulomb((0,))]
+    fit = fit_effects(first, [Log(motion, body, tau)], scales=scales)
+    assert fit.effects[0].values["compliance"] == pytest.approx(2e-3, rel=1e-6)
+    assert fit.effects[1].values["level"] == pytest.approx(2.0, rel=1e-6)
+    assert np.all(fit.rms < 1e-8)
 
 
 def test_nothing_to_fit_is_refused():

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hybrid.benchmark.independent import INDEPENDENT
-from hybrid.benchmark.size import Rig, plausible
+from hybrid.benchmark.size import Rig
 from hybrid.benchmark.strangers import STRANGERS
 from hybrid.diagnose.candidates import places
 from hybrid.effects import Effect, effect_classes
@@ -58,7 +58,7 @@ def draw(
             continue
         if size is not None:
             effect = rig.scaled(effect, size)
-        elif not plausible(effect, rig.scales) or not _felt(effect, rig):
+        elif not rig.plausible(effect) or not _felt(effect, rig):
             continue
         if effect is not None:
             return effect
@@ -124,7 +124,7 @@ def _special(
         amplitude = abs(values["sine"])
         return {"sine": amplitude * np.cos(turn), "cosine": amplitude * np.sin(turn)}
     if name == "thermal_friction":
-        return {"time_constant": float(np.exp(rng.uniform(np.log(6), np.log(300))))}
+        return {"time_constant": float(np.exp(rng.uniform(np.log(4), np.log(60))))}
     if name == "spring":
         middle = (rig.reference.q[:, j].max() + rig.reference.q[:, j].min()) / 2
         rest = middle + rng.uniform(-1.0, 1.0)

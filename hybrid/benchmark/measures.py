@@ -39,7 +39,8 @@ class Ratio:
             return 0.0, 1.0
         middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
         half = z * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
-        return max(0.0, middle - half), min(1.0, middle + half)
+        # The share lies inside whatever the rounding.
+        return max(0.0, min(p, middle - half)), min(1.0, max(p, middle + half))
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Measure:
 
     def of(self, rows: Sequence[Row]) -> Ratio:
         """The share over some rows."""
-        counted = [row for row in rows if self.counts(row)]
+        counted = [row for row in scored(rows) if self.counts(row)]
         return Ratio(sum(map(self.holds, counted)), len(counted))
 
     @property

@@ -61,7 +61,7 @@ def _public_file(name: str) -> Path:
 
 
 def complete(robot: Robot) -> Robot:
-    """The arm with usual rotors and friction, where its file states none at all.
+    """The arm with usual rotors, damping or dry friction, where its file states none.
 
     Robot files often leave them out. Every plant has them, so that its gap would be
     theirs alone.
@@ -72,11 +72,12 @@ def complete(robot: Robot) -> Robot:
         np.array([kind.typical((j,), scales).values[name] for j in range(robot.size)])
         for kind, name in kinds
     )
-    if not chain.armature.any():
-        chain = replace(chain, armature=armature)
-    if robot.damping.any() or robot.frictionloss.any():
-        return replace(robot, chain=chain)
-    return replace(robot, chain=chain, damping=damping, frictionloss=friction)
+    return replace(
+        robot,
+        chain=chain if chain.armature.any() else replace(chain, armature=armature),
+        damping=robot.damping if robot.damping.any() else damping,
+        frictionloss=robot.frictionloss if robot.frictionloss.any() else friction,
+    )
 
 
 def off_by(robot: Robot, share: float, rng: np.random.Generator) -> Robot:

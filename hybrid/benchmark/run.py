@@ -24,7 +24,7 @@ from hybrid.diagnose.diagnose import Result, examine
 from hybrid.effects import effect_classes, effect_from_dict
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.files import write_json
-from hybrid.recording.read import read_all
+from hybrid.recording import Recording, read_all
 from hybrid.robot import Robot
 
 Row = dict[str, Any]
@@ -116,13 +116,18 @@ def make(case: Case, folder: Path, visible: Path, sealed: Path) -> str:
     return last if done.returncode == IMPOSSIBLE else ""
 
 
-def _answer(visible: Path) -> tuple[Result, float]:
-    """What the diagnosis says of what it may see, and its processor time, [s]."""
+def read_open(visible: Path) -> tuple[Robot, list[Recording], tuple[str, ...]]:
+    """What a diagnosis gets: the simulator, recordings, and effects to leave out."""
     content = json.loads((visible / "robot.json").read_text(encoding="utf-8"))
     question = json.loads((visible / "question.json").read_text(encoding="utf-8"))
-    robot, recordings = Robot.from_dict(content), read_all([visible])
+    return Robot.from_dict(content), read_all([visible]), tuple(question["without"])
+
+
+def _answer(visible: Path) -> tuple[Result, float]:
+    """What the diagnosis says of what it may see, and its processor time, [s]."""
+    robot, recordings, without = read_open(visible)
     start = time.process_time()
-    result = examine(robot, recordings, without=question["without"])
+    result = examine(robot, recordings, without=without)
     return result, time.process_time() - start
 
 

@@ -19,6 +19,7 @@ from hybrid.robot.chain import Array
 
 _CLOSE = 0.1  # of the size asked for
 _TRIES = 4
+_MOST_LINK, _MOST_PAYLOAD = 0.5, 0.25  # of the masses of link and arm
 # By which parameter an effect is made larger, where it is not by its gains.
 _GROWS_BY = {"deadzone": ("width",)}
 
@@ -85,22 +86,33 @@ class Rig:
             if abs(now / size - 1.0) < _CLOSE:
                 return effect
             effect = effect.at(larger(effect, size / now))
-            if not plausible(effect, self.scales):
+            if not self.plausible(effect):
                 return None
         return None
+
+    def plausible(self, effect: Effect) -> bool:
+        """Whether every value is within its physical bounds."""
+        scale = self.scales[effect.joints[-1]]
+        bounds = [x.scaled(scale) for x in (*effect.gains, *effect.shapes)]
+        inside = all(x.lower <= effect.values[x.name] <= x.upper for x in bounds)
+        return inside and self._modest(effect)
+
+    def _modest(self, effect: Effect) -> bool:
+        """Whether an effect is not more than the part of the arm that it changes."""
+        masses, j = self.robot.chain.inertial[:, 0], effect.joints[-1]
+        if effect.id == "asymmetric_friction":  # friction never pushes
+            return bool(abs(effect.values["level"]) <= self.robot.frictionloss[j])
+        if effect.id == "link_inertia":
+            return bool(effect.values["mass"] <= _MOST_LINK * masses[j])
+        if effect.id == "payload":
+            return bool(effect.values["mass"] <= _MOST_PAYLOAD * masses.sum())
+        return True
 
 
 def larger(effect: Effect, factor: float) -> Mapping[str, float]:
     """The values by which an effect is ``factor`` times as large."""
     names = _GROWS_BY.get(effect.id, tuple(g.name for g in effect.gains))
     return {name: factor * effect.values[name] for name in names}
-
-
-def plausible(effect: Effect, scales: Sequence[Scale]) -> bool:
-    """Whether every value is within its physical bounds."""
-    scale = scales[effect.joints[-1]]
-    bounds = [x.scaled(scale) for x in (*effect.gains, *effect.shapes)]
-    return all(x.lower <= effect.values[x.name] <= x.upper for x in bounds)
 
 
 def gap_rms(gap: Gap) -> Array:

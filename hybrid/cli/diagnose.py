@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -18,14 +19,19 @@ from hybrid.cli.options import (
     whole,
     write_record,
 )
+from hybrid.errors import EffectError, HybridWarning
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
+    from hybrid.diagnose.diagnose import Result
 
 HELP = """say what a simulator lacks: where, which effect, how far the gap shrinks
 reads logs of the real arm (time, position, torque; temperature where it is there) and
 its simulator as it stands. Writes DIR/report.html, a page that opens offline, and
-DIR/diagnosis.json with the same content for other programs.
+DIR/diagnosis.json with the same content for other programs; DIR/sim_fixed.xml, a MuJoCo
+file of the arm with what was found; DIR/model.json (with model.safetensors), which also
+has what MJCF cannot express; and DIR/advice_1.csv ... (time, position, speed,
+acceleration), motions to run next, where some are advised.
 
 verdicts: no_gap, explained, partly_explained, unexplained (no known effect is the
 cause), not_excited (the recordings move the arm too little).
@@ -54,7 +60,11 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Diagnose, write the report and say what came out."""
+    import numpy as np
+
+    from hybrid.diagnose.advise import advise
     from hybrid.diagnose.diagnose import examine
+    from hybrid.diagnose.fixed import MODEL, SIMULATOR
     from hybrid.diagnose.thresholds import thresholds
     from hybrid.files import atomic_folder
     from hybrid.recording import read_all
@@ -65,17 +75,35 @@ def run(args: Namespace, screen: Screen) -> None:
     with screen.working("reading recordings"):
         recordings = read_all(args.recordings, joints=robot.joints)
     inputs = [args.robot, *(Path(x.source) for x in recordings)]
-    check_outputs([args.out / PAGE, args.out / CONTENT, args.json], inputs)
+    names = (PAGE, CONTENT, SIMULATOR, MODEL)
+    check_outputs([*(args.out / name for name in names), args.json], inputs)
     how = record(args, inputs) | {"thresholds": thresholds().version}
     with screen.working(f"diagnosing {robot.name}") as tell:
         result = examine(
             robot, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell
         )
-        diagnosis = replace(result.diagnosis, provenance=how)
         tell("writing the report")
         with atomic_folder(args.out) as folder:
+            advice = advise(result, np.random.default_rng(args.seed), directory=folder)
+            diagnosis = replace(result.diagnosis, advice=advice, provenance=how)
             write_diagnosis(replace(result, diagnosis=diagnosis), folder)
+            notes = _fix(result, folder)
     write_record(args, how, diagnosis.as_dict())
     for line in verdict_lines(diagnosis):
         screen.say(line)
     screen.say(f"Report: {args.out / PAGE}")
+    if notes is not None and result.effects:
+        lacks = f"; only in {MODEL}, or better: {', '.join(notes)}" if notes else ""
+        screen.say(f"Simulator with what was found: {args.out / SIMULATOR}{lacks}")
+
+
+def _fix(result: Result, folder: Path) -> tuple[str, ...] | None:
+    """Write the corrected simulator; nothing if it cannot be simulated."""
+    from hybrid.diagnose.fixed import write_fixed
+
+    try:
+        return write_fixed(result, folder).notes
+    except EffectError as error:
+        # A diagnosis is worth having without it.
+        warnings.warn(f"no corrected simulator: {error}", HybridWarning, stacklevel=2)
+        return None

@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hybrid.compensator.gmr import GaussianMixtureRegression
+from hybrid.compensator.network import NetworkRegression
+from hybrid.compensator.random_features import RandomFeatureRegression
+from hybrid.compensator.symmetric import SymmetricRegression
 
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["REMAINDERS", "GaussianMixtureRegression", "Remainder"]
+__all__ = [
+    "REMAINDERS",
+    "GaussianMixtureRegression",
+    "NetworkRegression",
+    "RandomFeatureRegression",
+    "Remainder",
+    "SymmetricRegression",
+]
 
 
 class Remainder(Protocol):
     """What every learned remainder can do, whatever it is made of.
 
-    A class also has ``fit(x, y, ...)`` and ``from_arrays(arrays)``, the inverse of
-    ``arrays``. Each is bounded, fades to zero outside its data and refuses NaN.
+    A class also has ``fit(x, y, ...)``. Each is bounded, fades to zero outside its data
+    and refuses NaN.
     """
 
     kind: ClassVar[str]
@@ -43,11 +54,21 @@ class Remainder(Protocol):
     def arrays(self) -> dict[str, NDArray[np.float64]]:
         """Everything to save, by name."""
 
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Any:
+        """The inverse of ``arrays``."""
+
     def to_torch(self) -> torch.nn.Module:
         """The same numbers as a module from x to mean and variance."""
 
 
 # Kind, as written in a model file -> the class whose ``from_arrays`` reads it.
-REMAINDERS: dict[str, type[GaussianMixtureRegression]] = {
-    GaussianMixtureRegression.kind: GaussianMixtureRegression,
+REMAINDERS: dict[str, type[Remainder]] = {
+    cls.kind: cls
+    for cls in (
+        GaussianMixtureRegression,
+        NetworkRegression,
+        RandomFeatureRegression,
+        SymmetricRegression,
+    )
 }

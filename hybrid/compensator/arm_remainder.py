@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.compensator.gmr import GaussianMixtureRegression
 from hybrid.errors import ModelFileError
+
+if TYPE_CHECKING:
+    from hybrid.compensator import Remainder
 
 Array = NDArray[np.float64]
 
@@ -28,7 +31,7 @@ class JointRemainder:
     joint: int
     positions: tuple[int, ...]
     speeds: tuple[int, ...]
-    regression: GaussianMixtureRegression
+    regression: Remainder
 
     def inputs(self, q: Array, v: Array) -> Array:
         """Its inputs from the state of the arm, shape (N, d)."""
@@ -109,7 +112,9 @@ class ArmRemainder:
         parts = []
         for k, item in enumerate(content):
             prefix = f"remainder.{k}."
-            own = {x[len(prefix) :]: a for x, a in arrays.items() if x.startswith(prefix)}
+            own = {
+                x[len(prefix) :]: a for x, a in arrays.items() if x.startswith(prefix)
+            }
             try:
                 regression = REMAINDERS[str(item["kind"])].from_arrays(own)
                 joint = int(str(item["joint"]))

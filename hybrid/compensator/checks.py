@@ -34,6 +34,34 @@ def check_matrix(name: str, values: ArrayLike, columns: int | None = None) -> Ar
     return matrix
 
 
+def check_pair(
+    x: ArrayLike, y: ArrayLike, *, columns: tuple[int | None, int | None] = (None, None)
+) -> tuple[Array, Array]:
+    """Inputs and outputs as finite matrices of equally many rows.
+
+    Raises:
+        HybridError: They are not.
+    """
+    inputs = check_matrix("x", x, columns[0])
+    outputs = check_matrix("y", y, columns[1])
+    if len(inputs) != len(outputs) or 0 in (inputs.size, outputs.size):
+        raise HybridError(
+            f"x has shape {inputs.shape} and y {outputs.shape}, "
+            "valid are equal numbers of rows and at least one column each"
+        )
+    return inputs, outputs
+
+
+def draw(
+    x: Array, y: Array, size: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """At most so many rows, drawn without replacement and left in order."""
+    if len(x) <= size:
+        return x, y
+    rows = np.sort(rng.choice(len(x), size, replace=False))
+    return x[rows], y[rows]
+
+
 def check_mixture(model: GaussianMixtureRegression) -> None:
     """Refuse a mixture that could not predict.
 

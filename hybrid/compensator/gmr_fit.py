@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hybrid.compensator.checks import check_matrix
+from hybrid.compensator.checks import check_pair, draw
+from hybrid.compensator.em import Mixture, Structure, log_likelihood, run_em
 from hybrid.compensator.gmr import GaussianMixtureRegression
 from hybrid.errors import HybridError, IdentificationError
 
@@ -20,6 +21,8 @@ Array = NDArray[np.float64]
 # distance, that is four times its square.
 TRUSTED_SHARE = 0.995
 FADE_RATIO = 4.0
+_MOST_ROUNDS, _FEW_ROUNDS = 200, 20  # the latter where passes over all samples follow
+_STRUCTURING = 20  # passes in which full covariances take on another structure
 # A channel that varies by less than this share of its size counts as constant.
 CONSTANT = 1e-12
 
@@ -34,28 +37,96 @@ def fit_gmr(
     covariance_floor: float,
     max_samples: int,
     bound: ArrayLike | None,
+    structure: Structure,
+    rank: int,
+    passes: int,
 ) -> GaussianMixtureRegression:
     """Body of ``GaussianMixtureRegression.fit``, which says what the arguments are."""
-    x, y = _check_pair(x, y)
-    limit = _limit(bound, y)
-    x, y = _draw(x, y, max_samples, rng)
+    x, y = check_pair(x, y)
+    limit, everything = _limit(bound, y), (x, y)
+    x, y = draw(x, y, max_samples, rng)
     joint = np.hstack([_standardise(x), _standardise(y)])
     usable = _usable(candidates, *joint.shape)
     held_out = None
     if validation is not None:
-        x_held, y_held = _check_pair(*validation, columns=(x.shape[1], y.shape[1]))
-        held_out = _draw(x_held, y_held, max_samples, rng)
+        x_held, y_held = check_pair(*validation, columns=(x.shape[1], y.shape[1]))
+        held_out = draw(x_held, y_held, max_samples, rng)
     models: dict[int, GaussianMixtureRegression] = {}
     scores: dict[int, float] = {}
     for count in usable:
-        mixture = _run_em(joint, count, floor=covariance_floor, rng=rng)
+        rounds = _MOST_ROUNDS if not passes else _FEW_ROUNDS
+        fitted = _run_em(joint, count, floor=covariance_floor, rng=rng, rounds=rounds)
+        mixture = Mixture(fitted.weights_, fitted.means_, fitted.covariances_)
+        if structure != "full":
+            mixture = run_em(
+                joint, mixture, passes=_STRUCTURING, floor=covariance_floor,
+                structure=structure, rank=rank,
+            )  # fmt: skip
         model = _build(mixture, x, y, bound=limit, floor=covariance_floor)
         models[count] = model
         if held_out is None:
-            scores[count] = -float(mixture.bic(joint)) / (2.0 * len(joint))
+            scores[count] = -_bic(joint, mixture, structure, rank) / (2.0 * len(joint))
         else:
             scores[count] = predictive_log_likelihood(model, *held_out)
-    return models[choose_components(scores)]
+    chosen = models[choose_components(scores)]
+    if passes:
+        chosen = _polished(
+            chosen, *everything, passes=passes, floor=covariance_floor,
+            structure=structure, rank=rank, known=0.0,
+        )  # fmt: skip
+    return chosen
+
+
+def update_gmr(
+    model: GaussianMixtureRegression,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    known: float,
+    passes: int,
+) -> GaussianMixtureRegression:
+    """Body of ``GaussianMixtureRegression.updated``, which says what arguments are."""
+    x, y = check_pair(x, y, columns=(model.inputs, model.outputs))
+    if not known > 0 or passes < 1:
+        raise HybridError(
+            f"known is {known:g} and passes {passes}; valid are above 0 and from 1"
+        )
+    return _polished(
+        model, x, y, passes=passes, floor=0.0, structure="full", rank=0, known=known
+    )
+
+
+def _polished(
+    model: GaussianMixtureRegression,
+    x: Array,
+    y: Array,
+    *,
+    passes: int,
+    floor: float,
+    structure: Structure,
+    rank: int,
+    known: float,
+) -> GaussianMixtureRegression:
+    """The model after passes over samples that were perhaps never all looked at."""
+    output_scale = np.sqrt(model.prior_variance)
+    scale = np.concatenate([np.ones(model.inputs), output_scale])
+    joint = np.hstack([(x - model.input_offset) / model.input_scale, y / output_scale])
+    start = Mixture(
+        model.weights,
+        model.means / scale,
+        model.covariances / np.outer(scale, scale),
+    )
+    found = run_em(
+        joint, start, passes=passes, floor=floor,
+        structure=structure, rank=rank, known=known,
+    )  # fmt: skip
+    better = replace(
+        model,
+        weights=found.weights,
+        means=found.means * scale,
+        covariances=found.covariances * np.outer(scale, scale),
+    )
+    return replace(better, fade=_fade(better, x, at_least=known and model.fade[0]))
 
 
 def choose_components(
@@ -96,19 +167,6 @@ def predictive_log_likelihood(
     return float(-0.5 * terms.sum(axis=1).mean())
 
 
-def _check_pair(
-    x: ArrayLike, y: ArrayLike, *, columns: tuple[int | None, int | None] = (None, None)
-) -> tuple[Array, Array]:
-    inputs = check_matrix("x", x, columns[0])
-    outputs = check_matrix("y", y, columns[1])
-    if len(inputs) != len(outputs) or 0 in (inputs.size, outputs.size):
-        raise HybridError(
-            f"x has shape {inputs.shape} and y {outputs.shape}, "
-            "valid are equal numbers of rows and at least one column each"
-        )
-    return inputs, outputs
-
-
 def _limit(bound: ArrayLike | None, y: Array) -> Array:
     largest: Array = np.abs(y).max(axis=0)
     limit = largest if bound is None else np.asarray(bound, dtype=np.float64)
@@ -129,15 +187,6 @@ def _usable(candidates: Sequence[int], samples: int, width: int) -> list[int]:
     return usable
 
 
-def _draw(
-    x: Array, y: Array, size: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    if len(x) <= size:
-        return x, y
-    rows = np.sort(rng.choice(len(x), size, replace=False))
-    return x[rows], y[rows]
-
-
 def _offset_and_scale(values: Array) -> tuple[Array, Array]:
     offset, scale = values.mean(axis=0), values.std(axis=0)
     size = np.maximum(np.abs(offset), 1.0)
@@ -149,7 +198,9 @@ def _standardise(values: Array) -> Array:
     return (values - offset) / scale
 
 
-def _run_em(joint: Array, count: int, *, floor: float, rng: np.random.Generator) -> Any:
+def _run_em(
+    joint: Array, count: int, *, floor: float, rng: np.random.Generator, rounds: int
+) -> Any:
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.mixture import GaussianMixture
 
@@ -159,7 +210,7 @@ def _run_em(joint: Array, count: int, *, floor: float, rng: np.random.Generator)
         init_params="k-means++",
         reg_covar=floor,
         tol=1e-3,
-        max_iter=200,
+        max_iter=rounds,
         random_state=int(rng.integers(2**31)),
     )
     with warnings.catch_warnings():
@@ -176,21 +227,39 @@ def _run_em(joint: Array, count: int, *, floor: float, rng: np.random.Generator)
 
 
 def _build(
-    mixture: Any, x: Array, y: Array, *, bound: Array, floor: float
+    mixture: Mixture, x: Array, y: Array, *, bound: Array, floor: float
 ) -> GaussianMixtureRegression:
     input_offset, input_scale = _offset_and_scale(x)
     output_offset, output_scale = _offset_and_scale(y)
     offset = np.concatenate([np.zeros_like(input_offset), output_offset])
     scale = np.concatenate([np.ones_like(input_scale), output_scale])
     model = GaussianMixtureRegression(
-        weights=mixture.weights_,
-        means=offset + scale * mixture.means_,
-        covariances=mixture.covariances_ * np.outer(scale, scale),
+        weights=mixture.weights,
+        means=offset + scale * mixture.means,
+        covariances=mixture.covariances * np.outer(scale, scale),
         input_offset=input_offset,
         input_scale=input_scale,
         prior_variance=np.maximum((y**2).mean(axis=0), floor * output_scale**2),
         bound=bound,
         fade=np.array([1.0, FADE_RATIO]),
     )
-    start = max(float(np.quantile(model.distance(x), TRUSTED_SHARE)), 1.0)
-    return replace(model, fade=np.array([start, FADE_RATIO * start]))
+    return replace(model, fade=_fade(model, x, at_least=0.0))
+
+
+def _fade(model: GaussianMixtureRegression, x: Array, *, at_least: float) -> Array:
+    seen = float(np.quantile(model.distance(x), TRUSTED_SHARE))
+    start = max(seen, float(at_least), 1.0)
+    return np.array([start, FADE_RATIO * start])
+
+
+def _bic(joint: Array, mixture: Mixture, structure: Structure, rank: int) -> float:
+    """Bayesian information criterion, [nat]; the lower the better."""
+    count, size = mixture.means.shape
+    free = {
+        "full": size * (size + 1) // 2,
+        "diagonal": size,
+        "low_rank": min(rank, size) * size + 1,
+    }[structure]
+    parameters = count * (1 + size + free) - 1
+    seen = float(np.log(len(joint)))
+    return float(parameters * seen - 2.0 * log_likelihood(joint, mixture))

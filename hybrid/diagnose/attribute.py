@@ -113,7 +113,7 @@ class Search:
         blocks, kept = [], []
         for c in found:
             columns = self.gap.columns(c.effect)
-            if blocks and kept[-1].place == c.place and _same(columns, blocks[-1]):
+            if blocks and kept[-1].place == c.place and same(columns, blocks[-1]):
                 continue  # this shape does not show in first order
             blocks.append(columns)
             kept.append(c)
@@ -339,5 +339,6 @@ def fit_shapes(
     return at(found.x), -float(found.fun)
 
 
-def _same(a: Columns, b: Columns) -> bool:
-    return all(np.array_equal(a[j], b[j]) for j in a)
+def same(a: Columns, b: Columns) -> bool:
+    """Whether columns are the same at the same joints."""
+    return a.keys() == b.keys() and all(a[j].shape == b[j].shape for j in a) and all(np.array_equal(a[j], b[j]) for j in a)

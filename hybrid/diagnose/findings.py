@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.attribute import Search, Term, same
+from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.diagnosis import Finding, Shrink, Value
 from hybrid.diagnose.evidence import Index, Solution
 from hybrid.diagnose.explanation import Explanation, fitted
@@ -24,7 +25,7 @@ def alternatives(search: Search, term: Term, limits: Thresholds) -> tuple[str, .
     """Ids of effects that explain as much as a term does, itself first."""
     base = search.base(term)
     own, best = search.refine(base, term.candidate)
-    found = [own.place[0]]
+    found = [own.place[0], *_twins(search, own)]
     ranked = [c for c, gain in search.ranked(base) if gain > 0.5 * best]
     here = {*term.place[1]} if len(term.place[1]) == 1 else {term.place[1][-1]}
     for c in [c for c in ranked if here & {*c.place[1]}][:_CLOSE]:
@@ -33,6 +34,19 @@ def alternatives(search: Search, term: Term, limits: Thresholds) -> tuple[str, .
             if gain > best - limits.alike:
                 found.append(c.place[0])
     return tuple(found)
+
+
+def _twins(search: Search, own: Candidate) -> list[str]:
+    """Effects with the same columns: only their priors tell them apart."""
+    columns = search.gap.columns(own.effect)
+    return [
+        c.effect.id
+        for c in (t.candidate for t in search.tried)
+        if c.place != own.place
+        and c.place[1] == own.place[1]
+        and len(c.std) == len(own.std) > 1
+        and same(search.gap.columns(c.effect), columns)
+    ]
 
 
 def fitted_effects(

@@ -25,6 +25,7 @@ _STANDING = 0.01  # of the highest speed
 _BLOCK_SECONDS = 3.0
 _SHORTEST_BLOCK = 0.5
 _MOST_FOLDS = 8
+_SMALL = 0.01  # of the usual gain, for a derivative
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +100,12 @@ class Gap:
         Returns:
             For each joint that the effect's torque reaches, shape (M, p).
         """
-        exact = len(effect.gains) == 1 and effect.gain_values[0] != 0.0
-        exact = exact and (effect.observes or effect.reports)
+        exact = len(effect.gains) == 1 and (effect.observes or effect.reports)
+        if exact and effect.gain_values[0] == 0.0:
+            # A report is of all torque, friction included: its columns are not.
+            exact = effect.reports
+            small = _SMALL * effect.gains[0].scaled(self.scales[effect.joints[-1]]).typical
+            effect = effect.at({effect.gains[0].name: small}) if exact else effect
         parts = []
         for motion, body, sampler in self:
             if exact:

@@ -25,8 +25,9 @@ from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 # Sharpness of the criterion and iterations: for each start, then for the best of them.
+# To sharpen too early ends in a worse minimum.
 _EXPLORE = (4.0, 80)
-_POLISH = ((16.0, 100), (64.0, 200))
+_POLISH = ((4.0, 80), (16.0, 100), (64.0, 200))
 _MARGIN = 1e-3
 _RETRIES = 4
 _KEPT = 1e-4  # an excess below is rounding, not a limit in the way

@@ -1,7 +1,15 @@
 """Models for other programs: C, ONNX, MJCF, URDF, JSON."""
 
+from hybrid.export.compiled import CompiledModel
 from hybrid.export.export import FORMATS, export
 from hybrid.export.manifest import read_manifest
 from hybrid.export.program import Program, program_from_model
 
-__all__ = ["FORMATS", "Program", "export", "program_from_model", "read_manifest"]
+__all__ = [
+    "FORMATS",
+    "CompiledModel",
+    "Program",
+    "export",
+    "program_from_model",
+    "read_manifest",
+]

@@ -16,6 +16,8 @@ from hybrid.export.tape import Tape
 from hybrid.identify.model import DynamicModel
 from hybrid.robot.chain import Array
 
+_ROWS = 2048  # samples at a time, so that what is on the tape stays in the cache
+
 
 @dataclass(frozen=True)
 class Program:
@@ -76,21 +78,30 @@ class Program:
             t: Time since the start, [s].
             step: Time since the instants before, [s].
         """
-        inputs: dict[str, Any] = {"t": t, "step": step, "known": 0.0}
-        for name, x in (("q", q), ("v", v), ("a", a)):
-            inputs |= {f"{name}[{j}]": column for j, column in enumerate(x.T)}
         past = np.zeros((len(q), len(self.memory))) if memory is None else memory
-        inputs |= {f"memory[{i}]": column for i, column in enumerate(past.T)}
-        inputs["known"] = 0.0 if memory is None else 1.0
+        known = 0.0 if memory is None else 1.0
+        torque, remembered = np.empty(q.shape), np.empty(past.shape)
+        for start in range(0, len(q), _ROWS):
+            part = slice(start, start + _ROWS)
+            given = {"q": q[part], "v": v[part], "a": a[part], "memory": past[part]}
+            torque[part], remembered[part] = self._run(given, t, step, known)
+        return torque, remembered
+
+    def _run(
+        self, given: Mapping[str, Array], t: float, step: float, known: float
+    ) -> tuple[Array, Array]:
+        inputs: dict[str, Any] = {"t": t, "step": step, "known": known}
+        for name, x in given.items():
+            inputs |= {f"{name}[{j}]": column.copy() for j, column in enumerate(x.T)}
         values = self.tape.run(self.results, inputs)
-        out = [np.broadcast_to(x, len(q)) for x in values]
+        out = [np.broadcast_to(x, len(given["q"])) for x in values]
         n = len(self.joints)
         torque = np.stack(out[:n], axis=1)
         if self.remainder is not None:
             state = np.stack(out[n : 3 * n], axis=1)
-            torque = torque + self.remainder.predict(state[:, :n], state[:, n:])
+            torque += self.remainder.predict(state[:, :n], state[:, n:])
         remembered = out[3 * n :]
-        return torque, np.stack(remembered, 1) if remembered else past
+        return torque, np.stack(remembered, 1) if remembered else given["memory"]
 
 
 def program_from_model(model: DynamicModel) -> Program:

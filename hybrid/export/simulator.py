@@ -134,7 +134,7 @@ def urdf_text(model: DynamicModel) -> tuple[str, tuple[str, ...]]:
         left.append(f"gravity {_text(chain.gravity)} m/s²")
     root = ElementTree.Element("robot", name=robot.name)
     ElementTree.SubElement(root, "link", name="link_0")
-    for k, joint in enumerate(robot.joints):
+    for k in range(robot.size):
         _add_link(root, f"link_{k + 1}", chain.inertial[k])
         _add_joint(root, robot, k)
     for k, joint in enumerate(robot.joints):

@@ -13,7 +13,8 @@ from hybrid.effects import Effect, Scale
 from hybrid.effects.effect import Body
 from hybrid.errors import IdentificationError
 from hybrid.identify.cross_products import moving_samples
-from hybrid.identify.separable import SeparableFit, SeparableProblem, fit_separable
+from hybrid.identify.separable import SeparableFit, fit_separable
+from hybrid.identify.separable_problem import SeparableProblem
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 
@@ -120,7 +121,7 @@ class _Stack:
         return self.rows(parts)
 
     def _effect_columns(self, r: int, e: int, effect: Effect) -> Array:
-        """Filtered columns; kept for the last two shapes, a point and a step from it."""
+        """Filtered columns; kept for the last two: a point and a step from it."""
         key = tuple(effect.shape_values.values())
         kept = self._kept.setdefault((r, e), {})
         if key not in kept:

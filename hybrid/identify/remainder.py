@@ -87,6 +87,7 @@ def _cross_fit(
         if min(fitting.sum(), 4 * scoring.sum()) < _FEWEST_SAMPLES:
             return None
         part = _fit(rest, joint, inputs, fold, components, seed)
+        assert isinstance(part.regression, GaussianMixtureRegression)
         components = part.regression.components
         x = part.inputs(rest.q[scoring], rest.v[scoring])
         predicted[scoring] = part.regression.predict(x)[:, 0]

@@ -9,151 +9,23 @@ doi 10.1007/BF01932995 (the Jacobian); Marquardt 1963, doi 10.1137/0111030 (the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 from scipy.stats import qmc
 from scipy.stats import t as student
 
-from hybrid.errors import IdentificationError
 from hybrid.identify.block_covariance import block_covariance
+from hybrid.identify.separable_problem import SeparableProblem, roots
 from hybrid.robot.chain import Array
 
-_STEP = 1e-6  # of a shape's range, for differences
+_MARGIN = 1e-5  # between a first guess and the bounds, of a shape's range
 _MOST_STEPS = 60
 _AT_BOUND = 1e-4  # of a shape's range
 _FOLLOWED = 3  # starts that are followed downhill
 _ROUGHLY, _FINALLY = 1e-3, 1e-10  # share of the squares below which a step ends it
 _EXACT = 1e-28  # share of the target's squares that counts as nothing left
-_WIDE = 10.0  # ratio of bounds from which a shape is searched by its logarithm
-_ALIKE = 1e-13  # eigenvalue below which normalised columns count as dependent
-
-
-@dataclass(frozen=True)
-class SeparableProblem:
-    """``target ≈ columns(shapes) @ gains + free @ others``, with bounds.
-
-    Attributes:
-        columns: Columns (M, p) for shapes (s,).
-        target: What they shall explain, shape (M,).
-        lower: Lower bounds of the shapes, shape (s,).
-        upper: Upper bounds of the shapes, shape (s,).
-        gain_lower: Lower bounds of the gains, shape (p,).
-        gain_upper: Upper bounds of the gains, shape (p,).
-        free: Columns that depend on no shape, without bounds, shape (M, m).
-        block: Number of the block of time each row belongs to, ascending from 0 and
-            equal for rows of one instant, shape (M,).
-
-    Raises:
-        IdentificationError: Bounds do not fit, or there are too few rows.
-    """
-
-    columns: Callable[[Array], Array]
-    target: Array
-    lower: Array
-    upper: Array
-    gain_lower: Array
-    gain_upper: Array
-    free: Array | None = None
-    block: NDArray[np.intp] | None = None
-    _wide: NDArray[np.bool_] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        if not (np.all(self.lower < self.upper) and np.isfinite(self.upper).all()):
-            raise IdentificationError(
-                "each shape needs finite bounds, lower below upper"
-            )
-        unknowns = len(self.lower) + len(self.gain_lower)
-        unknowns += 0 if self.free is None else self.free.shape[1]
-        if len(self.target) <= unknowns:
-            raise IdentificationError(
-                f"{len(self.target)} samples cannot determine {unknowns} unknowns"
-            )
-        low = np.maximum(self.lower, 1e-300)
-        wide = (self.lower > 0) & (self.upper / low >= _WIDE)
-        object.__setattr__(self, "_wide", wide)
-
-    def shapes(self, u: Array) -> Array:
-        """Shapes from coordinates of 0 to 1 between their bounds, shape (s,)."""
-        low, high = self.lower, self.upper
-        ratio = np.where(self._wide, high / np.where(self._wide, low, 1.0), 1.0)
-        found = np.where(self._wide, low * ratio**u, low + u * (high - low))
-        return np.clip(found, low, high)
-
-    @cached_property
-    def _basis(self) -> Array:
-        """Orthonormal columns that span ``free``, shape (M, ≤ m)."""
-        assert self.free is not None
-        size = np.linalg.norm(self.free, axis=0)
-        Q, R = np.linalg.qr(self.free / np.where(size > 0, size, 1.0))
-        turn, spread, _ = np.linalg.svd(R)
-        return np.asarray(Q @ turn[:, : len(spread)][:, spread > 1e-10 * spread[0]])
-
-    def without_free(self, x: Array) -> Array:
-        """What ``free`` cannot explain of some columns."""
-        if self.free is None:
-            return x
-        return np.asarray(x - self._basis @ (self._basis.T @ x))
-
-    @cached_property
-    def rest(self) -> Array:
-        """What ``free`` cannot explain of the target, shape (M,)."""
-        return self.without_free(self.target)
-
-    def gains(self, shapes: Array) -> tuple[Array, Array, Array]:
-        """Best gains for some shapes.
-
-        Returns:
-            Gains, shape (p,); the columns less what ``free`` explains of them, shape
-            (M, p); what is left of the target, shape (M,).
-        """
-        B = self.without_free(self.columns(shapes))
-        root, inverse = _roots(B)
-        g = inverse.T @ (inverse @ (B.T @ self.rest))
-        low, high = self.gain_lower, self.gain_upper
-        left = self.rest - B @ g
-        step = inverse.T @ (inverse @ (B.T @ left))  # what rounding has cost
-        g, left = g + step, left - B @ step
-        if np.any(g < low) or np.any(g > high):
-            size = np.linalg.norm(root, axis=0)
-            size = np.where(size > 0, size, 1.0)
-            z = inverse @ (B.T @ self.rest)
-            bounds = (low * size, high * size)
-            g = lsq_linear(root / size, z, bounds=bounds, method="bvls").x / size
-            left = self.rest - B @ g
-        return g, B, left
-
-    def inside(self, gains: Array) -> NDArray[np.bool_]:
-        """Which gains are at none of their bounds, shape (p,)."""
-        slack = 1e-9 * (1.0 + np.abs(gains))
-        low, high = self.gain_lower + slack, self.gain_upper - slack
-        return np.asarray((gains > low) & (gains < high))
-
-    def slope(self, u: Array, gains: Array) -> Array:
-        """Change of the fitted torque per coordinate at fixed gains, shape (M, s)."""
-        here = self.columns(self.shapes(u)) @ gains
-        slopes = np.empty((len(self.target), len(u)))
-        for k in range(len(u)):
-            there = u.copy()
-            there[k] += _STEP if u[k] < 0.5 else -_STEP
-            torque = self.columns(self.shapes(there)) @ gains
-            slopes[:, k] = (torque - here) / (there[k] - u[k])
-        return slopes
-
-
-def _roots(B: Array) -> tuple[Array, Array]:
-    """A with AᵀA = BᵀB, and A⁺ᵀ; directions that B does not see are left out."""
-    G = B.T @ B
-    size = np.sqrt(np.diag(G))
-    size = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(G / np.outer(size, size))
-    seen = values > _ALIKE * values[-1]
-    spread, turn = np.sqrt(values[seen])[:, None], vectors[:, seen].T
-    return np.asarray(spread * turn * size), np.asarray(turn / spread / size)
 
 
 @dataclass(frozen=True)
@@ -253,7 +125,7 @@ class _Point:
         B = self.B[:, problem.inside(self.gains)]
         if not B.shape[1]:
             return -slope
-        _, inverse = _roots(B)
+        _, inverse = roots(B)
         return np.asarray(B @ (inverse.T @ (inverse @ (B.T @ slope))) - slope)
 
 
@@ -311,17 +183,9 @@ def _tried(problem: SeparableProblem, start: Array | None, starts: int) -> Array
         points += 0.5 / len(points)  # off the corner
     if start is None:
         return points
-    return np.vstack([_coordinates(problem, start), points])
-
-
-def _coordinates(problem: SeparableProblem, shapes: Array) -> Array:
-    low, high = problem.lower, problem.upper
-    x = np.clip(shapes, low, high)
-    safe = np.where(problem._wide, low, 1.0)
-    log = np.log(np.where(problem._wide, x, 1.0) / safe)
-    log /= np.log(np.where(problem._wide, high / safe, np.e))
-    u = np.where(problem._wide, log, (x - low) / (high - low))
-    return np.clip(u, _STEP, 1.0 - _STEP)
+    return np.vstack(
+        [np.clip(problem.coordinates(start), _MARGIN, 1.0 - _MARGIN), points]
+    )
 
 
 def _solution(
@@ -336,10 +200,7 @@ def _solution(
         others = np.asarray(np.linalg.lstsq(problem.free, rest, rcond=1e-10)[0])
     stuck = (u < _AT_BOUND) | (u > 1.0 - _AT_BOUND)
     at_bound = np.concatenate([stuck, ~problem.inside(gains)])
-    # Per unit of the shape itself, not of its coordinate.
-    low, high = problem.lower, problem.upper
-    log_width = np.log(np.where(problem._wide, high / np.where(low > 0, low, 1.0), 1.0))
-    per_u = np.where(problem._wide, shapes * log_width, high - low)
+    per_u = problem.per_coordinate(shapes)
     J = np.hstack([problem.slope(u, gains) / per_u, columns])
     J = problem.without_free(J[:, ~at_bound])
     part, degrees = block_covariance(J, residual, problem.block)
@@ -355,5 +216,5 @@ def _solution(
         converged=converged,
         at_bound=at_bound,
         degrees=degrees,
-        logarithmic=np.concatenate([problem._wide, np.zeros(len(gains), dtype=bool)]),
+        logarithmic=np.concatenate([problem.wide, np.zeros(len(gains), dtype=bool)]),
     )

@@ -231,7 +231,9 @@ all("[data-layer]").forEach((button) => button.addEventListener("click", () => {
 document.getElementById("whole").onclick = () => plots.flat().forEach((plot) => plot.zoom(...plot.whole));
 addEventListener("resize", () => plots[current].forEach((plot) => plot.draw()));
 addEventListener("beforeprint", () => joints.forEach((_, k) => {
+  all(".joint")[k].hidden = false;  // what is hidden has no width to draw in
   if (!plots[k].length) build(k);
   plots[k].forEach((plot) => plot.draw());
 }));
+addEventListener("afterprint", () => show(current));
 show(current);

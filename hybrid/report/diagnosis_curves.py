@@ -35,10 +35,10 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
     Returns:
         JSON-ready: ``name``, ``noise`` and its ``unit``; ``time`` with one curve for
         the simulator as it stands, with its own numbers corrected, and with the
-        findings added;
-        ``marks``, where samples of each recording begin; ``over``, values of position, speed,
-        acceleration and load; ``clouds``, one for each finding that acts here: what
-        is left without it, and its fitted law, at those values.
+        findings added; ``marks``, where the samples of each recording begin; ``over``,
+        values of position, speed, acceleration and load; ``clouds``, one for each
+        finding that acts here: what is left without it, and its fitted law, at those
+        values.
     """
     gap, scored, m = result.gap, result.scored, result.gap.sampled
     order = np.argsort(scored.evidence.rows[i])
@@ -78,7 +78,7 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
 
 
 def thin(x: Array, y: Array, rows: Index, most: int = MOST_POINTS) -> dict[str, Any]:
-    """A curve with only the lowest and the highest point of each stretch.
+    """A curve with its ends and the lowest and the highest point of each stretch.
 
     No peak is lost. Where samples are left out in between, ``None`` breaks the line.
 
@@ -90,10 +90,10 @@ def thin(x: Array, y: Array, rows: Index, most: int = MOST_POINTS) -> dict[str, 
     """
     kept = np.arange(len(y))
     if len(y) > most:
-        edges = np.linspace(0, len(y), most // 2 + 1).astype(int)
+        edges = np.linspace(0, len(y), most // 2).astype(int)
         ends = zip(edges[:-1], edges[1:], strict=True)
         pairs = [(a + y[a:b].argmin(), a + y[a:b].argmax()) for a, b in ends]
-        kept = np.unique(pairs)
+        kept = np.unique([(0, len(y) - 1), *pairs])
     stretch = np.cumsum(np.diff(rows, prepend=rows[:1]) > 1)[kept]
     xs, ys = _short(x[kept]), _short(y[kept])
     for at in np.flatnonzero(np.diff(stretch))[::-1] + 1:

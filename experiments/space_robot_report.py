@@ -1,0 +1,111 @@
+"""Report of ``space_robot_online.py``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from space_robot import NAMES, SAMPLES, TRUE
+from space_robot_searches import Run
+
+from hybrid.files import atomic_path
+from hybrid.report import markdown_table, numbers_table, provenance, save_figure
+from hybrid.report.output import write_results
+from hybrid.report.style import BLUE, GREY, RED, clean, legend, new_figure
+from hybrid.report.table import Table
+from hybrid.robot.chain import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+REPORT = Path(__file__).parents[1] / "reports" / "space_robot"
+PUBLISHED = {
+    "published recursive DE, best": [
+        6.7255,
+        3.3889,
+        2.9918,
+        0,
+        2.8384,
+        3.1698,
+        0.0719,
+        0.2053,
+    ],
+    "published least squares": [6.7370, 3.4202, 3.0092, 0.4917],
+    "published genetic": [6.08, 3.07, 2.72],
+    "published swarm": [6.7335, 3.4001, 3.0001],
+}
+SECONDS = {"published recursive DE, best": 4.0}  # of one recursion
+
+
+def _row(name: str, x: Array, seconds: float | None = None) -> tuple[str, ...]:
+    values = np.append(x, np.full(8 - len(x), np.nan))
+    cells = ["" if np.isnan(y) else f"{y:.4f}" for y in values]
+    error = np.abs(values[:3] - TRUE[:3]).mean()
+    return name, *cells, f"{error:.2g}", "" if seconds is None else f"{seconds:.2g}"
+
+
+def _rows(
+    name: str, points: Array, seconds: float, best: int | None
+) -> list[tuple[str, ...]]:
+    """Median, quartiles, and the run that fits best."""
+    first = _row(name, np.median(points, axis=0), seconds)
+    if len(points) == 1:
+        return [first]
+    error = np.median(np.abs(points - TRUE)[:, :3].mean(axis=1))
+    ends = zip(*np.percentile(points, [25, 75], axis=0), strict=True)
+    quartiles = (f"{a:.4g} to {b:.4g}" for a, b in ends)
+    rows = [
+        (*first[:-2], f"{error:.2g}", first[-1]),
+        ("  quartiles", *quartiles, "", ""),
+    ]
+    return (
+        rows if best is None else [*rows, _row("  best fit of all runs", points[best])]
+    )
+
+
+def _figure(runs: dict[str, list[Run]]) -> Figure:
+    """Way of the searches to the truth."""
+    figure = new_figure(height=2.6)
+    axes = figure.subplots()
+    clean(axes, grid="both")
+    for (name, each), ink in zip(runs.items(), (GREY, "black", RED, BLUE), strict=True):
+        error = [np.abs(run.path[:, :3] - TRUE[:3]).mean(axis=1) for run in each]
+        axes.semilogy(np.median(error, axis=0), color=ink, label=name)
+    axes.set_xlabel("recursion")
+    axes.set_ylabel("mean |error| of α, β, ε")
+    legend(figure, axes.get_legend_handles_labels()[0])
+    return figure
+
+
+def write_report(
+    runs: dict[str, list[Run]],
+    plain: dict[str, Array],
+    ours: dict[str, tuple[Array, float]],
+    options: str,
+) -> None:
+    """Print the table and write it with the figure and the numbers."""
+    rows = [_row("true", TRUE)]
+    rows += [_row(k, np.array(x), SECONDS.get(k)) for k, x in PUBLISHED.items()]
+    rows += [_row(name, x) for name, x in plain.items()]
+    for name, each in runs.items():
+        points = np.array([run.path[-1] for run in each])
+        seconds = float(np.median([run.seconds for run in each]))
+        best = int(np.argmin([run.cost for run in each]))
+        rows += _rows(f"recursive DE, {name}", points, seconds, best)
+    for name, (points, seconds) in ours.items():
+        rows += _rows(name, points, seconds, None)
+    count = len(next(iter(runs.values())))
+    caption = f"{SAMPLES} samples, 34 of them recursions; medians over {count} runs"
+    header = ("", *NAMES, "mean error of α, β, ε", "seconds per sample")
+    table = Table(header, tuple(rows), caption)
+    Console(width=210).print(numbers_table(table))
+    command = f"python experiments/space_robot_online.py {options}"
+    with atomic_path(REPORT / "table.md") as path:
+        path.write_text(f"{caption}.\n\n{markdown_table(table)}\n    {command}\n")
+    save_figure(_figure(runs), REPORT / "figure.png")
+    content = {"provenance": provenance(command=command), "true": TRUE}
+    content |= {name: [run.path[-1] for run in each] for name, each in runs.items()}
+    content |= {name: points for name, (points, _) in ours.items()}
+    write_results(REPORT / "results.json", content)

@@ -1,0 +1,341 @@
+"""The blind benchmark: plants are sealed, physical, and scored as they should be."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hybrid.benchmark.case import STRATA, Case, plan
+from hybrid.benchmark.draw import command_effects, draw, torque_effects
+from hybrid.benchmark.generate import generate
+from hybrid.benchmark.independent import INDEPENDENT
+from hybrid.benchmark.measures import MEASURES, Ratio, confusion, size
+from hybrid.benchmark.robots import complete, load_arm, off_by
+from hybrid.benchmark.run import read_open, read_rows, run_cases
+from hybrid.benchmark.score import Named, covered, score
+from hybrid.benchmark.size import Rig
+from hybrid.benchmark.strangers import STRANGERS
+from hybrid.benchmark.tables import by_robot, targets_table, write_benchmark
+from hybrid.effects import effect_classes
+from hybrid.effects.effect import JointState
+from hybrid.errors import HybridError
+from hybrid.plant import Noise, Plant, random_fourier
+from hybrid.robot import Robot
+from hybrid.robot.spatial import central_inertia
+
+PLANAR = "models/planar.xml"
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_arm(PLANAR)
+
+
+@pytest.fixture(scope="module")
+def rig(arm):
+    rng = np.random.default_rng(0)
+    motion = random_fourier(arm, duration=6, rate=250, rng=rng)
+    return Rig.build(arm, motion, Noise.typical(arm), rng)
+
+
+def truth(*effects):
+    return {
+        "effects": [
+            {
+                "effect": name,
+                "means": name,
+                "joints": list(joints),
+                "scope": "joint",
+                "values": {"level": 1.0},
+                "sizes": [size],
+            }
+            for name, joints, size in effects
+        ]
+    }
+
+
+def row(stratum, true, named, **more):
+    content = {
+        "key": f"a-{stratum}", "arm": "a", "robot": "a.xml", "stratum": stratum,
+        "index": 0, "seed": 0, "verdict": "explained", "cpu_s": 1.0, "covered": [0, 0],
+        "where": [], "truth": truth(*true), **score(truth(*true), named),
+    }  # fmt: skip
+    recipe = {"noise": 1.0, "off": 0.0, "recordings": 4, "integrator": "euler"}
+    content["truth"]["recipe"] = recipe
+    methods = ("ranking", "stepwise", "stlsq")
+    content["baselines"] = {m: score(truth(*true), []) for m in methods}
+    return content | more
+
+
+# Cases
+
+
+def test_a_plan_holds_each_stratum_in_its_part_from_the_start_on():
+    for count in (50, 200):
+        cases = plan(["a.xml", "b.xml"], count, seed=0)
+        for name, part in STRATA.items():
+            assert sum(c.stratum == name for c in cases) == pytest.approx(
+                part * count, abs=1.0
+            )
+    assert len({c.key for c in cases}) == len(cases)
+
+
+def test_a_stratum_that_is_none_is_refused():
+    with pytest.raises(HybridError, match="valid are single"):
+        plan(["a.xml"], 3, seed=0, strata=["singles"])
+
+
+def test_every_card_falls_once_before_any_falls_twice():
+    deck = list("abcdefg")
+    dealt = [Case("a.xml", "single", k, 3).deal(deck) for k in range(14)]
+    assert sorted(dealt[:7]) == sorted(dealt[7:]) == list(range(7))
+    assert dealt[:7] != dealt[7:]
+
+
+def test_library_effects_are_dealt_with_or_without_a_trace_in_torque_never_both():
+    assert not set(torque_effects()) & set(command_effects())
+    assert not (set(STRANGERS) | set(INDEPENDENT)) & set(effect_classes())
+
+
+# Robots
+
+
+@settings(deadline=None)  # the first call compiles
+@given(st.floats(0.0, 0.05), st.integers(0, 99))
+def test_a_file_that_is_a_little_off_stays_physical(share, seed):
+    robot = Robot.load("models/coman_like.xml")
+    real = off_by(robot, share, np.random.default_rng(seed))
+    for link, other in zip(robot.chain.inertial, real.chain.inertial, strict=True):
+        (mass, _, _), (now, _, about) = central_inertia(link), central_inertia(other)
+        assert abs(now / mass - 1) <= share + 1e-12
+        a, b, c = np.linalg.eigvalsh(about)
+        assert a > 0 and a + b >= c * (1 - 1e-9)  # a body of positive density
+
+
+def test_an_arm_without_rotors_and_friction_gets_usual_ones(arm):
+    bare = load_arm("models/planar.urdf")
+    full = complete(bare)
+    assert (full.chain.armature > 0).all()
+    assert (full.damping + full.frictionloss > 0).all()
+    assert complete(full).damping == pytest.approx(full.damping)
+
+
+def test_an_unknown_arm_is_refused_with_those_that_are_known():
+    with pytest.raises(HybridError, match="ur5, ur10, panda"):
+        load_arm("no_such_arm")
+
+
+# Effects
+
+
+def state(**parts):
+    shape = np.shape(parts["q"])
+    zero = {k: np.zeros(shape) for k in ("t", "q", "v", "a", "load", "sign")}
+    fields = JointState.__dataclass_fields__
+    content = {k: x for k, x in {**zero, **parts}.items() if k in fields}
+    rest = {k: None for k in fields if k not in content}
+    return JointState(**content, **rest)
+
+
+def test_a_cable_gives_back_all_the_energy_it_takes():
+    cable = STRANGERS["cable_pull"]((0, 1), {"level": 2.0, "turns": 1.7})
+    turn = np.linspace(0, 2 * np.pi, 2001)
+    q = np.stack([0.3 + np.sin(turn), np.cos(turn)], axis=1)
+    torque = cable.resist(state(q=q), np.zeros_like(q), 0.001)
+    work = np.trapezoid(torque, q, axis=0).sum()
+    assert abs(work) < 1e-4 * np.abs(torque).max()
+
+
+def test_load_hysteresis_loses_energy_on_every_cycle_and_is_bounded():
+    gear = STRANGERS["load_hysteresis"]((0,), {"level": 1.0, "reach": 0.5})
+    t = np.arange(0, 4, 0.001)
+    load, torque = 2 * np.sin(2 * np.pi * t), np.empty_like(t)
+    for k, (now, x) in enumerate(zip(t, load, strict=True)):
+        at = np.array([[x]])
+        seen = state(q=at, t=np.full((1, 1), now), load=at)
+        torque[k] = gear.resist(seen, at, 0.001).item()
+    assert np.abs(torque).max() <= 1.0
+    assert np.trapezoid(torque[1000:2000], load[1000:2000]) > 0.1
+
+
+def test_soft_saturation_is_linear_below_its_limit_and_flat_far_above():
+    values = {"loss": 1.0, "limit": 2.0}
+    iron = INDEPENDENT["soft_saturation"]((0,), values)
+    tau = np.array([-200.0, -0.2, 0.0, 0.2, 200.0])
+    assert iron.deliver(tau) == pytest.approx([-2.0, -0.2, 0.0, 0.2, 2.0], rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["coulomb", "torque_ripple", "cogging_motor"])
+def test_a_drawn_effect_has_the_size_asked_for_within_its_bounds(rig, name):
+    effect = draw(name, rig, 2.0, np.random.default_rng(1))
+    assert effect is not None
+    assert rig.sizes(effect).max() == pytest.approx(2.0, rel=0.1)
+
+
+def test_an_effect_that_would_have_to_be_absurd_is_not_drawn(rig):
+    assert draw("torque_gain", rig, 1e4, np.random.default_rng(0)) is None
+
+
+def test_cogging_of_mujocos_motor_is_the_ripple_of_the_library(arm):
+    """Two implementations of one law move an arm alike."""
+    motor = INDEPENDENT["cogging_motor"](
+        (1,), {"level": 0.2, "poles": 8.0, "phase": 0.6}
+    )
+    ours = effect_classes()["torque_ripple"](
+        (1,), {"sine": -0.2 * np.cos(0.6), "cosine": -0.2 * np.sin(0.6), "periods": 8.0}
+    )
+    motion = random_fourier(arm, duration=3, rate=250, rng=np.random.default_rng(2))
+    quiet = {"nominal": arm, "noise": Noise.none(arm.size)}
+
+    def torque(*effects):
+        plant = Plant(arm, effects, **quiet)
+        return plant.run([motion], rng=np.random.default_rng(0))[0].tau
+
+    gap = torque(ours) - torque()
+    assert np.sqrt((gap[:, 1] ** 2).mean()) == pytest.approx(0.14, rel=0.2)
+    assert np.abs(torque(motor) - torque(ours)).max() < 0.05 * np.abs(gap).max()
+
+
+# The seal
+
+
+def test_the_open_folder_tells_nothing_and_a_case_is_always_the_same(tmp_path):
+    case = Case(PLANAR, "single", 4, 7)
+    for name in "ab":
+        generate(case, tmp_path / name / "open", tmp_path / name / "sealed")
+    sealed = json.loads((tmp_path / "a" / "sealed" / "truth.json").read_text())
+    (effect,) = sealed["effects"]
+    visible = sorted((tmp_path / "a" / "open").iterdir())
+    assert not any(effect["effect"].encode() in x.read_bytes() for x in visible)
+    first, second = (read_open(tmp_path / name / "open") for name in "ab")
+    assert first[2] == ()
+    assert first[0].chain.inertial == pytest.approx(load_arm(PLANAR).chain.inertial)
+    for x, y in zip(first[1], second[1], strict=True):
+        assert np.array_equal(x.tau, y.tau)
+    unseen = list((tmp_path / "a" / "sealed").glob("*.npz"))
+    assert len(unseen) == 2
+
+
+def test_an_effect_left_out_of_the_library_is_what_the_question_says(tmp_path):
+    case = Case(PLANAR, "withheld", 1, 0)
+    generate(case, tmp_path / "open", tmp_path / "sealed")
+    sealed = json.loads((tmp_path / "sealed" / "truth.json").read_text())
+    _, _, without = read_open(tmp_path / "open")
+    assert without == tuple(e["effect"] for e in sealed["effects"])
+
+
+def test_a_plant_without_effects_is_no_alarm_and_is_not_answered_twice(tmp_path):
+    log, case = tmp_path / "cases.jsonl", Case(PLANAR, "none", 1, 0)
+    (first,) = run_cases([case], log)
+    assert first["named"] == [] and first["declared"]
+    assert set(first["baselines"]) == {"ranking", "stepwise", "stlsq"}
+    told = []
+    assert run_cases([case], log, tell=told.append) == [read_rows(log)[case.key]]
+    assert told == []
+
+
+def test_half_a_line_of_an_interrupted_run_is_run_again(tmp_path):
+    log = tmp_path / "cases.jsonl"
+    log.write_text('{"key": "a"}\n{"key": "b", "verd')
+    assert set(read_rows(log)) == {"a"}
+
+
+# Scores
+
+
+def test_a_cause_is_right_at_its_joint_only():
+    true = truth(("coulomb", ["elbow"], 1.0))
+    right = score(true, [Named("coulomb", ("elbow",), ("coulomb",))])
+    assert right["strict"] and right["localised"] and not right["false"]
+    wrong = score(true, [Named("coulomb", ("wrist",), ("coulomb",))])
+    assert not wrong["in_class"] and wrong["false"] == [["coulomb", "wrist"]]
+    wide = score(true, [Named("coulomb", ("elbow", "wrist"), ("coulomb",))])
+    assert wide["strict"] and wide["false"] == [["coulomb", "wrist"]]
+    assert not wide["localised"]
+
+
+def test_a_class_that_holds_the_truth_counts_but_not_strictly():
+    true = truth(("delay", ["elbow"], 1.0))
+    got = score(true, [Named("actuator_lag", ("elbow",), ("actuator_lag", "delay"))])
+    assert got["in_class"] and not got["strict"] and got["class_size"] == 2
+
+
+def test_an_equivalent_counts_only_where_the_effect_is_withheld():
+    true = truth(("delay", ["elbow"], 1.0))
+    got = score(true, [Named("actuator_lag", ("elbow",), ("actuator_lag",))])
+    assert not got["in_class"] and got["declared"]
+    other = score(true, [Named("spring", ("elbow",), ("spring",))])
+    assert not other["declared"]
+    assert score(true, [])["declared"]
+
+
+def test_an_interval_covers_only_gains_named_at_their_joint():
+    true = truth(("coulomb", ["elbow"], 1.0))
+
+    def finding(joint, low, high):
+        p = {"joint": joint, "name": "level", "interval": [low, high]}
+        return {"effect": "coulomb", "parameters": [p]}
+
+    assert covered(true, [finding("elbow", 0.9, 1.1)]) == (1, 1)
+    assert covered(true, [finding("elbow", 1.1, 1.3)]) == (0, 1)
+    assert covered(true, [finding("wrist", 0.9, 1.1)]) == (0, 0)
+
+
+# Measures
+
+
+@given(st.integers(1, 400), st.data())
+def test_wilsons_interval_holds_its_share_and_shrinks(total, data):
+    hits = data.draw(st.integers(0, total))
+    low, high = Ratio(hits, total).interval
+    assert 0 <= low <= hits / total <= high <= 1
+    more = Ratio(4 * hits, 4 * total).interval
+    assert more[1] - more[0] < high - low
+
+
+def test_wilsons_interval_solves_its_equation():
+    """Its ends are the shares from which the one seen is 1.96 deviations away."""
+    for end in Ratio(29, 30).interval:
+        assert abs(29 / 30 - end) == pytest.approx(1.96 * np.sqrt(end * (1 - end) / 30))
+
+
+def test_measures_count_what_they_say():
+    named = Named("coulomb", ("j",), ("coulomb",))
+    right = row("single", [("coulomb", ["j"], 3.0)], [named])
+    small = row("single", [("coulomb", ["j"], 0.3)], [])
+    silent = row("single", [("viscous", ["j"], 1.0)], [])
+    alarm = row("none", [], [named])
+    rows = [right, small, silent, alarm]
+    measured = {m.name: m.of(rows) for m in MEASURES}
+    assert measured["right cause first, in its class, ≥ 1×"] == Ratio(1, 2)
+    assert measured["the same, in its class, 0.3×"] == Ratio(0, 1)
+    assert measured["abstains, ≥ 1×"] == Ratio(1, 2)
+    assert measured["false alarm, no effect at all"] == Ratio(1, 1)
+    assert confusion(rows) == {
+        ("coulomb", "coulomb"): 1, ("viscous", "nothing"): 1, ("nothing", "coulomb"): 1
+    }  # fmt: skip
+    assert size(small) == 0.3 and size(alarm) == 0.0
+
+
+def test_robots_never_tuned_on_are_apart_and_together():
+    rows = [row("none", [], [], arm=arm) for arm in ("a", "b", "c")]
+    groups = by_robot(rows, ["a"])
+    assert list(groups) == ["a", "robots never tuned on", "b", "c"]
+    assert len(groups["robots never tuned on"]) == 2
+    assert len(targets_table(groups).header) == 6
+
+
+def test_a_report_holds_tables_cases_and_the_confusion(tmp_path):
+    rows = [
+        row("single", [("coulomb", ["j"], 1.0)], []),
+        {"key": "x", "arm": "a", "robot": "a", "stratum": "none", "index": 1, "seed": 0,
+         "crashed": "ValueError: no"},
+        {"key": "y", "arm": "a", "stratum": "none", "skipped": "too large"},
+    ]  # fmt: skip
+    write_benchmark(rows, tmp_path, tuned=["a"], command="hybrid benchmark diagnose")
+    assert "2 (1)" in (tmp_path / "tables.md").read_text()  # cases (crashes)
+    cases = json.loads((tmp_path / "results.json").read_text())["cases"]
+    assert [c["stratum"] for c in cases] == ["single", "none"]
+    assert (tmp_path / "confusion.png").stat().st_size > 1000
