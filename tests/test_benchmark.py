@@ -18,6 +18,7 @@ from hybrid.benchmark.score import Named, covered, score
 from hybrid.benchmark.size import Rig
 from hybrid.benchmark.strangers import STRANGERS
 from hybrid.benchmark.tables import by_robot, targets_table, write_benchmark
+from hybrid.cli.command import main
 from hybrid.effects import effect_classes
 from hybrid.effects.effect import JointState
 from hybrid.errors import HybridError
@@ -174,8 +175,21 @@ def test_a_drawn_effect_has_the_size_asked_for_within_its_bounds(rig, name):
     assert rig.sizes(effect).max() == pytest.approx(2.0, rel=0.1)
 
 
-def test_an_effect_that_would_have_to_be_absurd_is_not_drawn(rig):
-    assert draw("torque_gain", rig, 1e4, np.random.default_rng(0)) is None
+def test_an_effect_that_would_have_to_be_absurd_is_not_made(rig):
+    gain = effect_classes()["torque_gain"]((0,), {"gain": 0.1})
+    assert rig.plausible(gain)
+    assert rig.scaled(gain, 1e4) is None
+
+
+def test_friction_never_pushes_and_no_link_is_heavier_by_itself(rig):
+    classes, friction = effect_classes(), rig.robot.frictionloss[0]
+    uneven = classes["asymmetric_friction"]((0,), {"level": 0.9 * friction})
+    assert rig.plausible(uneven)
+    assert not rig.plausible(uneven.at({"level": -1.1 * friction}))
+    mass = rig.robot.chain.inertial[1, 0]
+    lump = classes["link_inertia"]((0, 1), {"mass": 0.4 * mass})
+    assert rig.plausible(lump)
+    assert not rig.plausible(lump.at({"mass": 0.6 * mass}))
 
 
 def test_cogging_of_mujocos_motor_is_the_ripple_of_the_library(arm):
@@ -234,6 +248,22 @@ def test_a_plant_without_effects_is_no_alarm_and_is_not_answered_twice(tmp_path)
     told = []
     assert run_cases([case], log, tell=told.append) == [read_rows(log)[case.key]]
     assert told == []
+
+
+def test_the_verb_shows_a_line_for_each_case_and_the_table(tmp_path, capsys):
+    case = plan([PLANAR], 1, seed=0, strata=["none"])[0]
+    answered = row("none", [], [], **{k: getattr(case, k) for k in ("key", "robot")})
+    (tmp_path / "cases.jsonl").write_text(json.dumps(answered) + "\n")
+    verb = ["benchmark", "diagnose", "--cases", "1", "--strata", "none"]
+    assert main([*verb, "--robots", PLANAR, "--out", str(tmp_path)]) == 0
+    assert "false alarm" in capsys.readouterr().out
+    assert (tmp_path / "tables.md").is_file()
+
+
+def test_an_unknown_arm_is_bad_input_before_anything_runs(tmp_path, capsys):
+    verb = ["benchmark", "diagnose", "--robots", "no_such_arm", "--out", str(tmp_path)]
+    assert main(verb) == 2
+    assert "valid are files and ur5" in capsys.readouterr().err
 
 
 def test_half_a_line_of_an_interrupted_run_is_run_again(tmp_path):

@@ -1,4 +1,4 @@
-"""Learned remainders of every kind: they learn, know what they do not know, are safe."""
+"""Learned remainders of every kind: they learn, know their limits, and are safe."""
 
 from functools import cache
 
@@ -42,7 +42,7 @@ def fit_convolution(x, y, **options):
 
 
 def fit_features(x, y, **options):
-    return RandomFeatureRegression.fit(x, y, features=60, **options)
+    return RandomFeatureRegression.fit(x, y, features=30, **options)
 
 
 def fit_symmetric(x, y, **options):

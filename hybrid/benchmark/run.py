@@ -19,6 +19,7 @@ from hybrid.benchmark.baselines import baselines
 from hybrid.benchmark.case import Case
 from hybrid.benchmark.generate import IMPOSSIBLE
 from hybrid.benchmark.oracle import shrinkage
+from hybrid.benchmark.robots import load_arm
 from hybrid.benchmark.score import covered, named_causes, score
 from hybrid.diagnose.diagnose import Result, examine
 from hybrid.effects import effect_classes, effect_from_dict
@@ -44,7 +45,13 @@ def run_cases(
         log: One JSON line for each case that was run; appended to.
         workers: Number of processes.
         tell: Called with each new row.
+
+    Raises:
+        RobotError: There is no such arm.
+        HybridError: The generator failed.
     """
+    for name in {case.robot for case in cases}:
+        load_arm(name)
     rows = read_rows(log)
     wanted = [c for c in cases if c.key not in rows]
     log.parent.mkdir(parents=True, exist_ok=True)

@@ -14,7 +14,7 @@ from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.diagnosis import Advice
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.menu import Experiment, gap_along, joined, joint_number, menu
-from hybrid.diagnose.separation import Rival, fit_rival, separation
+from hybrid.diagnose.separation import Rival, fit_rival, separation, separation_refitted
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.errors import HybridError
 from hybrid.excitation.experiments import speed_ladder
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _APART = 5.0  # twelve nats, which a term must add
 _MOST_REPEATS = 6
 _MOST_PAIRS = 6
+_SHORTLIST = 2  # experiments for which shapes are fitted anew
 _THERMAL = "thermal_friction"  # the one to which it matters when a motion is run
 _MOST_JOINTS = 3
 _SLOW_ENOUGH = 4.0  # s at one speed
@@ -185,12 +186,18 @@ def _best(
     """
     noise, splits = search.evidence.noise, (first.effect.id, second.effect.id)
     fit = [d for d in dishes if d[0].start == 0 or _THERMAL in splits]
-    sizes = [separation(gap, noise, first, second) for _, gap in fit]
-    size = max(sizes, default=0.0)
+    ranked = sorted(fit, key=lambda d: -separation(d[1], noise, first, second))
+    shaped = first.effect.shapes or second.effect.shapes
+    judged = [
+        (separation_refitted(search, gap, first, second)
+         if shaped else separation(gap, noise, first, second), k)
+        for k, (_, gap) in enumerate(ranked[: _SHORTLIST if shaped else 1])
+    ]  # fmt: skip
+    size, best = max(judged, default=(0.0, 0))
     repeats = int(np.ceil((_APART / size) ** 2)) if size > 0 else _MOST_REPEATS + 1
     if repeats > _MOST_REPEATS:
         return None
-    experiment, _ = fit[int(np.argmax(sizes))]
+    experiment, _ = ranked[best]
     if repeats > 1:
         again = joined([experiment.reference] * repeats)
         experiment = replace(experiment, reference=again)

@@ -31,7 +31,7 @@ def alternatives(search: Search, term: Term, limits: Thresholds) -> tuple[str, .
     for c in [c for c in ranked if here & {*c.place[1]}][:_CLOSE]:
         if c.place[0] not in found:
             _, gain = search.refine(base, c)
-            if gain > best - limits.alike:
+            if gain > best - max(limits.alike, limits.alike_share * best):
                 found.append(c.place[0])
     return tuple(found)
 

@@ -11,7 +11,7 @@ Source: Atkinson and Fedorov 1975, doi 10.1093/biomet/62.1.57 (T-optimality).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,10 +19,11 @@ from hybrid.diagnose.attribute import Search, Term
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.gap import Columns, Gap
-from hybrid.effects import Effect
+from hybrid.effects import Effect, effect_classes
 from hybrid.robot.chain import Array
 
 _NUDGE = 0.02  # of the range of a shape
+_PASSES = 3  # each goes a fifth of a shape's range
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,16 +31,21 @@ class Rival:
     """One explanation, fitted to the recordings there are.
 
     Attributes:
-        effect: What is special in it, with its fitted gains.
-        others: Effects that all explanations share.
+        candidate: What is special in it, with its fitted gains.
+        others: What all explanations share.
         gains: Background, others, effect and small changes of its shapes, shape (k,).
         precision: What is known of them: inverse covariance, shape (k, k).
     """
 
-    effect: Effect
-    others: tuple[Effect, ...]
+    candidate: Candidate
+    others: tuple[Candidate, ...]
     gains: Array
     precision: Array
+
+    @property
+    def effect(self) -> Effect:
+        """What is special in it, with its fitted gains."""
+        return self.candidate.effect
 
 
 def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
@@ -66,8 +72,9 @@ def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
     index = np.concatenate([base, own, *nudges])
     A, _ = evidence.normal(index)
     gains = np.concatenate([solution.gains, np.zeros(len(nudges))])
-    others = tuple(t.candidate.effect for t in search.terms if t is not term)
-    return Rival(effect, others, gains, A + np.diag(evidence.precision[index]))
+    others = tuple(t.candidate for t in search.terms if t is not term)
+    known = A + np.diag(evidence.precision[index])
+    return Rival(replace(candidate, effect=effect), others, gains, known)
 
 
 def separation(ahead: Gap, noise: Array, first: Rival, second: Rival) -> float:
@@ -79,11 +86,7 @@ def separation(ahead: Gap, noise: Array, first: Rival, second: Rival) -> float:
         first: One explanation.
         second: Another one.
     """
-    shared = [*background(ahead)[0], *(ahead.columns(e) for e in first.others)]
-    sides = [
-        _stacked(ahead, noise, [*shared, ahead.columns(e), *_nudges(ahead, e)])
-        for e in (first.effect, second.effect)
-    ]
+    sides = [_stacked(ahead, noise, _blocks(ahead, r)) for r in (first, second)]
     torques = [X @ r.gains for X, r in zip(sides, (first, second), strict=True)]
     off = torques[0] - torques[1]
     found = []
@@ -92,6 +95,69 @@ def separation(ahead: Gap, noise: Array, first: Rival, second: Rival) -> float:
         followed = b @ np.linalg.solve(X.T @ X + rival.precision, b)
         found.append(max(float(off @ off - followed), 0.0))
     return float(np.sqrt(min(found)))
+
+
+def separation_refitted(
+    search: Search, ahead: Gap, first: Rival, second: Rival
+) -> float:
+    """The same with all shapes fitted anew, however far that takes them.
+
+    One explanation's torque is appended to the recordings, and both are fitted to all
+    of it. A law that another one has as a limit cannot be told from it if that is true.
+
+    Args:
+        search: The search that both explanations come from.
+        ahead: The motion.
+        first: One explanation.
+        second: Another one.
+    """
+    found = []
+    for true, other in ((first, second), (second, first)):
+        both = _refit_search(search, ahead, true)
+        gains = []
+        for rival in (true, other):
+            candidate, gain = rival.candidate, -np.inf
+            for _ in range(_PASSES):
+                candidate, gain = both.refine(both.base(), candidate)
+            gains.append(gain)
+        found.append(max(gains[0] - gains[1], 0.0))
+    return float(np.sqrt(2 * min(found)))
+
+
+def _refit_search(search: Search, ahead: Gap, true: Rival) -> Search:
+    """A search on the recordings and a motion on which one explanation is true."""
+    gap, new = search.gap, np.zeros_like(ahead.left)
+    start = 0
+    for block in _blocks(ahead, true):
+        width = next(iter(block.values())).shape[1]
+        for i, x in block.items():
+            new[:, i] += x @ true.gains[start : start + width]
+        start += width
+    both = Gap(
+        gap.robot, (*gap.motions, *ahead.motions), (*gap.bodies, *ahead.bodies),
+        gap.cutoff, np.concatenate([gap.left, new]),
+        np.concatenate([gap.moving, ahead.moving]),
+        np.concatenate([gap.fold, ahead.fold]),
+        np.concatenate([gap.trajectory, ahead.trajectory + gap.trajectory.max() + 1]),
+    )  # fmt: skip
+    use = np.zeros(len(gap.fold), dtype=bool)
+    for rows in search.evidence.rows:
+        use[rows] = True
+    use = np.concatenate([use, np.ones(len(new), dtype=bool)])
+    fresh = Search(both, use, without=[*effect_classes()])
+    fresh.evidence.noise = search.evidence.noise
+    fresh.evidence.spread(fresh.background, search.off)
+    for other in true.others:
+        (index,) = fresh.evidence.add([both.columns(other.effect)], [other.std])
+        fresh.terms.append(Term(other, index))
+    return fresh
+
+
+def _blocks(gap: Gap, rival: Rival) -> list[Columns]:
+    """Columns of background, others, effect and nudges along a motion."""
+    others = [gap.columns(c.effect) for c in rival.others]
+    own = rival.effect
+    return [*background(gap)[0], *others, gap.columns(own), *_nudges(gap, own)]
 
 
 def _nudges(gap: Gap, effect: Effect) -> list[Columns]:

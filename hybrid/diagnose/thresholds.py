@@ -15,6 +15,7 @@ class Thresholds:
     Attributes:
         version: Of the file.
         alike: Evidence within which two effects explain a recording alike, [nat].
+        alike_share: The same as a share of the evidence for either: no law is exact.
         spurious: Share of a joint's noise that the flexible regression may recover
             without any gap.
         complete: Least part of what is explainable at a joint that its terms explain.
@@ -25,6 +26,7 @@ class Thresholds:
 
     version: str
     alike: float
+    alike_share: float
     spurious: float
     complete: float
     steady: float

@@ -29,7 +29,7 @@ from hybrid.robot.robot import Robot
 _EXPLORE = (4.0, 80)
 _POLISH = ((4.0, 80), (16.0, 100), (64.0, 200))
 _MARGIN = 1e-3
-_RETRIES = 4
+_RETRIES, _REPAIR = 6, 60
 _KEPT = 1e-4  # an excess below is rounding, not a limit in the way
 
 
@@ -233,19 +233,19 @@ def best_motion(
     for power, iterations in _POLISH:
         solution = _continued(replace(program, power=power), solution, iterations)
     margin, penalty = program.margin, PENALTY
-    for _ in range(_RETRIES):
-        excess = program.verified(solution.x)
-        worst = max(excess.values())
-        if worst <= 0:
-            return program.trajectory(solution.x), excess
+    left = _RETRIES
+    while (worst := max((excess := program.verified(solution.x)).values())) > 0:
+        if left == 0:
+            raise ExcitationError(_infeasible(excess))
+        left -= 1
         if solution.excess > _KEPT:
             penalty *= 10.0
-        else:
-            # Between the samples of the design grid the torque may be a little higher.
-            margin += 1.2 * worst
+        # Between the samples of the design grid the torque may be a little higher, and
+        # where another link becomes the closest one the distance has a kink.
+        margin += 1.2 * worst
         sharp = replace(program, power=_POLISH[-1][0], margin=margin)
-        solution = _continued(sharp, solution, _POLISH[-1][1], penalty)
-    raise ExcitationError(_infeasible(program.verified(solution.x)))
+        solution = _continued(sharp, solution, _REPAIR, penalty)
+    return program.trajectory(solution.x), excess
 
 
 def _merit(solution: Solution) -> tuple[bool, float]:

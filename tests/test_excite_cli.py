@@ -1,0 +1,114 @@
+"""The verb ``excite``: its files, its pictures and its refusals."""
+
+import csv
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import MODELS
+from PIL import Image
+
+from hybrid.cli import main
+from hybrid.excitation import Limits
+from hybrid.excitation.experiments import static_poses
+from hybrid.excitation.families import trajectory_from_dict
+from hybrid.report.posture import postures_figure, save_animation
+from hybrid.robot import Robot
+
+PLANAR = MODELS / "planar.xml"
+QUICK = "--order 3 --duration 4 --starts 1"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Output of one run with two motions."""
+    out = tmp_path_factory.mktemp("excite")
+    command = f"excite --robot {PLANAR} {QUICK} --trajectories 2 --rate 100 "
+    command += f"--fill 0.7 --gif --out {out} --json {out}/all.json"
+    assert main(command.split()) == 0
+    return out
+
+
+@cache
+def limits() -> Limits:
+    return Limits.of(Robot.load(PLANAR), fill=0.7)
+
+
+def table(path: Path) -> tuple[list[str], np.ndarray]:
+    with path.open() as file:
+        header, *rows = csv.reader(file)
+    return header, np.array(rows, dtype=float)
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_references_keep_the_limits_and_begin_and_end_at_rest(folder, k):
+    header, x = table(folder / f"reference_{k}.csv")
+    assert header[0] == "t" and len(header) == 7 and len(x) == 401
+    q, v, a = x[:, 1:3], x[:, 3:5], x[:, 5:7]
+    assert (q >= limits().low).all() and (q <= limits().high).all()
+    assert (np.abs(v) <= limits().speed).all()
+    assert np.abs(v[[0, -1]]).max() < 1e-9 and np.abs(a[[0, -1]]).max() < 1e-9
+    np.testing.assert_allclose(np.gradient(q, 0.01, axis=0)[2:-2], v[2:-2], atol=2e-3)
+
+
+def test_coefficients_and_figures_of_merit_are_saved(folder):
+    content = json.loads((folder / "design.json").read_text("utf-8"))
+    motion = trajectory_from_dict(content["trajectories"][0])
+    _, x = table(folder / "reference_1.csv")
+    np.testing.assert_allclose(motion.path(x[:, 0]).q, x[:, 1:3], atol=1e-9)
+    assert len(content["standard_errors"]) == len(content["unknowns"])
+    assert content["additions"][0] == 1.0 and 0 < content["additions"][1] < 1
+    assert max(content["excess"].values()) <= 0
+    assert content["provenance"]["hybrid"]
+    values = content["singular_values"]
+    assert values[0] / values[-1] == pytest.approx(content["condition"])
+    recorded = json.loads((folder / "all.json").read_text("utf-8"))
+    assert recorded["condition"] == content["condition"]
+
+
+def test_pictures_are_drawn_and_the_animation_plays_in_real_time(folder):
+    for name in ("motion.png", "information.png", "postures.png"):
+        with Image.open(folder / name) as picture:
+            assert picture.width > 800
+        assert (folder / name).stat().st_size < 200_000
+    with Image.open(folder / "motion.gif") as picture:
+        assert picture.n_frames == 40
+        assert picture.info["duration"] == 100  # ms
+
+
+def test_an_arm_without_geometry_is_drawn_as_lines(tmp_path):
+    robot = Robot.load(PLANAR)
+    poses = np.array([[0.0, 0.0], [0.5, -0.5]])
+    reference = static_poses(robot, poses, hold=0.2, rate=100.0)
+    figure = postures_figure(robot, reference, count=3)
+    assert len(figure.axes) == 3
+    assert all(len(axes.lines) == 2 for axes in figure.axes)
+    save_animation(robot, reference, tmp_path / "arm.gif", rate=4.0)
+    assert (tmp_path / "arm.gif").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    "more, says",
+    [
+        ("--floor 9", "no posture keeps the lowest z"),
+        ("--floor nan", "--floor is a height"),
+        ("--fill 1.5", "fill is 1.5"),
+        ("--order 1", "order is 1"),
+        ("--effects elasticity", "no law of one joint's state"),
+        ("--criterion best", "condition"),
+    ],
+)
+def test_a_request_that_cannot_be_met_is_refused_in_one_line(
+    tmp_path, capsys, more, says
+):
+    out = tmp_path / "out"
+    command = f"excite --robot {PLANAR} {QUICK} --out {out} {more}"
+    try:
+        code = main(command.split())
+    except SystemExit as stopped:
+        code = stopped.code
+    text = capsys.readouterr().err
+    assert code == 2 and says in text
+    assert not out.exists()
