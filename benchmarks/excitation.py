@@ -30,7 +30,7 @@ import numpy as np
 
 from hybrid.effects import effect_class
 from hybrid.errors import HybridWarning
-from hybrid.excitation import Clearance, Fourier, Limits, design, observe
+from hybrid.excitation import Clearance, Condition, Fourier, Limits, design, observe
 from hybrid.files import atomic_path
 from hybrid.report import Table, markdown_table, provenance, write_results
 from hybrid.robot import Robot
@@ -82,7 +82,7 @@ def run(task: tuple[Any, ...], seeds: int) -> Iterator[dict[str, Any]]:
         kept = [Clearance.of(robot, Limits.of(robot))] if collision else []
         result = design(
             robot, observation, family, rng=np.random.default_rng(seed),
-            starts=starts, constraints=kept,
+            criterion=Condition(), starts=starts, constraints=kept,
         )  # fmt: skip
         found["seconds"].append(time.process_time() - start)
         found["raw"].append(result.condition)

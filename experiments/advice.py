@@ -31,7 +31,7 @@ MODEL = Path(__file__).parents[1] / "models" / "coman_like.xml"
 JOINTS = {"coulomb": 0, "viscous": 0, "delay": 2, "actuator_lag": 4, "spring": 5,
           "presliding": 3, "nonlinear_viscous": 1, "stribeck": 2, "torque_offset": 3,
           "counterbalance": 1, "deadzone": 4}  # fmt: skip
-SIZES = (0.1, 0.2, 0.5)  # of the usual one
+SIZES = (0.15, 0.5)  # of the usual one
 FILL, SECONDS, RATE = 0.3, 10.0, 500.0
 
 

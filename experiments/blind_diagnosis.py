@@ -17,8 +17,8 @@ from rich.console import Console
 
 from hybrid.benchmark.case import TUNED, Case, plan
 from hybrid.benchmark.run import run_cases
-from hybrid.benchmark.tables import write_benchmark
-from hybrid.report import numbers_table
+from hybrid.benchmark.tables import by_robot, targets_table, write_benchmark
+from hybrid.report import numbers_table, provenance
 
 ROOT = Path(__file__).parents[1]
 LOG = ROOT / "build" / "blind_diagnosis.jsonl"  # delete it when the diagnosis changes
@@ -58,8 +58,8 @@ def main() -> None:
     command = (
         f"python experiments/blind_diagnosis.py --cases {args.cases} --seed {args.seed}"
     )
-    table = write_benchmark(rows, REPORT, tuned=TUNED, command=command)
-    console.print(numbers_table(table))
+    write_benchmark(rows, REPORT, tuned=TUNED, how=provenance(command=command))
+    console.print(numbers_table(targets_table(by_robot(rows, TUNED))))
 
 
 if __name__ == "__main__":

@@ -16,8 +16,9 @@ import argparse
 from typing import Any
 
 import numpy as np
-from compensation import CONTROL, REPORT, diagnosed_effects, fitted_models, load_arm
+from compensation import CONTROL, load_arm
 from compensation_loop import guide, track
+from compensation_models import REPORT, diagnosed_effects, fitted_models
 from compensation_observer import residual, smallest_force, threshold
 from rich.console import Console
 

@@ -1,6 +1,6 @@
 """Published chain of designs against ours: condition number of a set of motions.
 
-A table and a figure of the COMAN paper: (a) one plain design, (b) iterated designs for
+The table of the COMAN paper: (a) one plain design, (b) iterated designs for
 the condition number, (c) iterated designs for the block-weighted condition of the
 whitened observation matrix; and (d) ours. All are judged by the condition number of the
 whitened matrix of the base inertial parameters in SI units, and share the family
@@ -69,8 +69,9 @@ def run(robot, seed):
     for count in (1, MOTIONS):
         begin = time.process_time()
         ours = design(
-            robot, white, FAMILY, rng=rng, limits=limits, trajectories=count, starts=3
-        )
+            robot, white, FAMILY, rng=rng, criterion=Condition(), limits=limits,
+            trajectories=count, starts=3,
+        )  # fmt: skip
         seconds = time.process_time() - begin
         found.append((set_condition(white, ours.trajectories, RATE), seconds))
     return found

@@ -78,22 +78,26 @@ class Comparison:
 
     def figure(self, plants: tuple[str, ...]):
         """Error of every design, joint and plant."""
-        figure = new_figure(2.2 * len(plants) + 0.4)
-        grid = figure.subplots(len(plants), len(self.joints), squeeze=False)
-        for p, row in enumerate(grid):
-            for j, axes in enumerate(row):
-                clean(axes, grid="y")
-                bars = axes.boxplot(
-                    self.rms[:, p, :, j], patch_artist=True, widths=0.5,
-                    medianprops={"color": "black"},
-                )  # fmt: skip
-                for box, ink, label in zip(
-                    bars["boxes"], INKS, self.designs, strict=True
-                ):
-                    box.set_facecolor(ink)
-                    box.set_label(label)
-                axes.set_xticks([])
-                axes.set_title(f"{self.joints[j]}, {plants[p]}", loc="left", fontsize=9)
+        cells = [(p, j) for p in range(len(plants)) for j in range(len(self.joints))]
+        columns = min(len(self.joints), 4)
+        rows = -(-len(cells) // columns)
+        figure = new_figure(2.0 * rows + 0.4)
+        for k, (p, j) in enumerate(cells):
+            axes = figure.add_subplot(rows, columns, k + 1)
+            clean(axes, grid="y")
+            bars = axes.boxplot(
+                self.rms[:, p, :, j], patch_artist=True, widths=0.5,
+                medianprops={"color": "black"},
+            )  # fmt: skip
+            for box, ink, label in zip(
+                bars["boxes"], INKS[: len(self.designs)], self.designs, strict=True
+            ):
+                box.set_facecolor(ink)
+                box.set_label(label)
+            axes.set_xticks([])
+            title = self.joints[j] if columns > 2 else f"{self.joints[j]}, {plants[p]}"
+            axes.set_title(title, loc="left", fontsize=9)
+            if k % columns == 0:
                 axes.set_ylabel("RMS error [N·m]")
         legend(figure, bars["boxes"])
         return figure

@@ -84,6 +84,9 @@ def write_report(
             "\n".join(f"{t.caption}.\n\n{markdown_table(t)}" for t in tables)
             + f"\n    {command}\n"
         )
+    for found in (x for joint in joints for x in joint["searches"].values()):
+        for run in (run for runs in found.values() for run in runs):
+            run["history"] = run["history"][::25]  # the figure has drawn every step
     write_results(
         REPORT / "results.json",
         {

@@ -30,7 +30,7 @@ from hybrid.files import write_json
 FILE = Path(__file__).parents[1] / "hybrid" / "diagnose" / "thresholds.json"
 GRID = {
     "complete": (0.5, 0.6, 0.7, 0.8, 0.9, 0.95),
-    "steady": (3.0, 4.0, 6.0, 10.0, 20.0),
+    "steady": (0.05, 0.1, 0.25, 0.5, 1.0),
     "crowded": (3, 5, 9, 40),
 }
 STRATA = ("single", "withheld", "none", "pair", "unknown")

@@ -364,7 +364,9 @@ def test_a_report_holds_tables_cases_and_the_confusion(tmp_path):
          "crashed": "ValueError: no"},
         {"key": "y", "arm": "a", "stratum": "none", "skipped": "too large"},
     ]  # fmt: skip
-    write_benchmark(rows, tmp_path, tuned=["a"], command="hybrid benchmark diagnose")
+    how = {"command": "hybrid benchmark"}
+    content = write_benchmark(rows, tmp_path, tuned=["a"], how=how)
+    assert content["measures"]["a"]["abstains, ≥ 1×"] == [1, 1]
     assert "2 (1)" in (tmp_path / "tables.md").read_text()  # cases (crashes)
     cases = json.loads((tmp_path / "results.json").read_text())["cases"]
     assert [c["stratum"] for c in cases] == ["single", "none"]

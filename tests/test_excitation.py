@@ -72,7 +72,8 @@ def simple_design(seed: int = 0, **options):
     robot = scara()
     observation = observe(robot.chain, friction(robot))
     rng = np.random.default_rng(seed)
-    return design(robot, observation, Fourier(4, 0.1), rng=rng, starts=1, **options)
+    options = {"criterion": Condition(), "starts": 1} | options
+    return design(robot, observation, Fourier(4, 0.1), rng=rng, **options)
 
 
 @pytest.mark.parametrize("seed", range(6))

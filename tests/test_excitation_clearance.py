@@ -5,7 +5,15 @@ import pytest
 from arms import MODELS, public_arm
 
 from hybrid.errors import ExcitationError, RobotError
-from hybrid.excitation import Clearance, Fourier, Limits, Workspace, design, observe
+from hybrid.excitation import (
+    Clearance,
+    Condition,
+    Fourier,
+    Limits,
+    Workspace,
+    design,
+    observe,
+)
 from hybrid.excitation.clearance import closest_points, ends_in_world, frames
 from hybrid.excitation.path import Path, uniform
 from hybrid.robot import Robot
@@ -104,7 +112,11 @@ def test_a_design_keeps_links_apart_and_above_the_floor():
     limits = Limits.of(planar)
     clearance = Clearance.of(planar, limits, margin=0.05)
     free = design(
-        planar, observe(planar.chain), Fourier(4, 0.2), rng=np.random.default_rng(0)
+        planar,
+        observe(planar.chain),
+        Fourier(4, 0.2),
+        rng=np.random.default_rng(0),
+        criterion=Condition(),
     )
     height = 0.05 + lowest(planar, clearance, free)
     low = np.array([-np.inf, -np.inf, height])
@@ -114,6 +126,7 @@ def test_a_design_keeps_links_apart_and_above_the_floor():
         observe(planar.chain),
         Fourier(4, 0.2),
         rng=np.random.default_rng(0),
+        criterion=Condition(),
         constraints=(clearance, box),
     )
     assert lowest(planar, clearance, kept) >= height

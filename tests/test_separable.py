@@ -172,6 +172,7 @@ def friction(v, **values):
     return np.stack(effect.law(state, **effect.shape_values), -1) @ effect.gain_values
 
 
+@settings(deadline=None)
 @given(v=st.floats(-3, 3), width=st.floats(0.001, 0.1), velocity=st.floats(0.001, 1))
 def test_the_law_is_odd_and_a_line_within_its_width(v, width, velocity):
     shapes = {"width": width, "velocity": velocity}
@@ -182,6 +183,7 @@ def test_the_law_is_odd_and_a_line_within_its_width(v, width, velocity):
     assert edge[0] == pytest.approx(edge[1], rel=1e-6)
 
 
+@settings(deadline=None)
 @given(v=st.floats(0.011, 3))
 def test_beyond_its_width_it_is_the_published_law(v):
     expected = 3 + 3 * np.exp(-((v / 0.05) ** 2)) + 4 * v

@@ -53,6 +53,7 @@ class Measure:
         holds: Whether it holds there.
         target: Share to be reached.
         most: Whether the target is the most that is allowed, instead of the least.
+        of_verdict: Whether only a diagnosis can say it, and no other method.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Measure:
     holds: Callable[[Row], bool]
     target: float | None = None
     most: bool = False
+    of_verdict: bool = False
 
     def of(self, rows: Sequence[Row]) -> Ratio:
         """The share over some rows."""
@@ -129,6 +131,10 @@ MEASURES = (
     Measure("abstains, ≥ 1×", _large("single"), _silent, 0.05, most=True),
     Measure("false alarm, no effect at all", _in("none"), _answers, 0.01, most=True),
     Measure(
+        "the same: says that something is there",
+        _in("none"), lambda r: r["verdict"] != "no_gap", of_verdict=True,
+    ),
+    Measure(
         "effect withheld: abstains or names an equivalent, ≥ 1×",
         _large("withheld"), lambda r: r["declared"], 0.95,
     ),
@@ -137,6 +143,7 @@ MEASURES = (
     Measure(
         "its place, withheld or in no file",
         lambda r: _large("withheld", "unknown")(r) and bool(r["where"]), _placed,
+        of_verdict=True,
     ),
     Measure(
         "two effects: both found, each ≥ 1×",

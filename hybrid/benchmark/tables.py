@@ -22,7 +22,7 @@ from hybrid.benchmark.measures import (
     size,
 )
 from hybrid.files import atomic_path
-from hybrid.report import Table, markdown_table, provenance, save_figure, write_results
+from hybrid.report import Table, markdown_table, save_figure, write_results
 from hybrid.report.confusion import confusion_figure
 
 METHODS = ("ranking", "stepwise", "stlsq")
@@ -79,7 +79,7 @@ def methods_table(rows: Sequence[Row]) -> Table:
     lines = [
         (m.name, *(_share(m.of(r)) for r in answers.values()), "")
         for m in MEASURES
-        if m.of(rows).total and "place" not in m.name
+        if m.of(rows).total and not m.of_verdict
     ]
     black = _quantile(shares(rows, "black_box_share"), 0.5)
     ours = _quantile(shares(rows), 0.5)
@@ -98,21 +98,21 @@ def strata_table(rows: Sequence[Row]) -> Table:
     return Table(("", "", _RIGHT.name), tuple(lines), "One effect, by stratum")
 
 
-def _between(edges: Sequence[float], unit: str) -> Callable[[float], str]:
-    def name(x: float) -> str:
-        k = int(np.searchsorted(edges, x, side="right"))
-        low = f"{edges[k - 1]:g}" if k else "0"
-        return f"{low}–{edges[k]:g}{unit}" if k < len(edges) else f"≥ {low}{unit}"
+def _range(x: float, edges: Sequence[float], unit: str) -> str:
+    """The part between edges that a number lies in."""
+    k = int(np.searchsorted(edges, x, side="right"))
+    if k == 0:
+        return f"below {edges[0]:g}{unit}"
+    top = f"–{edges[k]:g}" if k < len(edges) else " and more,"
+    return f"{edges[k - 1]:g}{top}{unit}"
 
-    return name
 
-
-_SIZES = _between((0.85, 2.0, 6.0), "×")
-_ERRORS = _between((0.01, 2.0, 3.5), " %")
 _CUTS: Mapping[str, Callable[[Row], str]] = {
-    "size": lambda r: _SIZES(size(r)),
+    "size": lambda r: _range(size(r), (0.85, 2.0, 6.0), " ×"),
     "noise": lambda r: f"{r['truth']['recipe']['noise']:g}×",
-    "file's numbers off by": lambda r: _ERRORS(100 * r["truth"]["recipe"]["off"]),
+    "file's numbers off by": lambda r: _range(
+        100 * r["truth"]["recipe"]["off"], (0.0, 1.0, 2.0, 3.5, 5.0), " %"
+    ),
     "recordings": lambda r: f"{r['truth']['recipe']['recordings']}",
     "integrator": lambda r: r["truth"]["recipe"]["integrator"],
     "effect": lambda r: ", ".join(e["means"] for e in r["truth"]["effects"]),
@@ -120,29 +120,44 @@ _CUTS: Mapping[str, Callable[[Row], str]] = {
 
 
 def write_benchmark(
-    rows: Sequence[Row], directory: Path, *, tuned: Sequence[str], command: str
-) -> Table:
-    """Write tables, confusion and one line per case; give the table of targets.
+    rows: Sequence[Row],
+    directory: Path,
+    *,
+    tuned: Sequence[str],
+    how: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Write ``tables.md``, ``results.json`` and ``confusion.png``.
 
     Args:
         rows: Rows of the benchmark.
-        directory: Gets ``tables.md``, ``results.json`` and ``confusion.png``.
+        directory: Where to.
         tuned: Short names of robots that thresholds were tuned on.
-        command: What reproduces it.
+        how: How the rows came about; ``command`` reproduces them.
+
+    Returns:
+        Content of ``results.json``: each measure as number of cases in which it held,
+        and of cases that count, by group of robots; and each case in short.
     """
     rows = [row for row in rows if "skipped" not in row]
-    answered = scored(rows)
-    targets = targets_table(by_robot(rows, tuned))
-    tables = [targets, methods_table(answered), strata_table(answered)]
+    answered, groups = scored(rows), by_robot(rows, tuned)
+    tables = targets_table(groups), methods_table(answered), strata_table(answered)
     parts = [f"## {t.caption}\n\n{markdown_table(t)}" for t in tables]
     with atomic_path(directory / "tables.md") as path:
-        text = "\n".join([*parts, f"    {command}\n"])
+        text = "\n".join([*parts, f"    {how['command']}\n"])
         path.write_text(text, encoding="utf-8")
     save_figure(confusion_figure(confusion(answered)), directory / "confusion.png")
-    content = {"provenance": provenance(command=command), "tuned": tuned}
-    cases = [_line(row) for row in rows]
-    write_results(directory / "results.json", content | {"cases": cases})
-    return targets
+    counted = {
+        name: {m.name: [(x := m.of(part)).hits, x.total] for m in MEASURES}
+        for name, part in groups.items()
+    }
+    content = {
+        "provenance": how,
+        "tuned": tuned,
+        "measures": counted,
+        "cases": [_line(row) for row in rows],
+    }
+    write_results(directory / "results.json", content)
+    return content
 
 
 def _line(row: Row) -> dict[str, Any]:

@@ -6,16 +6,27 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli.options import count, names, whole
+from hybrid.cli.options import (
+    add_common,
+    check_outputs,
+    count,
+    names,
+    record,
+    whole,
+    write_record,
+)
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
 
-HELP = """diagnose sealed plants, and score the answers
+HELP = """diagnose plants whose truth is sealed, and score the answers
 makes plants with effects that the diagnosis is not told, in a process of its own, and
-writes DIR/tables.md (shares with intervals, beside simpler methods), DIR/results.json,
-DIR/confusion.png and DIR/cases.jsonl. A run that was interrupted goes on where it
-stopped. A case takes about 15 s.
+writes DIR/tables.md (shares with 95 % intervals, beside simpler methods),
+DIR/results.json, DIR/confusion.png (which effect is named for which) and
+DIR/cases.jsonl. A case takes about 15 s; a run that was interrupted goes on where it
+stopped. Effects of --effects-from may be named, but are in no plant.
+
+--json: what is in results.json.
 
 example:
   hybrid benchmark diagnose --cases 60 --robots models/coman_like.xml,ur5 --out blind"""
@@ -42,20 +53,24 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="kinds of plants: single, withheld, none, pair, triple, unknown, "
         "independent, poor, command (default: all)",
     )
-    parser.add_argument("--seed", type=whole, default=0)
+    parser.add_argument("--seed", type=whole, default=0, metavar="N")
     parser.add_argument("--workers", type=count, default=1, metavar="N")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    parser.set_defaults(effects_from=[])
+    add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Run the cases, one line each, and show the table of targets."""
     from hybrid.benchmark.case import TUNED, plan
     from hybrid.benchmark.run import run_cases
-    from hybrid.benchmark.tables import write_benchmark
+    from hybrid.benchmark.tables import by_robot, targets_table, write_benchmark
     from hybrid.report import numbers_table
 
     cases = plan(args.robots, args.cases, seed=args.seed, strata=args.strata)
+    written = ("tables.md", "results.json", "confusion.png", "cases.jsonl")
+    files = [path for name in args.robots if (path := Path(name)).is_file()]
+    check_outputs([*(args.out / name for name in written), args.json], files)
+    how = record(args, files) | {"command": _command(args)}
     with screen.working(f"diagnosing {len(cases)} plants"):
         rows = run_cases(
             cases,
@@ -63,14 +78,9 @@ def run(args: Namespace, screen: Screen) -> None:
             workers=args.workers,
             tell=lambda row: screen.say(verdict_line(row)),
         )
-    command = (
-        f"hybrid benchmark diagnose --cases {args.cases} --robots "
-        f"{','.join(args.robots)} --seed {args.seed}"
-    )
-    if args.strata:
-        command += f" --strata {','.join(args.strata)}"
-    table = write_benchmark(rows, args.out, tuned=TUNED, command=command)
-    screen.show_numbers(numbers_table(table))
+    content = write_benchmark(rows, args.out, tuned=TUNED, how=how)
+    write_record(args, how, content)
+    screen.show_numbers(numbers_table(targets_table(by_robot(rows, TUNED))))
 
 
 def verdict_line(row: dict[str, Any]) -> str:
@@ -83,4 +93,12 @@ def verdict_line(row: dict[str, Any]) -> str:
     return (
         f"{row['key']}: {'; '.join(true) or 'no gap'} → {row['verdict']}: "
         f"{'; '.join(said) or 'nothing'}"
+    )
+
+
+def _command(args: Namespace) -> str:
+    strata = f" --strata {','.join(args.strata)}" if args.strata else ""
+    return (
+        f"hybrid benchmark diagnose --cases {args.cases} --robots "
+        f"{','.join(args.robots)}{strata} --seed {args.seed}"
     )

@@ -63,7 +63,7 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.diagnose.advise import advise
-    from hybrid.diagnose.diagnose import examine
+    from hybrid.diagnose.diagnose import examine, replayed
     from hybrid.diagnose.fixed import MODEL, SIMULATOR
     from hybrid.diagnose.thresholds import thresholds
     from hybrid.files import atomic_folder
@@ -82,9 +82,11 @@ def run(args: Namespace, screen: Screen) -> None:
         result = examine(
             robot, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell
         )
+        rng = np.random.default_rng(args.seed)
+        result = replayed(result, rng, progress=tell)
         tell("writing the report")
         with atomic_folder(args.out) as folder:
-            advice = advise(result, np.random.default_rng(args.seed), directory=folder)
+            advice = advise(result, rng, directory=folder)
             diagnosis = replace(result.diagnosis, advice=advice, provenance=how)
             write_diagnosis(replace(result, diagnosis=diagnosis), folder)
             notes = _fix(result, folder)

@@ -55,7 +55,13 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="effects to be identified beside the rigid body; laws of one joint "
         "(default viscous,coulomb)",
     )
-    parser.add_argument("--criterion", choices=_CRITERIA, default="condition")
+    parser.add_argument(
+        "--criterion",
+        choices=_CRITERIA,
+        default="d",
+        help="d: volume of the confidence ellipsoid (default); a: mean standard error; "
+        "e: longest axis; condition number as it is, or with normalised columns",
+    )
     parser.add_argument("--family", choices=_FAMILIES, default="fourier")
     parser.add_argument("--trajectories", type=count, default=1, metavar="N")
     parser.add_argument("--starts", type=count, default=3, metavar="N")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Structure = Literal["full", "diagonal", "low_rank"]
 
-_CHUNK_BYTES = 2**25  # of the largest temporary array
+_CHUNK_BYTES = 2**21  # of the largest temporary array, so that it stays in the cache
 _LEAST_WEIGHT = 1e-6  # of a component, so that none dies
 
 

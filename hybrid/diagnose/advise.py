@@ -13,8 +13,8 @@ from hybrid.diagnose.attribute import Search, Term
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.diagnosis import Advice
 from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.menu import Experiment, gap_along, joined, joint_number, menu
-from hybrid.diagnose.separation import Rival, fit_rival, separation, separation_refitted
+from hybrid.diagnose.menu import Experiment, gap_along, joint_number, menu
+from hybrid.diagnose.separation import Rival, contrast, fit_rival, separation
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.errors import HybridError
 from hybrid.excitation.experiments import speed_ladder
@@ -23,10 +23,9 @@ from hybrid.excitation.folder import write_reference
 if TYPE_CHECKING:
     from hybrid.diagnose.diagnose import Result
 
-_APART = 5.0  # twelve nats, which a term must add
-_MOST_REPEATS = 6
+_CLEARLY = 2.0  # times the evidence that is needed
 _MOST_PAIRS = 6
-_SHORTLIST = 2  # experiments for which shapes are fitted anew
+_SHORTLIST = 4  # experiments for which all is fitted anew
 _THERMAL = "thermal_friction"  # the one to which it matters when a motion is run
 _MOST_JOINTS = 3
 _SLOW_ENOUGH = 4.0  # s at one speed
@@ -61,13 +60,6 @@ class _Plan:
     advice: Advice
     experiment: Experiment | None = None
 
-    @property
-    def duration(self) -> float:
-        """How long it takes, [s]."""
-        return (
-            0.0 if self.experiment is None else float(self.experiment.reference.t[-1])
-        )
-
 
 def advise(
     result: Result, rng: np.random.Generator, *, directory: str | Path | None = None
@@ -76,8 +68,9 @@ def advise(
 
     For findings that other effects explain as well, that experiment of a safe menu is
     taken in which the fitted explanations differ most in torque, after each has been
-    allowed to follow the other; for what is unexplained, one that isolates what the
-    residual depends on; and for joints that did not move enough, a ladder of speeds.
+    allowed to follow the other, if that is enough to tell them apart. For what is
+    unexplained it is one that isolates what the residual depends on, and for joints
+    that did not move enough a ladder of speeds.
 
     Args:
         result: A diagnosis with what led to it.
@@ -113,14 +106,15 @@ def rivals(search: Search, term: Term, ids: Sequence[str]) -> list[Candidate]:
         term: One of its terms.
         ids: Effects that explain as much.
     """
-    base, best = search.base(term), thresholds().alike
+    base, limits = search.base(term), thresholds()
     _, own = search.refine(base, term.candidate)
+    least = own - max(limits.alike, limits.alike_share * own)
     joint, found = term.place[1][-1], dict[str, tuple[Candidate, float]]()
     for c, _ in search.ranked(base):
         if c.place[0] in ids and c.place != term.place and joint in c.place[1]:
             refined, gain = search.refine(base, c)
             better = c.place[0] not in found or gain > found[c.place[0]][1]
-            if gain > own - best and better:
+            if gain > least and better:
                 found[c.place[0]] = refined, gain
     return [c for c, _ in found.values()]
 
@@ -157,7 +151,7 @@ def _between_rivals(
 
 
 def _merged(plans: Sequence[_Plan]) -> list[_Plan]:
-    """One plan for all pairs that one experiment tells apart; the longest run of it."""
+    """One plan for all pairs that one experiment tells apart."""
     grouped: dict[str, list[_Plan]] = {}
     for plan in plans:
         name = (
@@ -166,11 +160,10 @@ def _merged(plans: Sequence[_Plan]) -> list[_Plan]:
         grouped.setdefault(name, []).append(plan)
     merged = []
     for group in grouped.values():
-        longest = max(group, key=lambda p: p.duration)
         splits = dict.fromkeys(x for p in group for x in p.advice.splits)
         weakest = min(p.advice.separation for p in group)
-        advice = replace(longest.advice, splits=tuple(splits), separation=weakest)
-        merged.append(replace(longest, advice=advice))
+        advice = replace(group[0].advice, splits=tuple(splits), separation=weakest)
+        merged.append(replace(group[0], advice=advice))
     return sorted(merged, key=lambda p: -p.advice.separation)
 
 
@@ -180,28 +173,18 @@ def _best(
     second: Rival,
     dishes: Sequence[tuple[Experiment, Gap]],
 ) -> _Plan | None:
-    """The experiment that sets two explanations furthest apart, if any does.
-
-    What is too weak by itself is repeated, which adds up as the root of the number.
-    """
+    """The experiment that tells two explanations apart best, if any does."""
     noise, splits = search.evidence.noise, (first.effect.id, second.effect.id)
     fit = [d for d in dishes if d[0].start == 0 or _THERMAL in splits]
-    ranked = sorted(fit, key=lambda d: -separation(d[1], noise, first, second))
-    shaped = first.effect.shapes or second.effect.shapes
+    sizes = [separation(gap, noise, first, second) for _, gap in fit]
     judged = [
-        (separation_refitted(search, gap, first, second)
-         if shaped else separation(gap, noise, first, second), k)
-        for k, (_, gap) in enumerate(ranked[: _SHORTLIST if shaped else 1])
-    ]  # fmt: skip
-    size, best = max(judged, default=(0.0, 0))
-    repeats = int(np.ceil((_APART / size) ** 2)) if size > 0 else _MOST_REPEATS + 1
-    if repeats > _MOST_REPEATS:
+        (contrast(search, fit[k][1], first, second), sizes[k], fit[k][0])
+        for k in np.argsort(sizes)[: -_SHORTLIST - 1 : -1]
+    ]
+    told, size, experiment = max(judged, key=lambda x: x[0], default=(0.0, 0.0, None))
+    if experiment is None or told < _CLEARLY:
         return None
-    experiment, _ = ranked[best]
-    if repeats > 1:
-        again = joined([experiment.reference] * repeats)
-        experiment = replace(experiment, reference=again)
-    return _Plan(Advice(_run(experiment), splits, size * repeats**0.5), experiment)
+    return _Plan(Advice(_run(experiment), splits, size), experiment)
 
 
 def _for_unexplained(

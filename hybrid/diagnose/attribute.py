@@ -124,7 +124,9 @@ class Search:
     def _take_ripples(self, count: int = _RIPPLES) -> None:
         if TorqueRipple.id in self.without:
             return
-        known = {(t.place, *t.candidate.effect.shape_values.values()) for t in self.tried}
+        known = {
+            (t.place, *t.candidate.effect.shape_values.values()) for t in self.tried
+        }
         solution = self.evidence.solve(self.base())
         sampled, found = self.gap.sampled, []
         for j, rows in enumerate(self.evidence.rows):
@@ -334,11 +336,20 @@ def fit_shapes(
         start,
         method="Nelder-Mead",
         bounds=[(0.0, 1.0)] * len(start),
-        options={"initial_simplex": simplex, "maxfev": 40, "xatol": 0.005, "fatol": 0.1},
+        options={
+            "initial_simplex": simplex,
+            "maxfev": 40,
+            "xatol": 0.005,
+            "fatol": 0.1,
+        },
     )
     return at(found.x), -float(found.fun)
 
 
 def same(a: Columns, b: Columns) -> bool:
     """Whether columns are the same at the same joints."""
-    return a.keys() == b.keys() and all(a[j].shape == b[j].shape for j in a) and all(np.array_equal(a[j], b[j]) for j in a)
+    return (
+        a.keys() == b.keys()
+        and all(a[j].shape == b[j].shape for j in a)
+        and all(np.array_equal(a[j], b[j]) for j in a)
+    )

@@ -23,10 +23,12 @@ _COARSE = 6
 _RIDGES = (1e-3, 3e-2, 1.0)
 _MOST_GROUPS = 6
 _WAVES = 3
+_WAVY = ("position waves", "lines in time")
+_PICKED = _WAVES * 2 * np.log(400)  # the largest of so many squares of noise
 
 
 def recoverable(
-    gap: Gap, joint: int, left: Array, rows: NDArray[np.intp]
+    gap: Gap, joint: int, left: Array, rows: NDArray[np.intp], noise: float
 ) -> tuple[float, str]:
     """Squares of a residual that a flexible regression recovers on held-out folds.
 
@@ -35,6 +37,7 @@ def recoverable(
         joint: The joint.
         left: Its residual under some model, shape (R,), [N·m].
         rows: Samples of the gap that these are, shape (R,).
+        noise: Square that one chosen function recovers from noise, [N²·m²].
 
     Returns:
         Recovered sum of squares, [N²·m²], and what the first function is of; 0 and
@@ -47,22 +50,25 @@ def recoverable(
     rest, total, first = left, 0.0, ""
     for _ in range(_MOST_GROUPS):
         groups |= _waves(gap, joint, rest, rows)
-        for name in ("position waves", "lines in time"):
+        for name in _WAVY:
             x = groups[name]
             grams[name] = np.stack([x[f].T @ x[f] for f in folds])
-        best, chosen, fitted = 0.0, "", rest
+        best, chosen, fitted, worth = 0.0, "", rest, 0.0
         for name, x in groups.items():
             gained, w = _cross_validated(
                 grams[name], np.stack([x[f].T @ rest[f] for f in folds]), len(rows)
             )
-            if np.all(gained > 0) and gained.sum() > best:
+            # Waves were picked out of hundreds with all folds in view.
+            chance = _PICKED * noise if name in _WAVY else 0.0
+            if np.all(gained > 0) and gained.sum() - chance > worth:
                 best, chosen = float(gained.sum()), name
+                worth = best - chance
                 fitted = np.empty_like(rest)
                 for k, f in enumerate(folds):
                     fitted[f] = x[f] @ w[k]
-        if best <= 0.002 * float(rest @ rest):
+        if worth <= 0.002 * float(rest @ rest):
             break
-        total, first = total + best, first or chosen
+        total, first = total + worth, first or chosen
         rest = rest - fitted
     return total, first
 

@@ -3,23 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, refit, shares, split
 from hybrid.diagnose.findings import alternatives, findings, fitted_effects
 from hybrid.diagnose.gap import Gap, measure_gap
+from hybrid.diagnose.grounds import another_arm, too_little, unlike
+from hybrid.diagnose.locate import locate
+from hybrid.diagnose.motion import (
+    Replay,
+    motion_shrink,
+    rollout_agrees,
+    step_warning,
+)
 from hybrid.diagnose.thresholds import Thresholds, thresholds
 from hybrid.diagnose.verify import Account, account, check
+from hybrid.diagnose.visited import not_excited
 from hybrid.effects import Effect
+from hybrid.errors import EffectError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
 Progress = Callable[[str], None]
+
+# Effects between motor and link, and of clocks: torque alone does not settle them.
+_IN_MOTION = {"elasticity", "backlash", "actuator_lag", "delay"}
 
 
 @dataclass(frozen=True)
@@ -66,14 +80,17 @@ def diagnose(
         IdentificationError: There is no recording.
         RecordingError: A recording does not fit the arm.
     """
-    return examine(
+    rng = np.random.default_rng(seed)
+    result = examine(
         robot,
         recordings,
         cutoff=cutoff,
         without=without,
         seed=seed,
         progress=progress,
-    ).diagnosis
+    )
+    result = replayed(result, rng, progress=progress)
+    return replace(result.diagnosis, advice=advise(result, rng))
 
 
 def examine(
@@ -85,7 +102,7 @@ def examine(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Result:
-    """:func:`diagnose` with everything that led to the answer."""
+    """:func:`diagnose` in torque, with everything that led to the answer."""
     tell = progress or (lambda _: None)
     rng = np.random.default_rng(seed)
     limits = thresholds()
@@ -94,12 +111,17 @@ def examine(
     learn = split(gap)
     tell("trying every effect at every joint")
     search = Search(gap, learn, without=without)
-    search.run()
+    doubts = [x for x in (too_little(gap), unlike(gap)) if x is not None]
+    if not doubts:
+        search.run()
     tell("asking what is left")
     found = account(gap, search, limits)
     named = [t for t in search.terms if check(search, t, found).passes(limits)]
+    if strange := another_arm(gap, named):
+        doubts, named = [strange], []
     kinds = [alternatives(search, t, limits) for t in named]
-    if len(named) < len(search.terms):
+    refused = len(search.terms) - len(named)
+    if refused:
         search.terms = named
         found = account(gap, search, limits)
     tell("scoring on motions that no step has seen")
@@ -108,8 +130,60 @@ def examine(
     effects = fitted_effects(named, solution, own)
     causes = findings(scored, effects, kinds, shares(scored, search, rng), rng)
     verdict, unexplained = _verdict(found, causes, limits)
-    diagnosis = _diagnosis(gap, search, found, causes, verdict, unexplained)
+    if refused and verdict == "no_gap":
+        verdict, unexplained = "unexplained", 1.0  # there is something, unlike all laws
+    if too_little(gap):
+        verdict, unexplained = "not_excited", 1.0
+    diagnosis = replace(
+        _diagnosis(gap, search, found, causes, verdict, unexplained),
+        warnings=(*gap.notes, *doubts),
+    )
+    tell("finding where the gap lies")
+    where = locate(gap, np.array(diagnosis.noise_floor), rng)
+    diagnosis = replace(diagnosis, where=where)
     return Result(diagnosis, gap, search, scored, found, effects)
+
+
+def replayed(
+    result: Result, rng: np.random.Generator, *, progress: Progress | None = None
+) -> Result:
+    """A result with the gap in motion: the simulator replayed from measured states.
+
+    Args:
+        result: A diagnosis in torque.
+        rng: Draws of the bootstrap.
+        progress: Called with what is being done.
+    """
+    if not result.effects:
+        return result
+    (progress or (lambda _: None))("replaying the simulator")
+    diagnosis, terms = result.diagnosis, result.scored.terms
+    replay, found, notes = Replay(result.scored), [], []
+    try:
+        for f in diagnosis.findings:
+            members = [k for k, t in enumerate(terms) if t.place[0] == f.effect]
+            shrink = motion_shrink(replay, members, rng)
+            if shrink is not None:
+                f = replace(f, shrink={**f.shrink, "motion": shrink})
+            found.append(f)
+            if f.effect in _IN_MOTION and any(
+                rollout_agrees(replay, k, rng) is False for k in members
+            ):
+                notes.append(
+                    f"{f.effect} explains torque, but the simulator with it does not "
+                    "move more like the arm: do not take it for the cause"
+                )
+        halved = step_warning(replay)
+    except EffectError as error:
+        notes.append(f"no replay: {error}")
+        found, halved = list(diagnosis.findings), None
+    notes += [halved] if halved else []
+    diagnosis = replace(
+        diagnosis,
+        findings=tuple(found),
+        warnings=(*diagnosis.warnings, *notes),
+    )
+    return replace(result, diagnosis=diagnosis)
 
 
 def _verdict(
@@ -133,7 +207,7 @@ def _diagnosis(
     verdict: Verdict,
     unexplained: float,
 ) -> Diagnosis:
-    rows, n = search.evidence.rows, gap.robot.size
+    rows = search.evidence.rows
     count = np.array([max(len(r), 1) for r in rows])
     squares = np.where(gap.moving, gap.left, 0.0) ** 2
     moving = np.maximum(gap.moving.sum(axis=0), 1)
@@ -152,7 +226,5 @@ def _diagnosis(
         verdict=verdict,
         unexplained=unexplained,
         background=search.off,
-        not_excited=tuple(
-            gap.robot.joints[i] for i in range(n) if len(rows[i]) < 50
-        ),
+        not_excited=not_excited(gap),
     )

@@ -172,9 +172,7 @@ class Diagnosis:
             "unexplained": self.unexplained,
             "background": self.background,
             "not_excited": list(self.not_excited),
-            "advice": [
-                {**asdict(a), "splits": list(a.splits)} for a in self.advice
-            ],
+            "advice": [{**asdict(a), "splits": list(a.splits)} for a in self.advice],
             "warnings": list(self.warnings),
             "provenance": dict(self.provenance),
         }
@@ -200,7 +198,9 @@ def _finding(f: Finding) -> dict[str, Any]:
         "joints": list(f.joints),
         "class": list(f.alternatives),
         "share": f.share,
-        "parameters": [{**asdict(p), "interval": list(p.interval)} for p in f.parameters],
+        "parameters": [
+            {**asdict(p), "interval": list(p.interval)} for p in f.parameters
+        ],
         "shrink": shrink,
         "sentence": f.sentence,
         "remedy": f.remedy,

@@ -227,10 +227,12 @@ class Evidence:
         wanted = np.concatenate([base, *blocks])
         A, b = self.normal(wanted)
         k = len(base)
-        factor = cho_factor(A[:k, :k] + np.diag(self.precision[base]))
-        across = A[:k, k:]
+        # In units of the prior, which differ by many orders of magnitude.
+        unit = 1.0 / np.sqrt(self.precision[base])
+        factor = cho_factor(np.eye(k) + unit[:, None] * A[:k, :k] * unit)
+        across = unit[:, None] * A[:k, k:]
         H = A[k:, k:] - across.T @ cho_solve(factor, across)
-        s = b[k:] - across.T @ cho_solve(factor, b[:k])
+        s = b[k:] - across.T @ cho_solve(factor, unit * b[:k])
         gains, start = np.empty(len(blocks)), 0
         for m, (block, low) in enumerate(zip(blocks, lower, strict=True)):
             own = slice(start, start + len(block))
@@ -254,21 +256,26 @@ class Evidence:
             if self._columns[i]:
                 target = where[self._owner[i]]
                 here = np.flatnonzero(target >= 0)
-                across[target[here]] += (
-                    self._columns[i][0].T @ new
-                )[here] / self.noise[i]
+                across[target[here]] += (self._columns[i][0].T @ new)[
+                    here
+                ] / self.noise[i]
         factor, b = self._factor(base)
+        across /= np.sqrt(self.precision[base])[:, None]
         H -= across.T @ cho_solve(factor, across)
         s -= across.T @ cho_solve(factor, b)
         return _log_bayes(H, s, 1.0 / np.maximum(std, 1e-12) ** 2, lower)
 
     def _factor(self, base: Index) -> tuple[tuple[Array, bool], Array]:
-        """Cholesky factor and right-hand side of some columns, kept for the next."""
+        """Cholesky factor and right-hand side of some columns, kept for the next.
+
+        Both are in units of the prior.
+        """
         key = base.tobytes() + self.noise.tobytes()
         if key != self._factored[0]:
             A, b = self.normal(base)
-            factor = cho_factor(A + np.diag(self.precision[base]))
-            self._factored = key, factor, b
+            unit = 1.0 / np.sqrt(self.precision[base])
+            factor = cho_factor(np.eye(len(base)) + unit[:, None] * A * unit)
+            self._factored = key, factor, unit * b
         return self._factored[1], self._factored[2]
 
     def estimate_noise(self, index: Index) -> None:

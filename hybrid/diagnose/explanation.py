@@ -69,7 +69,9 @@ class Explanation:
 
     def contribution(self, k: int) -> list[Array]:
         """Torque of one term at each joint, [N·m]."""
-        return [w - a for w, a in zip(self.left(self.without(k)), self.after, strict=True)]
+        return [
+            w - a for w, a in zip(self.left(self.without(k)), self.after, strict=True)
+        ]
 
     def blocks(self, i: int) -> NDArray[np.intp]:
         """Block of time of each scored sample of a joint, for resampling."""
@@ -138,7 +140,9 @@ def shares(scored: Explanation, search: Search, rng: np.random.Generator) -> Arr
                 left = _left(
                     learn,
                     score,
-                    np.concatenate([search.background, *(scored.terms[i].index for i in some)]),
+                    np.concatenate(
+                        [search.background, *(scored.terms[i].index for i in some)]
+                    ),
                     np.concatenate([scored.rigid, *(scored.own[i] for i in some)]),
                 )
                 gain[order[k]] += before - left

@@ -100,9 +100,7 @@ def findings(
                 joints=names,
                 alternatives=tuple(dict.fromkeys((effect_id, *alike))),
                 share=float(parts[members].sum()),
-                parameters=tuple(
-                    v for k in members for v in _values(gap, effects[k])
-                ),
+                parameters=tuple(v for k in members for v in _values(gap, effects[k])),
                 shrink={"torque": torque_shrink(scored, members, rng)},
                 sentence=cls.sentence.format(joints=_listed(names)),
                 remedy=cls.remedy,
@@ -126,8 +124,9 @@ def torque_shrink(
         if len(x) and np.abs(x - y).max() > 0
     ]
     main = _main_joints(without, scored.after, scored.evidence.noise, joints)
-    before, after = _block_squares(scored, without, main), _block_squares(
-        scored, scored.after, main
+    before, after = (
+        _block_squares(scored, without, main),
+        _block_squares(scored, scored.after, main),
     )
     count = sum(len(scored.after[i]) for i in main)
     removed = _removed(before.sum(), after.sum())
@@ -148,7 +147,9 @@ def _main_joints(
     without: Sequence[Array], after: Sequence[Array], noise: Array, joints: list[int]
 ) -> list[int]:
     """Joints where the fall is not a mere by-product."""
-    fall = {i: (without[i] @ without[i] - after[i] @ after[i]) / noise[i] for i in joints}
+    fall = {
+        i: (without[i] @ without[i] - after[i] @ after[i]) / noise[i] for i in joints
+    }
     most = max(fall.values(), default=0.0)
     return [i for i in joints if fall[i] > 0.05 * most] or joints
 

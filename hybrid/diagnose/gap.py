@@ -9,22 +9,27 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.diagnose.faults import Faults, find_faults
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.effect import Scale
+from hybrid.errors import RecordingError
 from hybrid.identify.data import prepare_motions
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
+from hybrid.signals.filters import filter_reach
 
 Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
 
 _STANDING = 0.01  # of the highest speed
+_SLOWEST = 0.002  # rad/s or m/s; a servo at rest seems to move as fast
 _BLOCK_SECONDS = 3.0
 _SHORTEST_BLOCK = 0.5
 _MOST_FOLDS = 8
+_FEWEST_MOVING = 0.05  # of all samples
 _SMALL = 0.01  # of the usual gain, for a derivative
 
 
@@ -45,6 +50,7 @@ class Gap:
         fold: Fold of each sample for scoring, shape (M,): one trajectory, or some
             blocks of 3 s where there are fewer than four trajectories.
         trajectory: Recording of each sample, shape (M,).
+        notes: What of the recordings is of no use, in words.
     """
 
     robot: Robot
@@ -55,6 +61,7 @@ class Gap:
     moving: NDArray[np.bool_]
     fold: NDArray[np.intp]
     trajectory: NDArray[np.intp]
+    notes: tuple[str, ...] = ()
 
     @property
     def samplers(self) -> list[Sampler]:
@@ -104,7 +111,9 @@ class Gap:
         if exact and effect.gain_values[0] == 0.0:
             # A report is of all torque, friction included: its columns are not.
             exact = effect.reports
-            small = _SMALL * effect.gains[0].scaled(self.scales[effect.joints[-1]]).typical
+            small = (
+                _SMALL * effect.gains[0].scaled(self.scales[effect.joints[-1]]).typical
+            )
             effect = effect.at({effect.gains[0].name: small}) if exact else effect
         parts = []
         for motion, body, sampler in self:
@@ -121,7 +130,9 @@ class Gap:
         """Change of the simulated torque by an effect on signals, shape (N, r)."""
         reached = list(effect.reaches(self.robot.size))
         if effect.reports:
-            return effect.report(motion.t, motion.tau[:, reached]) - motion.tau[:, reached]
+            return (
+                effect.report(motion.t, motion.tau[:, reached]) - motion.tau[:, reached]
+            )
         seen = effect.observe(motion, body)
         chain = self.robot.chain
         tau = simulated_torque(self.robot, seen, RigidBody(chain, seen))
@@ -146,10 +157,22 @@ def measure_gap(
 
     Raises:
         IdentificationError: There is no recording.
-        RecordingError: A recording does not fit the arm.
+        RecordingError: A recording does not fit the arm, or has no torque.
     """
     motions, cutoff = prepare_motions(robot, recordings, cutoff)
-    fastest = np.max([np.abs(m.v[m.mask]).max(axis=0) for m in motions], axis=0)
+    for motion in motions:
+        if not np.isfinite(motion.tau).all():
+            raise RecordingError(
+                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
+                "positions and torques"
+            )
+    faults = [_faults(x, m, cutoff) for x, m in zip(recordings, motions, strict=True)]
+    motions = [
+        replace(m, mask=m.mask & ~f.posture)
+        for m, f in zip(motions, faults, strict=True)
+    ]
+    speeds = [np.abs(m.v[m.mask]) for m in motions if m.mask.any()]
+    fastest = np.max([x.max(axis=0) for x in speeds], axis=0, initial=0.0)
     bodies = tuple(RigidBody(robot.chain, m) for m in motions)
     simulated, left, moving, fold, trajectory = [], [], [], [], []
     for r, (motion, body) in enumerate(zip(motions, bodies, strict=True)):
@@ -159,7 +182,8 @@ def measure_gap(
         simulated.append(replace(motion, tau=tau))
         v = motion.v[:: sampler.factor]
         usable = sampler.keep(motion.mask)[:, None]
-        moving.append((np.abs(v) > _STANDING * fastest) & usable)
+        usable = usable & ~faults[r].torque[:: sampler.factor]
+        moving.append((np.abs(v) > np.maximum(_STANDING * fastest, _SLOWEST)) & usable)
         trajectory.append(np.full(len(v), r))
         t = motion.t[:: sampler.factor] - motion.t[0]
         fold.append((t // block_seconds(motions)).astype(int))
@@ -172,8 +196,30 @@ def measure_gap(
         blocks = blocks % _MOST_FOLDS
     return Gap(
         robot, tuple(simulated), bodies, cutoff,
-        np.concatenate(left), np.concatenate(moving), blocks, of,
+        np.concatenate(left), _worthwhile(np.concatenate(moving)), blocks, of,
+        tuple(note for f in faults for note in f.notes),
     )  # fmt: skip
+
+
+def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Faults:
+    """Faults on the samples of a motion, and as far as the filter carries them."""
+    N, n = motion.tau.shape
+    if isinstance(recording, Motion):
+        return Faults(np.zeros(N, dtype=bool), np.zeros((N, n), dtype=bool), ())
+    found = find_faults(recording.in_order(motion.joints))
+    near = np.clip(np.searchsorted(recording.t, motion.t), 0, len(recording.t) - 1)
+    both = np.column_stack([found.posture, found.torque])[near]
+    reach = 0
+    if np.isfinite(cutoff):
+        reach = filter_reach(cutoff / motion.rate, order=5, tolerance=1e-3)
+    for column in both.T[both.any(axis=0)]:
+        column[:] = np.convolve(column, np.ones(2 * reach + 1), mode="same") > 0.5
+    return replace(found, posture=both[:, 0], torque=both[:, 1:])
+
+
+def _worthwhile(moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Without the joints that hardly move or whose torque is hardly measured."""
+    return moving & (moving.mean(axis=0) > _FEWEST_MOVING)
 
 
 def block_seconds(motions: Sequence[Motion]) -> float:

@@ -76,7 +76,8 @@ def menu(
         ("a fast random motion of all joints over most of their range",
          lambda: path(20.0, 0.8), 0.0),
         ("a random motion of all joints again when the drives are warm, after "
-         f"{_WARM / 60:.0f} minutes of work", lambda: path(20.0, 0.6), _WARM),
+         f"{_WARM / 60:.0f} minutes of work, logged by the same clock",
+         lambda: path(20.0, 0.6), _WARM),
     )  # fmt: skip
     for text, make, start in dishes:
         try:

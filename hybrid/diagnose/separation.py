@@ -19,6 +19,7 @@ from hybrid.diagnose.attribute import Search, Term
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.gap import Columns, Gap
+from hybrid.diagnose.thresholds import thresholds
 from hybrid.effects import Effect, effect_classes
 from hybrid.robot.chain import Array
 
@@ -97,31 +98,35 @@ def separation(ahead: Gap, noise: Array, first: Rival, second: Rival) -> float:
     return float(np.sqrt(min(found)))
 
 
-def separation_refitted(
-    search: Search, ahead: Gap, first: Rival, second: Rival
-) -> float:
-    """The same with all shapes fitted anew, however far that takes them.
+def contrast(search: Search, ahead: Gap, first: Rival, second: Rival) -> float:
+    """How well the recordings and a motion would tell two explanations apart.
 
     One explanation's torque is appended to the recordings, and both are fitted to all
-    of it. A law that another one has as a limit cannot be told from it if that is true.
+    of it, shapes too, however far that takes them. A law that another one has as a
+    limit cannot be told from it if it is the true one.
 
     Args:
         search: The search that both explanations come from.
         ahead: The motion.
         first: One explanation.
         second: Another one.
+
+    Returns:
+        By how much the evidence differs, whichever of them is true, over what it must
+        differ for them to be no more alike; 1 or more if they are told apart.
     """
-    found = []
+    limits, found = thresholds(), []
     for true, other in ((first, second), (second, first)):
         both = _refit_search(search, ahead, true)
         gains = []
         for rival in (true, other):
             candidate, gain = rival.candidate, -np.inf
-            for _ in range(_PASSES):
+            for _ in range(_PASSES if rival.effect.shapes else 1):
                 candidate, gain = both.refine(both.base(), candidate)
             gains.append(gain)
-        found.append(max(gains[0] - gains[1], 0.0))
-    return float(np.sqrt(2 * min(found)))
+        needed = max(limits.alike, limits.alike_share * gains[0])
+        found.append((gains[0] - gains[1]) / needed)
+    return max(min(found), 0.0)
 
 
 def _refit_search(search: Search, ahead: Gap, true: Rival) -> Search:

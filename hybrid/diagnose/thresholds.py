@@ -18,6 +18,7 @@ class Thresholds:
         alike_share: The same as a share of the evidence for either: no law is exact.
         spurious: Share of a joint's noise that the flexible regression may recover
             without any gap.
+        evident: Least squares that it must recover at a joint, in units of noise.
         complete: Least part of what is explainable at a joint that its terms explain.
         steady: Largest reduced chi-square of gains from fold to fold.
         crowded: Most terms at one joint that still make a cause.
@@ -28,6 +29,7 @@ class Thresholds:
     alike: float
     alike_share: float
     spurious: float
+    evident: float
     complete: float
     steady: float
     crowded: int

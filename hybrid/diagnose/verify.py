@@ -71,13 +71,16 @@ def account(gap: Gap, search: Search, limits: Thresholds) -> Account:
     after = evidence.squares(whole.index, whole.gains).sum(axis=1) / weight
     missed, depends = np.zeros(len(weight)), []
     for i, rows in enumerate(evidence.rows):
+        if not len(rows):
+            depends.append("")
+            continue
         left = evidence.residual(i, whole.index, whole.gains)
         # Time order: what lags needs its past.
         order = np.argsort(rows)
-        squares, of = recoverable(gap, i, left[order], rows[order])
+        squares, of = recoverable(gap, i, left[order], rows[order], weight[i])
         squares = max(0.0, squares - limits.spurious * float(left @ left))
-        missed[i] = squares / weight[i]
-        depends.append(of if squares > 0 else "")
+        missed[i] = squares / weight[i] if squares > limits.evident * weight[i] else 0.0
+        depends.append(of if missed[i] > 0 else "")
     return Account(before, after, missed, tuple(depends), after - missed)
 
 

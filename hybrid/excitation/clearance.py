@@ -63,62 +63,64 @@ class Clearance:
         touching = (every.distance(q) < margin).mean(axis=0)
         return cls(robot, capsules, every.pairs[touching < _ALWAYS], margin)
 
+    @cached_property
+    def _rows(self) -> tuple[Index, Index, Index]:
+        """First and second capsule and pair of links of each condition, shape (M,).
+
+        One condition for any two capsules: the distance of links has kinks, where
+        others of their capsules become the closest, and a solver would get stuck there.
+        """
+        link = self.capsules.link
+        rows = [
+            (first, second, k)
+            for k, (i, j) in enumerate(self.pairs)
+            for first in np.flatnonzero(link == i)
+            for second in np.flatnonzero(link == j)
+        ]
+        first, second, pair = np.array(rows, dtype=np.intp).reshape(-1, 3).T
+        return first, second, pair
+
     @property
     def names(self) -> tuple[str, ...]:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
         joints = ("base", *self.robot.joints)
         return tuple(
             f"closeness of the links of {joints[i + 1]} and {joints[j + 1]}"
-            for i, j in self.pairs
+            for i, j in self.pairs[self._rows[2]]
         )
-
-    @cached_property
-    def _members(self) -> tuple[tuple[Index, Index], ...]:
-        """Capsules of each pair, each of the first link with each of the second."""
-        found = []
-        for pair in self.pairs:
-            first, second = (np.flatnonzero(self.capsules.link == k) for k in pair)
-            grid = np.meshgrid(first, second, indexing="ij")
-            found.append((grid[0].ravel(), grid[1].ravel()))
-        return tuple(found)
 
     def distance(self, q: Array) -> Array:
         """Least distance of each pair, negative where capsules overlap, (N, K), [m]."""
-        ends = ends_in_world(self.robot.chain, self.capsules, q)
-        return np.stack(
-            [self._closest(ends, k)[0].min(axis=1) for k in range(len(self.pairs))], 1
-        )
+        pair = self._rows[2]
+        every = self._distances(q)
+        own = [every[:, pair == k].min(axis=1) for k in range(len(self.pairs))]
+        return np.stack(own, axis=1) if own else np.zeros((len(q), 0))
 
     def excess(self, path: Path) -> Array:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
-        if len(self.pairs) == 0:
-            return np.zeros((len(path.t), 0))
-        return np.asarray((self.margin - self.distance(path.q)) / _LENGTH)
+        return np.asarray((self.margin - self._distances(path.q)) / _LENGTH)
 
     def slope(self, path: Path, which: Index) -> Array:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
+        chain, capsules, q = self.robot.chain, self.capsules, path.q
+        first, second = (x[which] for x in self._rows[:2])
+        ends, rows = ends_in_world(chain, capsules, q), np.arange(len(which))
+        x, y = closest_points(ends[rows, first], ends[rows, second])
+        away = x - y
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+        change = point_change(chain, q, capsules.link[first], x, away)
+        change -= point_change(chain, q, capsules.link[second], y, away)
         out = np.zeros((len(which), 4, self.robot.size))
-        for k in np.unique(which):
-            at = np.flatnonzero(which == k)
-            q = path.q[at]
-            ends = ends_in_world(self.robot.chain, self.capsules, q)
-            distance, first, second = self._closest(ends, k)
-            rows, best = np.arange(len(at)), distance.argmin(axis=1)
-            x, y = first[rows, best], second[rows, best]
-            away = x - y
-            away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-            i, j = self.pairs[k]
-            change = point_change(self.robot.chain, q, i, x, away)
-            change -= point_change(self.robot.chain, q, j, y, away)
-            out[at, 0] = -change / _LENGTH
+        out[:, 0] = -change / _LENGTH
         return out
 
-    def _closest(self, ends: Array, k: int) -> tuple[Array, Array, Array]:
-        """Distances of a pair's capsules, (N, M), and closest points on their axes."""
-        first, second = self._members[k]
+    def _distances(self, q: Array) -> Array:
+        """Distance of the two capsules of each condition, shape (N, M), [m]."""
+        first, second, _ = self._rows
+        ends = ends_in_world(self.robot.chain, self.capsules, q)
         x, y = closest_points(ends[:, first], ends[:, second])
         radius = self.capsules.radius[first] + self.capsules.radius[second]
-        return np.linalg.norm(x - y, axis=2) - radius, x, y
+        return np.asarray(np.linalg.norm(x - y, axis=2) - radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,25 +235,25 @@ def ends_in_world(chain: Chain, capsules: Capsules, q: Array) -> Array:
 
 
 def point_change(
-    chain: Chain, q: Array, link: int, point: Array, direction: Array
+    chain: Chain, q: Array, link: Index | int, point: Array, direction: Array
 ) -> Array:
-    """Derivative by the joints of a link's point along a direction, shape (N, n).
+    """Derivative by the joints of links' points along a direction, shape (N, n).
 
     Args:
         chain: The arm.
         q: Positions, shape (N, n), [rad].
-        link: The link, −1 for the base.
+        link: The link, −1 for the base, one for all or shape (N,).
         point: Where the point is in the base frame, shape (N, 3), [m].
         direction: Direction in the base frame, shape (N, 3).
     """
     out = np.zeros_like(q)
     _, origin, axis = frames(chain, q)
-    for j in range(link + 1):
+    for j in range(chain.size):
         if chain.revolute[j]:
             moved = np.cross(axis[j], point - origin[j])
         else:
             moved = axis[j]
-        out[:, j] = (moved * direction).sum(axis=1)
+        out[:, j] = (moved * direction).sum(axis=1) * (j <= np.asarray(link))
     return out
 
 

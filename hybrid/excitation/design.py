@@ -16,7 +16,7 @@ from hybrid.excitation.constraints import (
     MotionLimits,
     TorqueLimits,
 )
-from hybrid.excitation.criteria import Condition, Criterion, condition, normalised
+from hybrid.excitation.criteria import Criterion, DOptimal, condition, normalised
 from hybrid.excitation.observation import Observation
 from hybrid.excitation.path import Family, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
@@ -155,7 +155,8 @@ def design(
         observation: What is to be identified, see :func:`observe`.
         family: Motions to choose from.
         rng: Source of the starts.
-        criterion: What makes a motion good; the condition number by default.
+        criterion: What makes a motion good; by default the volume of the confidence
+            ellipsoid, which depends on no units and rewards large motions too.
         limits: Limits of the joints; 80 % of the robot file's by default.
         constraints: What is to be kept besides, e.g. a distance between links.
         trajectories: Number of motions.
@@ -177,7 +178,7 @@ def design(
     )
     b = observation.size
     total = np.zeros((b, b)) if known is None else np.asarray(known, dtype=float)
-    measure = Condition() if criterion is None else criterion
+    measure = DOptimal() if criterion is None else criterion
     found: list[Trajectory] = []
     grams: list[Array] = []
     worst: dict[str, float] = {}

@@ -176,7 +176,7 @@ class MotionProgram:
     def impossible(self) -> tuple[str, ...]:
         """Conditions that no posture keeps, out of some hundred random ones."""
         still = self._postures(np.random.default_rng(0), _POSTURES)
-        return tuple(
+        found = [
             name
             for constraint in self.constraints
             if not constraint.is_linear
@@ -184,18 +184,18 @@ class MotionProgram:
                 constraint.names, constraint.excess(still).min(axis=0), strict=True
             )
             if least > 0
-        )
+        ]
+        return tuple(dict.fromkeys(found))  # a name may stand for several conditions
 
     def verified(self, x: Array) -> dict[str, float]:
         """Largest excess of each condition on the fine grid, without the margin."""
         path = self.fine.path(self.coefficients(x))
-        return {
-            name: float(worst)
-            for constraint in self.constraints
-            for name, worst in zip(
-                constraint.names, constraint.excess(path).max(axis=0), strict=True
-            )
-        }
+        found: dict[str, float] = {}
+        for constraint in self.constraints:
+            worst = constraint.excess(path).max(axis=0, initial=-np.inf)
+            for name, excess in zip(constraint.names, worst, strict=True):
+                found[name] = max(float(excess), found.get(name, -np.inf))
+        return found
 
 
 def _peaks(x: Array) -> NDArray[np.bool_]:

@@ -56,14 +56,14 @@ static inline {p}_real {p}_gmr_at(const {p}_gmr *g, const {p}_real *x,
     mean = {P}_M(fmax)(-g->bound, {P}_M(fmin)(mean / total, g->bound));
     for (k = 0; k < g->components; k++) {{
         const {p}_real off = output[k] - mean;
-        spread += distance[k] / total * (g->variance[k] + off * off);
+        spread += distance[k] * (g->variance[k] + off * off);
     }}
     nearest -= {P}_R(2) * {P}_M(log)(near);
     trust = (g->fade_end - nearest) / (g->fade_end - g->fade_start);
     trust = {P}_M(fmax)(0, {P}_M(fmin)(trust, 1));
     trust *= trust * ({P}_R(3) - {P}_R(2) * trust);
     doubt = {P}_R(1) - trust;
-    *variance = trust * (spread + doubt * mean * mean) + doubt * g->prior;
+    *variance = trust * (spread / total + doubt * mean * mean) + doubt * g->prior;
     return trust * mean;
 }}
 """

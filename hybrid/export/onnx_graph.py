@@ -130,7 +130,6 @@ def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
 def _operations(graph: Graph, program: Program) -> dict[int, str]:
     """A node for each line of the tape, shape (N, 1); their names."""
     names: dict[int, str] = {}
-    one = graph.constant([1.0])
     for line in program.tape.needed(program.results):
         operation = program.tape.lines[line]
         if operation.name == "input":
@@ -145,7 +144,7 @@ def _operations(graph: Graph, program: Program) -> dict[int, str]:
             for x in operation.arguments
         ]
         if operation.name == "where":
-            given[0] = graph.node("Equal", given[0], one)
+            given[0] = graph.node("Greater", given[0], graph.constant([0.5]))
         result = graph.node(_NAMES[operation.name], *given)
         if operation.name in ("less", "less_equal", "greater", "greater_equal"):
             from onnx import TensorProto

@@ -1,0 +1,65 @@
+"""Models of the arm of ``compensation.py``: nominal, fitted, with diagnosed effects.
+
+It prints nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Sequence
+
+from coman import ROOT
+from compensation import nominal_model
+
+from hybrid import DynamicModel, Effect, Recording, Robot, identify, simulate
+from hybrid.diagnose.diagnose import examine
+from hybrid.effects import effect_from_dict
+from hybrid.errors import HybridWarning
+from hybrid.files import write_json
+from hybrid.plant import Plant
+from hybrid.report import write_results
+
+REPORT = ROOT / "reports" / "compensation_in_the_loop"
+KEPT = REPORT / "diagnosed.json"
+# Effects that the three stages fit by themselves, or have a law in place of.
+IN_STAGES = (
+    "armature", "torque_offset", "coulomb", "viscous", "threshold_friction",
+    "load_friction", "torque_ripple", "stribeck", "nonlinear_viscous",
+    "asymmetric_friction", "improved_stribeck", "presliding", "link_inertia",
+)  # fmt: skip
+
+
+def diagnosed_effects(robot: Robot, plant: Plant) -> list[Effect]:
+    """What a diagnosis names on logs of its own, and the stages do not fit anyway.
+
+    An arm is diagnosed once; later fits find the gains anew. It takes minutes, so that
+    the answer is kept beside the results; delete that file to diagnose again.
+    """
+    if KEPT.exists():
+        content = json.loads(KEPT.read_text("utf-8"))
+        return [effect_from_dict(item, robot.joints) for item in content]
+    logs = simulate(plant, trajectories=3, duration=8.0, seed=1000)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HybridWarning)
+        named = examine(robot, logs).effects
+    new = [e for e in named if e.id not in IN_STAGES and not e.not_in_loop]
+    write_results(KEPT.with_name("named.json"), {"named": [e.id for e in named]})
+    write_json(KEPT, [effect.as_dict(robot.joints) for effect in new])
+    return new
+
+
+def fitted_models(
+    robot: Robot, logs: Sequence[Recording], named: Sequence[Effect]
+) -> dict[str, DynamicModel]:
+    """Nominal, plain least squares, three stages, and these with diagnosed effects."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HybridWarning)
+        three = identify(robot, logs).model
+        diagnosed = identify(robot, logs, effects=named).model
+    return {
+        "nominal": nominal_model(robot),
+        "plain LS": three.simpler["LS"],
+        "three stages": three,
+        "+ diagnosed": diagnosed,
+    }

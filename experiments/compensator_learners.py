@@ -1,0 +1,67 @@
+"""Learners of what physics leaves at a joint, and one protocol to score them.
+
+Shared by the experiment ``compensators.py``; it prints nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from hybrid import DynamicModel, Recording
+from hybrid.compensator import (
+    GaussianMixtureRegression,
+    NetworkRegression,
+    RandomFeatureRegression,
+    SymmetricRegression,
+)
+from hybrid.signals import motion_from_recording
+
+EVERY, HISTORY = 5, 16  # samples
+mixture = partial(GaussianMixtureRegression.fit, components=12)
+odd = partial(SymmetricRegression.fit, signs=[1.0, -1.0], parity=-1.0)
+LEARNERS: dict[str, tuple[Callable[..., Any], int]] = {
+    "mixture, full": (mixture, 1),
+    "mixture, diagonal": (partial(mixture, structure="diagonal"), 1),
+    "mixture, low rank": (partial(mixture, structure="low_rank", rank=1), 1),
+    "mixture, odd in speed": (partial(odd, learn=mixture), 1),
+    "perceptron": (NetworkRegression.fit, 1),
+    "temporal convolution": (partial(NetworkRegression.fit, history=HISTORY), HISTORY),
+    "random features": (RandomFeatureRegression.fit, 1),
+}
+COLUMNS = ("error", "90 %", "train s", "µs alone", "µs batch", "numbers")
+
+
+def samples(
+    model: DynamicModel, logs: list[Recording], joint: int, history: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position and speed of a joint, with their past, and what the model leaves."""
+    x, y = [], []
+    for log in logs:
+        m = motion_from_recording(log, cutoff=model.cutoff)
+        state = np.stack([m.q[:, joint], m.v[:, joint]], axis=1)
+        rows = np.flatnonzero(m.mask)[HISTORY * EVERY :: EVERY]
+        past = rows[:, None] - EVERY * np.arange(history)[::-1]
+        x.append(state[past].reshape(len(rows), -1))
+        y.append((m.tau - model.predict(m))[rows, joint, None])
+    return np.concatenate(x), np.concatenate(y)
+
+
+def score(learn: Callable[..., Any], train: Any, test: Any) -> list[float]:
+    """The columns of the table, one learner at one joint."""
+    start = time.process_time()
+    model = learn(*train)
+    spent = [time.process_time() - start]
+    x, y = test
+    for rows, repeats in ((x[:1], 30), (x, 3)):
+        start = time.process_time()
+        for _ in range(repeats):
+            mean, variance = model.predict_distribution(rows)
+        spent.append(1e6 * (time.process_time() - start) / repeats / len(rows))
+    inside = np.mean(np.abs(y - mean) < 1.645 * np.sqrt(variance))
+    error = np.sqrt(np.mean((y - mean) ** 2) / np.mean(y**2))
+    return [error, inside, *spent, sum(a.size for a in model.arrays().values())]

@@ -1,0 +1,93 @@
+"""Samples of a recording that are no measurement: frozen or saturated channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.recording import Recording
+from hybrid.robot.chain import Array
+
+_LONGEST_REPEAT = 0.2  # s; quantised torque repeats for less while an arm moves
+_FEWEST = 10  # samples
+_SHARE = 0.01  # of a log, at its extreme value: a peak is a sample or two
+_JUMP = 5.0  # times the usual step, by which a frozen encoder is left
+
+
+@dataclass(frozen=True, eq=False)
+class Faults:
+    """What of a recording cannot be used.
+
+    Attributes:
+        posture: Samples whose positions are wrong, shape (N,): of no use to any joint.
+        torque: Samples whose torque is wrong, shape (N, n).
+        notes: The same in words.
+    """
+
+    posture: NDArray[np.bool_]
+    torque: NDArray[np.bool_]
+    notes: tuple[str, ...]
+
+
+def find_faults(recording: Recording) -> Faults:
+    """Samples where a channel repeats one value, though the arm moves."""
+    q, tau, t = recording.q, recording.tau, recording.t
+    least = max(_FEWEST, round(_LONGEST_REPEAT / float(np.median(np.diff(t)))))
+    notes = []
+    posture, torque = np.zeros(len(t), dtype=bool), np.zeros(tau.shape, dtype=bool)
+    for j, name in enumerate(recording.joints):
+        frozen = _frozen(q[:, j], least)
+        if frozen.any():
+            posture |= frozen
+            notes.append(f"position of {name} is frozen for {frozen.mean():.0%}")
+        stuck = _moving(q, _runs(tau[:, j], least))
+        clipped = _clipped(tau[:, j])
+        for bad, word in ((stuck & ~clipped, "frozen"), (clipped, "saturated")):
+            if bad.any():
+                torque[:, j] |= bad
+                notes.append(f"torque of {name} is {word} for {bad.mean():.0%}")
+    place = f"{recording.source}: " if recording.source else ""
+    return Faults(posture, torque, tuple(place + note for note in notes))
+
+
+def _runs(x: Array, least: int) -> NDArray[np.bool_]:
+    """Samples within runs of equal values that are at least so long."""
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(x)) + 1, [len(x)]])
+    lengths = np.diff(starts)
+    return np.repeat(lengths >= least, lengths)
+
+
+def _moving(q: Array, runs: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Those of some runs during which the arm moves."""
+    moved = np.any(np.diff(q, axis=0, prepend=q[:1]) != 0, axis=1)
+    kept = np.zeros_like(runs)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], runs, [False]])))
+    for first, last in edges.reshape(-1, 2):
+        kept[first:last] = moved[first:last].mean() > 0.5
+    return kept
+
+
+def _frozen(q: Array, least: int) -> NDArray[np.bool_]:
+    """Runs of one position that a joint enters or leaves by a jump."""
+    runs, steps = _runs(q, least), np.abs(np.diff(q))
+    usual = np.quantile(steps, 0.99)
+    frozen = np.zeros_like(runs)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], runs, [False]])))
+    for first, last in edges.reshape(-1, 2):
+        ends = steps[[k for k in (first - 1, last - 1) if 0 <= k < len(steps)]]
+        before = steps[max(0, first - 6) : max(0, first - 1)]
+        sudden = before.size > 0 and before.min() > 0.1 * usual
+        frozen[first:last] = sudden or np.any(ends > _JUMP * usual)
+    return frozen
+
+
+def _clipped(x: Array) -> NDArray[np.bool_]:
+    """Samples at an extreme value that is held again and again."""
+    clipped = np.zeros(len(x), dtype=bool)
+    for limit in (x.min(), x.max()):
+        at = x == limit
+        if at.mean() > _SHARE and (at[1:] & at[:-1]).sum() > 0.5 * at.sum():
+            clipped |= at
+    return clipped
