@@ -9,6 +9,7 @@ import json
 import warnings
 from collections.abc import Sequence
 
+import numpy as np
 from coman import ROOT
 from compensation import nominal_model
 
@@ -38,7 +39,8 @@ def diagnosed_effects(robot: Robot, plant: Plant) -> list[Effect]:
     """
     if KEPT.exists():
         content = json.loads(KEPT.read_text("utf-8"))
-        return [effect_from_dict(item, robot.joints) for item in content]
+        kept = [effect_from_dict(item, robot.joints) for item in content]
+        return [effect for effect in kept if not _at_bound(effect)]
     logs = simulate(plant, trajectories=3, duration=8.0, seed=1000)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
@@ -46,7 +48,16 @@ def diagnosed_effects(robot: Robot, plant: Plant) -> list[Effect]:
     new = [e for e in named if e.id not in IN_STAGES and not e.not_in_loop]
     write_results(KEPT.with_name("named.json"), {"named": [e.id for e in named]})
     write_json(KEPT, [effect.as_dict(robot.joints) for effect in new])
-    return new
+    return [effect for effect in new if not _at_bound(effect)]
+
+
+def _at_bound(effect: Effect) -> bool:
+    """Whether a shape ended at a bound, where gains cannot be told apart."""
+    return any(
+        np.isclose(effect.values[s.name], bound, rtol=1e-3)
+        for s in effect.shapes
+        for bound in (s.lower, s.upper)
+    )
 
 
 def fitted_models(

@@ -181,6 +181,12 @@ def test_an_effect_that_would_have_to_be_absurd_is_not_made(rig):
     assert rig.scaled(gain, 1e4) is None
 
 
+def test_an_effect_of_the_command_is_drawn_though_it_leaves_no_trace(rig):
+    name = command_effects()[0]
+    effect = draw(name, rig, None, np.random.default_rng(0))
+    assert effect is not None and effect.id == name
+
+
 def test_friction_never_pushes_and_no_link_is_heavier_by_itself(rig):
     classes, friction = effect_classes(), rig.robot.frictionloss[0]
     uneven = classes["asymmetric_friction"]((0,), {"level": 0.9 * friction})

@@ -66,6 +66,9 @@ def draw(
 
 
 def _felt(effect: Effect, rig: Rig) -> bool:
+    """Whether it can be found; one between command and torque shows elsewhere."""
+    if effect.port is Port.COMMAND:
+        return True
     try:
         return float(rig.sizes(effect).max()) >= _SMALLEST
     except HybridError:  # the plant swings up

@@ -23,7 +23,7 @@ from hybrid.benchmark.independent import INDEPENDENT
 from hybrid.benchmark.robots import load_arm, off_by
 from hybrid.benchmark.size import Rig
 from hybrid.benchmark.strangers import STRANGERS
-from hybrid.effects import Effect
+from hybrid.effects import Effect, effect_classes
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.files import write_json
 from hybrid.plant import Noise, Plant, Reference, random_fourier
@@ -139,15 +139,16 @@ def _effects(
     """The effects, and the ids of those that could not have their size."""
     effects: list[Effect] = []
     skipped: list[str] = []
+    library = torque_effects()
+    others = [x for x in library if x not in recipe.names]
     for name, size in zip(recipe.names, recipe.sizes, strict=True):
-        others = [x for x in torque_effects() if x not in recipe.names]
-        spare = rng.permutation(others)[:_PARTNERS].tolist()
-        if name in STRANGERS or name in INDEPENDENT:
-            spare = []
+        # Another effect takes the place of one that no joint can have.
+        spare = rng.permutation(others)[:_PARTNERS].tolist() if name in library else []
         for tried in (name, *spare):
             found = draw(tried, rig, size, rng)
             if found is not None:
                 effects.append(found)
+                others = [x for x in others if x != tried]
                 break
             skipped.append(tried)
         else:
@@ -174,7 +175,7 @@ def _described(effect: Effect, rig: Rig, robot: Robot) -> dict[str, Any]:
         sizes = rig.sizes(effect).tolist()
     except HybridError:
         sizes = []
-    means = effect.id if effect.id in torque_effects() else ""
+    means = effect.id if effect.id in effect_classes() else ""
     return {
         **effect.as_dict(robot.joints),
         "means": getattr(effect, "means", means),

@@ -9,9 +9,10 @@ from typing import Any
 # Effects that a recording of a moving arm splits badly or not at all, and why. Only
 # where the true effect is left out of the library may another be named instead.
 EQUIVALENT: Mapping[str, frozenset[str]] = {
-    # The same columns.
+    # The same columns; a rotor's are those of the first link.
     "payload": frozenset({"link_inertia"}),
-    "link_inertia": frozenset({"payload"}),
+    "link_inertia": frozenset({"payload", "armature"}),
+    "armature": frozenset({"link_inertia"}),
     "delay": frozenset({"actuator_lag"}),
     "actuator_lag": frozenset({"delay"}),
     # The same while the joint moves; a spring's preload is an offset.
@@ -22,6 +23,7 @@ EQUIVALENT: Mapping[str, frozenset[str]] = {
     "presliding": frozenset({"coulomb"}),
     "viscous": frozenset({"thermal_friction"}),
     "thermal_friction": frozenset({"viscous"}),
+    "torque_gain": frozenset({"saturation"}),
     "spring": frozenset({"counterbalance", "torque_ripple"}),
     "counterbalance": frozenset({"spring", "torque_ripple"}),
 }

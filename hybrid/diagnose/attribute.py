@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize, minimize_scalar
 
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate, candidate, candidates, scale_of
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.diagnose.ripples import ripple_orders
+from hybrid.diagnose.shapes import fit_shapes, price
 from hybrid.effects import Effect
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.robot.chain import Array
 
 _WORTH = 12.0  # nats that a term must add
 _RIPPLES = 3  # orders tried at each joint at a time
@@ -24,8 +23,6 @@ _SHORTLIST = 4
 _MOST_TERMS = 40
 _EXACT_PASSES = 4
 _NEAR = 10.0
-_PRICE = 2.0  # of choosing one shape; the logarithm of how many differ in effect
-_SHAPE_PRICE = {"torque_ripple": 6.0}  # of several hundred orders
 # Sizes of the background that are tried: one standard deviation, relative.
 _OFF = (0.003, 0.01, 0.03)
 
@@ -110,7 +107,8 @@ class Search:
         return np.concatenate([self.background, *parts])
 
     def _take(self, found: Sequence[Candidate]) -> None:
-        blocks, kept = [], []
+        blocks: list[Columns] = []
+        kept: list[Candidate] = []
         for c in found:
             columns = self.gap.columns(c.effect)
             if blocks and kept[-1].place == c.place and same(columns, blocks[-1]):
@@ -278,72 +276,6 @@ class Search:
                 self.terms.append(self._term(alone))
                 return True
         return False
-
-
-def price(effect: Effect) -> float:
-    """Evidence that the choice of an effect's shapes has to pay for, [nat]."""
-    return _SHAPE_PRICE.get(effect.id, _PRICE * len(effect.shapes))
-
-
-def fit_shapes(
-    effect: Effect, gain: Callable[[Effect], float], gap: Gap
-) -> tuple[Effect, float]:
-    """Maximise a function of an effect over its shapes, near the given ones.
-
-    Args:
-        effect: The effect with the shapes to start from.
-        gain: What to maximise.
-        gap: For the bounds of the shapes.
-    """
-    scale = gap.scales[effect.joints[-1]]
-    shapes = [s.scaled(scale) for s in effect.shapes]
-    if not shapes:
-        return effect, gain(effect)
-    wide = [s.lower > 0 and s.upper > 8 * s.lower for s in shapes]
-    low = np.array([np.log(s.lower) if w else s.lower for s, w in zip(shapes, wide)])
-    high = np.array([np.log(s.upper) if w else s.upper for s, w in zip(shapes, wide)])
-    span = high - low
-
-    def at(x: Array) -> Effect:
-        raw = low + np.clip(x, 0.0, 1.0) * span
-        values = [np.exp(y) if w else y for y, w in zip(raw, wide)]
-        clipped = np.clip(values, [s.lower for s in shapes], [s.upper for s in shapes])
-        names = [s.name for s in shapes]
-        return effect.at(dict(zip(names, map(float, clipped), strict=True)))
-
-    start = np.array(
-        [
-            ((np.log(effect.values[s.name]) if w else effect.values[s.name]) - lo) / d
-            for s, w, lo, d in zip(shapes, wide, low, span, strict=True)
-        ]
-    )
-    reach = 0.5 / effect.values["periods"] if effect.id == TorqueRipple.id else 0.2
-    if len(shapes) == 1:
-        if effect.id == TorqueRipple.id:
-            reach = reach / span[0]
-        found = minimize_scalar(
-            lambda x: -gain(at(np.array([x]))),
-            bounds=(max(0.0, start[0] - reach), min(1.0, start[0] + reach)),
-            method="bounded",
-            options={"xatol": 1e-3 * reach * 5, "maxiter": 16},
-        )
-        return at(np.array([found.x])), -float(found.fun)
-    simplex = np.vstack([start, start + reach * np.eye(len(start)) / 2])
-    simplex = np.clip(simplex, 0.0, 1.0)
-    simplex[1:] -= reach * np.eye(len(start)) * (simplex[1:] == start)
-    found = minimize(
-        lambda x: -gain(at(x)),
-        start,
-        method="Nelder-Mead",
-        bounds=[(0.0, 1.0)] * len(start),
-        options={
-            "initial_simplex": simplex,
-            "maxfev": 40,
-            "xatol": 0.005,
-            "fatol": 0.1,
-        },
-    )
-    return at(found.x), -float(found.fun)
 
 
 def same(a: Columns, b: Columns) -> bool:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hybrid.diagnose.gap import Columns, Gap
+from hybrid.effects.armature import Armature
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.viscous import Viscous
 from hybrid.robot.chain import Array
 from hybrid.robot.spatial import central_inertia
 
@@ -14,12 +17,12 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
 
     Returns:
         A block of ten columns for each link, one for each declared armature, damping
-        and friction loss; and the size of each number, of which it may be a few per cent off.
+        and friction loss; and the size of each number: it may be a few per cent off.
     """
     robot = gap.robot
     n = robot.size
     full: list[Array] = []
-    for motion, body, sampler in gap:
+    for _, body, sampler in gap:
         columns = body.columns  # (N, n, 10n)
         rows = [sampler(columns[:, i]) for i in range(n)]
         full.append(np.stack(rows, axis=1))
@@ -29,15 +32,13 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
         {i: stacked[:, i, 10 * k : 10 * k + 10] for i in range(k + 1)} for k in range(n)
     ]
     sizes: list[Array] = list(std)
-    declared = zip(
-        (robot.chain.armature, robot.damping, robot.frictionloss),
-        (lambda m: m.a, lambda m: m.v, lambda m: np.sign(m.v)),
-        strict=True,
-    )
-    for value, signal in declared:
+    for value, effect in (
+        (robot.chain.armature, Armature),
+        (robot.damping, Viscous),
+        (robot.frictionloss, Coulomb),
+    ):
         for j in np.flatnonzero(value):
-            parts = [s(signal(m)[:, j : j + 1]) for m, _, s in gap]
-            blocks.append({int(j): np.concatenate(parts)})
+            blocks.append(gap.columns(effect((int(j),))))
             sizes.append(np.array([value[j]]))
     return blocks, sizes
 

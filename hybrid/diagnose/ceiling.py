@@ -152,7 +152,8 @@ def _hats(x: Array, count: int) -> Array:
     """Linear hat functions over the range of x, shape (M, count)."""
     low, high = np.quantile(x, [0.002, 0.998])
     place = np.clip((x - low) / max(high - low, 1e-12), 0.0, 1.0) * (count - 1)
-    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(count)))
+    hats = 1.0 - np.abs(place[:, None] - np.arange(count))
+    return np.asarray(np.maximum(hats, 0.0))
 
 
 def _products(a: Array, b: Array) -> Array:

@@ -219,7 +219,7 @@ def _diagnosis(
         robot=gap.robot.name,
         joints=gap.robot.joints,
         rms=tuple(map(float, rms)),
-        relative=tuple(float(a / b) if b > 0 else 0.0 for a, b in zip(rms, size)),
+        relative=tuple(map(float, rms / np.where(size > 0, size, np.inf))),
         noise_floor=tuple(map(float, floor)),
         where=(),
         findings=tuple(effects),

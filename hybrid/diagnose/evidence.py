@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from hybrid.diagnose.bayes import log_bayes, memory
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.robot.chain import Array
 
@@ -180,7 +181,7 @@ class Evidence:
         return Solution(index, gains, spread, float(0.5 * b @ gains - occam))
 
     def held_out(self, index: Index) -> Array:
-        """Squares left on each fold by gains from the others, in units of noise (F,)."""
+        """Squares left on each fold by gains from the others, shape (F,), in noise."""
         folds = np.arange(len(self.folds))
         gains = [self.solve(index, np.delete(folds, f)).gains for f in folds]
         return self.squares(index, np.stack(gains)).T @ (1.0 / self.noise)
@@ -203,7 +204,7 @@ class Evidence:
             gram = self._gram[i][:, here[:, None], here]
             out[i] += np.einsum("fk,fkl,fl->f", g, gram, g)
             out[i] -= 2 * np.einsum("fk,fk->f", g, self._moment[i][:, here])
-        return out
+        return np.asarray(out)
 
     def residual(self, i: int, index: Index, gains: Array) -> Array:
         """What gains leave of the gap at a joint, in the order of ``rows[i]``."""
@@ -237,7 +238,7 @@ class Evidence:
         for m, (block, low) in enumerate(zip(blocks, lower, strict=True)):
             own = slice(start, start + len(block))
             start += len(block)
-            gains[m], _ = _log_bayes(H[own, own], s[own], self.precision[block], low)
+            gains[m], _ = log_bayes(H[own, own], s[own], self.precision[block], low)
         return gains
 
     def trial(
@@ -263,7 +264,7 @@ class Evidence:
         across /= np.sqrt(self.precision[base])[:, None]
         H -= across.T @ cho_solve(factor, across)
         s -= across.T @ cho_solve(factor, b)
-        return _log_bayes(H, s, 1.0 / np.maximum(std, 1e-12) ** 2, lower)
+        return log_bayes(H, s, 1.0 / np.maximum(std, 1e-12) ** 2, lower)
 
     def _factor(self, base: Index) -> tuple[tuple[Array, bool], Array]:
         """Cholesky factor and right-hand side of some columns, kept for the next.
@@ -291,7 +292,7 @@ class Evidence:
             variance, weights = self._flexible(i, here)
             rest = self._left[i] - self._columns[i][0][:, here] @ weights
             back = np.argsort(row)
-            self.noise[i] = max(variance, 1e-12) * _memory(rest[back], row[back])
+            self.noise[i] = max(variance, 1e-12) * memory(rest[back], row[back])
 
     def _flexible(self, i: int, here: Index) -> tuple[float, Array]:
         """Ridge regression of a joint's gap on many columns.
@@ -311,40 +312,3 @@ class Evidence:
             if left < best:
                 best, weights = left, np.linalg.solve(A + ridge, b) / size
         return (self.power[i].sum() + best) / len(self.rows[i]), weights
-
-
-def _memory(x: Array, row: Index) -> float:
-    """Integrated autocorrelation of a residual: samples for an independent one."""
-    power = x @ x
-    if power == 0 or len(x) < 8:
-        return 1.0
-    full = np.zeros(row[-1] - row[0] + 1)
-    full[row - row[0]] = x
-    seen = np.zeros(len(full))
-    seen[row - row[0]] = 1.0
-    size = 1 << int(np.ceil(np.log2(2 * len(full))))
-    lagged = np.fft.irfft(np.abs(np.fft.rfft(full, size)) ** 2, size)[: len(full) // 2]
-    pairs = np.fft.irfft(np.abs(np.fft.rfft(seen, size)) ** 2, size)[: len(full) // 2]
-    correlation = lagged / np.maximum(pairs, 1.0) / (power / len(x))
-    # Geyer: sum pairs of lags while they are positive.
-    even = correlation[: len(correlation) // 2 * 2].reshape(-1, 2).sum(axis=1)
-    stop = int(np.argmax(even < 0)) if np.any(even < 0) else len(even)
-    return float(max(1.0, 2 * even[:stop].sum() - 1.0))
-
-
-def _log_bayes(
-    H: Array, s: Array, precision: Array, lower: Array
-) -> tuple[float, Array]:
-    """Log Bayes factor and gains with a Gaussian prior, cut at their lower bounds."""
-    unit = 1.0 / np.sqrt(precision)
-    A = np.eye(len(s)) + unit[:, None] * H * unit
-    b = unit * s
-    x = np.linalg.solve(A, b)
-    if np.any(x < lower * np.sqrt(precision)):
-        free = x >= lower * np.sqrt(precision)
-        x = np.zeros_like(x)
-        if free.any():
-            x[free] = np.linalg.solve(A[np.ix_(free, free)], b[free])
-            x = np.maximum(x, lower * np.sqrt(precision))
-    _, occam = np.linalg.slogdet(A)
-    return float(b @ x - 0.5 * x @ A @ x - 0.5 * occam), unit * x

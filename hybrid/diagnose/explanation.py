@@ -1,4 +1,4 @@
-"""The terms that explain a gap, fitted together and scored on samples they never saw."""
+"""The terms that explain a gap, fitted together and scored on unseen samples."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def shares(scored: Explanation, search: Search, rng: np.random.Generator) -> Arr
                 )
                 gain[order[k]] += before - left
     gain = np.maximum(gain, 0.0)  # some only help beside others
-    return gain / max(gain.sum(), 1e-300)
+    return np.asarray(gain / max(gain.sum(), 1e-300))
 
 
 def _left(learn: Evidence, score: Evidence, fit: Index, same: Index) -> float:

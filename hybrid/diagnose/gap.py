@@ -219,7 +219,7 @@ def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Fau
 
 def _worthwhile(moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Without the joints that hardly move or whose torque is hardly measured."""
-    return moving & (moving.mean(axis=0) > _FEWEST_MOVING)
+    return np.asarray(moving & (moving.mean(axis=0) > _FEWEST_MOVING))
 
 
 def block_seconds(motions: Sequence[Motion]) -> float:

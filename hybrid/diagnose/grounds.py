@@ -42,8 +42,9 @@ def unlike(gap: Gap) -> str | None:
     if np.sum(left**2) <= np.sum(measured**2):
         return None
     return (
-        "the torque that the simulator needs is farther from the measured one than none "
-        "at all: is it the file of this robot, and torque in N·m, positions in radians?"
+        "the torque that the simulator needs is farther from the measured one than "
+        "none at all: is it the file of this robot? is torque in N·m, and position in "
+        "radians?"
     )
 
 

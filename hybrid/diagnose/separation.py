@@ -24,7 +24,6 @@ from hybrid.effects import Effect, effect_classes
 from hybrid.robot.chain import Array
 
 _NUDGE = 0.02  # of the range of a shape
-_PASSES = 3  # each goes a fifth of a shape's range
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,15 +117,18 @@ def contrast(search: Search, ahead: Gap, first: Rival, second: Rival) -> float:
     limits, found = thresholds(), []
     for true, other in ((first, second), (second, first)):
         both = _refit_search(search, ahead, true)
-        gains = []
-        for rival in (true, other):
-            candidate, gain = rival.candidate, -np.inf
-            for _ in range(_PASSES if rival.effect.shapes else 1):
-                candidate, gain = both.refine(both.base(), candidate)
-            gains.append(gain)
+        gains = [_gain(search, both, rival.candidate) for rival in (true, other)]
         needed = max(limits.alike, limits.alike_share * gains[0])
         found.append((gains[0] - gains[1]) / needed)
     return max(min(found), 0.0)
+
+
+def _gain(search: Search, both: Search, candidate: Candidate) -> float:
+    """Evidence of an effect on all data, from the best of all shapes tried, [nat]."""
+    same = [t.candidate for t in search.tried if t.place == candidate.place]
+    base = both.base()
+    start = max([candidate, *same], key=lambda c: both.gain(base, c))
+    return both.refine(base, start)[1]
 
 
 def _refit_search(search: Search, ahead: Gap, true: Rival) -> Search:

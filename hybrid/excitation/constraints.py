@@ -82,6 +82,12 @@ class Limits:
         if not np.isfinite([self.low, self.high, self.speed]).all():
             raise ExcitationError("limits: positions and speeds must be finite")
 
+    @property
+    def usable_acceleration(self) -> Array:
+        """Highest acceleration, a usual one where anything is allowed, (n,)."""
+        limited = np.isfinite(self.acceleration)
+        return np.where(limited, self.acceleration, DEFAULT_ACCELERATION)
+
     @classmethod
     def of(cls, robot: Robot, *, fill: float = 0.8, jerk: float = np.inf) -> Limits:
         """A part of what a robot file states, about the middle of each range.

@@ -8,43 +8,21 @@ speeds tells inertia from friction from gravity.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import BPoly
 
 from hybrid.errors import ExcitationError
 from hybrid.excitation.constraints import Limits, MotionLimits, TorqueLimits
+from hybrid.excitation.knots import Walk
 from hybrid.excitation.path import Path, uniform
-from hybrid.plant.reference import DEFAULT_ACCELERATION, Reference
+from hybrid.plant.reference import Reference
 from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 _PAUSE = 0.5  # s, at rest between two parts of an experiment
-_QUINTIC_SPEED, _QUINTIC_ACCELERATION = 1.875, 5.7735  # peaks of a unit move
 _RAMP_ACCELERATION = 1.5  # peak while the speed rises by one unit in unit time
-
-
-@dataclass(frozen=True)
-class Knots:
-    """States that a motion passes, joined by polynomials of fifth order.
-
-    Attributes:
-        t: Times, shape (K,), rising from 0, [s].
-        q: Positions, shape (K, n), [rad].
-        v: Speeds, shape (K, n), [rad/s].
-    """
-
-    t: Array
-    q: Array
-    v: Array
-
-    def reference(self, rate: float) -> Reference:
-        """Samples of the motion; acceleration is zero at every knot."""
-        zero = np.zeros_like(self.q)
-        curve = BPoly.from_derivatives(self.t, np.stack([self.q, self.v, zero], axis=1))
-        t = uniform(float(self.t[-1]), rate)
-        return Reference(t, *(np.asarray(curve(t, nu=k)) for k in range(3)))
 
 
 def at_speeds(
@@ -105,10 +83,10 @@ def speed_ladder(
         ExcitationError: A speed is beyond the limit, or needs more room than there is.
     """
     bounds, home, j = _settings(robot, joint, limits, posture)
-    fastest, strongest = bounds.speed[j], _acceleration(bounds)[j]
+    fastest, strongest = bounds.speed[j], bounds.usable_acceleration[j]
     wanted = np.geomspace(0.01, 0.9, 8) * fastest if speeds is None else speeds
     room = 2 * min(home[j] - bounds.low[j], bounds.high[j] - home[j])
-    knots = _Walk(home)
+    knots = Walk(home)
     for speed in map(float, wanted):
         if not 0 < speed <= fastest:
             raise ExcitationError(
@@ -159,7 +137,7 @@ def micro_reversals(
     bounds, home, j = _settings(robot, joint, limits, posture)
     if repeats < 1 or not period > 0:
         raise ExcitationError("repeats from 1 and a period above 0 s are valid")
-    knots = _Walk(home)
+    knots = Walk(home)
     for amplitude in amplitudes:
         for sign in (*(1.0, -1.0) * repeats, 0.0):
             goal = home.copy()
@@ -192,7 +170,7 @@ def static_poses(
         raise ExcitationError(
             f"poses of {robot.size} joints and a hold above 0 s are valid"
         )
-    knots = _Walk(goals[0])
+    knots = Walk(goals[0])
     for goal in goals:
         knots.move(goal, bounds)
         knots.wait(hold)
@@ -239,7 +217,7 @@ def multisine(
     t = uniform(duration, rate)
     fade = min(1.0, duration / 4)
     window = _window(t, duration, fade)
-    sizes = [fill * x for x in (bounds.speed, _acceleration(bounds))]
+    sizes = [fill * x for x in (bounds.speed, bounds.usable_acceleration)]
     q, v, a = np.zeros((3, len(t), robot.size))
     for j in range(robot.size):
         w = 2 * np.pi * lines[j :: robot.size] / duration
@@ -291,50 +269,6 @@ def path_from_reference(reference: Reference) -> Path:
     return Path(reference.t, reference.q, reference.v, reference.a, zero)
 
 
-class _Walk:
-    """Knots, one after the other."""
-
-    def __init__(self, home: Array) -> None:
-        self._t, self._q = [0.0], [np.array(home, dtype=float)]
-        self._v = [np.zeros(len(home))]
-
-    def reference(self, rate: float) -> Reference:
-        knots = Knots(np.array(self._t), np.array(self._q), np.array(self._v))
-        return knots.reference(rate)
-
-    def wait(self, duration: float) -> None:
-        self._add(duration, self._q[-1], np.zeros_like(self._q[-1]))
-
-    def go(self, goal: Array, duration: float) -> None:
-        self._add(duration, goal, np.zeros_like(goal))
-
-    def move(self, goal: Array, limits: Limits) -> None:
-        """To a pose at rest, at up to half the limits."""
-        way = np.abs(goal - self._q[-1])
-        if way.max() < 1e-12:
-            return
-        slowest = _QUINTIC_SPEED * way / (0.5 * limits.speed)
-        hardest = np.sqrt(_QUINTIC_ACCELERATION * way / (0.5 * _acceleration(limits)))
-        self.go(goal, float(max(slowest.max(), hardest.max(), 0.1)))
-
-    def cruise(self, joint: int, speed: float, ramp: float, duration: float) -> None:
-        """Speed up, keep the speed, and stop."""
-        for time, way, v in (
-            (ramp, 0.5 * ramp, 1.0),
-            (duration, duration, 1.0),
-            (ramp, 0.5 * ramp, 0.0),
-        ):
-            q, rest = self._q[-1].copy(), np.zeros_like(self._q[-1])
-            q[joint] += way * speed
-            rest[joint] = v * speed
-            self._add(time, q, rest)
-
-    def _add(self, duration: float, q: Array, v: Array) -> None:
-        self._t.append(self._t[-1] + duration)
-        self._q.append(q)
-        self._v.append(v)
-
-
 def _settings(
     robot: Robot, joint: str | int, limits: Limits | None, posture: Array | None
 ) -> tuple[Limits, Array, int]:
@@ -346,12 +280,6 @@ def _settings(
     if (home < bounds.low).any() or (home > bounds.high).any():
         raise ExcitationError("the posture lies outside the position limits")
     return bounds, home.copy(), robot.joint_index(joint)
-
-
-def _acceleration(limits: Limits) -> Array:
-    return np.where(
-        np.isfinite(limits.acceleration), limits.acceleration, DEFAULT_ACCELERATION
-    )
 
 
 def _window(t: Array, duration: float, fade: float) -> Array:

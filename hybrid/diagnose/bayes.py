@@ -1,0 +1,62 @@
+"""What a residual and a few columns say: evidence for them, and independent samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.robot.chain import Array
+
+
+def log_bayes(
+    H: Array, s: Array, precision: Array, lower: Array
+) -> tuple[float, Array]:
+    """Log Bayes factor and gains with a Gaussian prior, cut at their lower bounds.
+
+    Args:
+        H: Normal matrix of the columns, in units of noise, shape (p, p).
+        s: Its right-hand side, shape (p,).
+        precision: Inverse variance of each gain's prior, shape (p,).
+        lower: Smallest value of each gain, shape (p,).
+
+    Returns:
+        Logarithm of the evidence with the columns over that without, [nat], and the
+        most probable gains, shape (p,).
+    """
+    unit = 1.0 / np.sqrt(precision)
+    A = np.eye(len(s)) + unit[:, None] * H * unit
+    b = unit * s
+    x = np.linalg.solve(A, b)
+    if np.any(x < lower * np.sqrt(precision)):
+        free = x >= lower * np.sqrt(precision)
+        x = np.zeros_like(x)
+        if free.any():
+            x[free] = np.linalg.solve(A[np.ix_(free, free)], b[free])
+            x = np.maximum(x, lower * np.sqrt(precision))
+    _, occam = np.linalg.slogdet(A)
+    return float(b @ x - 0.5 * x @ A @ x - 0.5 * occam), unit * x
+
+
+def memory(x: Array, row: NDArray[np.intp]) -> float:
+    """Integrated autocorrelation of a residual: samples for an independent one.
+
+    Args:
+        x: The residual, shape (R,).
+        row: Place of each sample in time, shape (R,), ascending.
+
+    Source: Geyer 1992, doi 10.1214/ss/1177011137 (sums of pairs of lags while positive).
+    """
+    power = x @ x
+    if power == 0 or len(x) < 8:
+        return 1.0
+    full = np.zeros(row[-1] - row[0] + 1)
+    full[row - row[0]] = x
+    seen = np.zeros(len(full))
+    seen[row - row[0]] = 1.0
+    size = 1 << int(np.ceil(np.log2(2 * len(full))))
+    lagged = np.fft.irfft(np.abs(np.fft.rfft(full, size)) ** 2, size)[: len(full) // 2]
+    pairs = np.fft.irfft(np.abs(np.fft.rfft(seen, size)) ** 2, size)[: len(full) // 2]
+    correlation = lagged / np.maximum(pairs, 1.0) / (power / len(x))
+    even = correlation[: len(correlation) // 2 * 2].reshape(-1, 2).sum(axis=1)
+    stop = int(np.argmax(even < 0)) if np.any(even < 0) else len(even)
+    return float(max(1.0, 2 * even[:stop].sum() - 1.0))

@@ -1,0 +1,112 @@
+"""The shapes of an effect: what its torque is not linear in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+
+from hybrid.diagnose.gap import Gap
+from hybrid.effects import Effect
+from hybrid.effects.effect import Quantity
+from hybrid.effects.torque_ripple import TorqueRipple
+from hybrid.robot.chain import Array
+
+_PRICE = 2.0  # of choosing one shape; the logarithm of how many differ in effect
+_SHAPE_PRICE = {"torque_ripple": 6.0}  # of several hundred orders
+_REACH = 0.2  # of a shape's range, to either side
+_WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
+_MOST_TRIALS = 40
+
+
+def price(effect: Effect) -> float:
+    """Evidence that the choice of an effect's shapes has to pay for, [nat]."""
+    return _SHAPE_PRICE.get(effect.id, _PRICE * len(effect.shapes))
+
+
+@dataclass(frozen=True)
+class _Range:
+    """A shape's range, as 0 to 1."""
+
+    shape: Quantity
+
+    @property
+    def wide(self) -> bool:
+        return self.shape.lower > 0 and self.shape.upper > _WIDE * self.shape.lower
+
+    def place(self, value: float) -> float:
+        low, high = self.shape.lower, self.shape.upper
+        if self.wide:
+            return float(np.log(value / low) / np.log(high / low))
+        return (value - low) / (high - low)
+
+    def value(self, place: float) -> float:
+        low, high, x = self.shape.lower, self.shape.upper, min(max(place, 0.0), 1.0)
+        value = low * (high / low) ** x if self.wide else low + x * (high - low)
+        return float(np.clip(value, low, high))
+
+
+def fit_shapes(
+    effect: Effect, gain: Callable[[Effect], float], gap: Gap
+) -> tuple[Effect, float]:
+    """Maximise a function of an effect over its shapes, near the given ones.
+
+    Args:
+        effect: The effect with the shapes to start from.
+        gain: What to maximise.
+        gap: For the bounds of the shapes.
+
+    Returns:
+        The effect with better shapes, and what was gained.
+    """
+    scale = gap.scales[effect.joints[-1]]
+    ranges = [_Range(s.scaled(scale)) for s in effect.shapes]
+    if not ranges:
+        return effect, gain(effect)
+
+    def at(x: Array) -> Effect:
+        places = zip(ranges, x, strict=True)
+        return effect.at({r.shape.name: r.value(float(y)) for r, y in places})
+
+    start = np.array([r.place(effect.values[r.shape.name]) for r in ranges])
+    search = _one if len(ranges) == 1 else _several
+    best = at(search(lambda x: -gain(at(x)), start, _reach(effect, ranges[0])))
+    return best, gain(best)
+
+
+def _reach(effect: Effect, first: _Range) -> float:
+    """How far to look; of a ripple, not as far as its next wave."""
+    if effect.id != TorqueRipple.id:
+        return _REACH
+    periods = effect.values["periods"]
+    return first.place(periods + 0.5) - first.place(periods)
+
+
+def _one(loss: Callable[[Array], float], start: Array, reach: float) -> Array:
+    found = minimize_scalar(
+        lambda x: loss(np.array([x])),
+        bounds=(max(0.0, start[0] - reach), min(1.0, start[0] + reach)),
+        method="bounded",
+        options={"xatol": 5e-3 * reach, "maxiter": 16},
+    )
+    return np.array([found.x])
+
+
+def _several(loss: Callable[[Array], float], start: Array, reach: float) -> Array:
+    steps = np.where(start + reach / 2 <= 1.0, reach / 2, -reach / 2)
+    options = {
+        "initial_simplex": np.vstack([start, start + np.diag(steps)]),
+        "maxfev": _MOST_TRIALS,
+        "xatol": 0.005,
+        "fatol": 0.1,
+    }
+    found = minimize(
+        loss,
+        start,
+        method="Nelder-Mead",
+        bounds=[(0.0, 1.0)] * len(start),
+        options=options,  # type: ignore[call-overload]
+    )
+    return np.asarray(found.x)

@@ -1,0 +1,90 @@
+"""Motions from knot to knot, of which ready-made experiments are put together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BPoly
+
+from hybrid.excitation.constraints import Limits
+from hybrid.excitation.path import uniform
+from hybrid.plant.reference import Reference
+from hybrid.robot.chain import Array
+
+_QUINTIC_SPEED, _QUINTIC_ACCELERATION = 1.875, 5.7735  # peaks of a unit move
+
+
+@dataclass(frozen=True)
+class Knots:
+    """States that a motion passes, joined by polynomials of fifth order.
+
+    Attributes:
+        t: Times, shape (K,), rising from 0, [s].
+        q: Positions, shape (K, n), [rad].
+        v: Speeds, shape (K, n), [rad/s].
+    """
+
+    t: Array
+    q: Array
+    v: Array
+
+    def reference(self, rate: float) -> Reference:
+        """Samples of the motion; acceleration is zero at every knot."""
+        zero = np.zeros_like(self.q)
+        curve = BPoly.from_derivatives(self.t, np.stack([self.q, self.v, zero], axis=1))
+        t = uniform(float(self.t[-1]), rate)
+        return Reference(t, *(np.asarray(curve(t, nu=k)) for k in range(3)))
+
+
+class Walk:
+    """Knots, one after the other, from a pose at rest.
+
+    Args:
+        home: The pose, shape (n,), [rad].
+    """
+
+    def __init__(self, home: Array) -> None:
+        self._t, self._q = [0.0], [np.array(home, dtype=float)]
+        self._v = [np.zeros(len(home))]
+
+    def reference(self, rate: float) -> Reference:
+        """Samples of the motion so far."""
+        knots = Knots(np.array(self._t), np.array(self._q), np.array(self._v))
+        return knots.reference(rate)
+
+    def wait(self, duration: float) -> None:
+        """Stay for a time, [s]."""
+        self._add(duration, self._q[-1], np.zeros_like(self._q[-1]))
+
+    def go(self, goal: Array, duration: float) -> None:
+        """To a pose at rest in a time, [s]."""
+        self._add(duration, goal, np.zeros_like(goal))
+
+    def move(self, goal: Array, limits: Limits) -> None:
+        """To a pose at rest, at up to half the limits."""
+        way = np.abs(goal - self._q[-1])
+        if way.max() < 1e-12:
+            return
+        slowest = _QUINTIC_SPEED * way / (0.5 * limits.speed)
+        hardest = np.sqrt(
+            _QUINTIC_ACCELERATION * way / (0.5 * limits.usable_acceleration)
+        )
+        self.go(goal, float(max(slowest.max(), hardest.max(), 0.1)))
+
+    def cruise(self, joint: int, speed: float, ramp: float, duration: float) -> None:
+        """Speed up, keep the speed, and stop."""
+        for time, way, v in (
+            (ramp, 0.5 * ramp, 1.0),
+            (duration, duration, 1.0),
+            (ramp, 0.5 * ramp, 0.0),
+        ):
+            q, rest = self._q[-1].copy(), np.zeros_like(self._q[-1])
+            q[joint] += way * speed
+            rest[joint] = v * speed
+            self._add(time, q, rest)
+
+    def _add(self, duration: float, q: Array, v: Array) -> None:
+        self._t.append(self._t[-1] + duration)
+        self._q.append(q)
+        self._v.append(v)
