@@ -68,9 +68,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--seeds", type=int, default=10)
     count, console, runs = parser.parse_args().seeds, Console(width=150), []
-    command = f"python experiments/compensation_in_the_loop.py --seeds {count}"
     for seed in range(count):
         runs.append(measure(seed))
+        command = f"python experiments/compensation_in_the_loop.py --seeds {seed + 1}"
         console.print({k: np.round(runs[-1][k], 2).tolist() for k in MEASURES})
         values = {name: np.array([run[name] for run in runs]) for name in MEASURES}
         table = measures_table(runs[0]["models"], values, MEASURES, first=1)

@@ -17,19 +17,17 @@ from pathlib import Path
 
 import numpy as np
 from excitation_arms import arm
+from excitation_chain_report import MOTIONS, write
 
 from hybrid.excitation import BlockCondition, Condition, Fourier, Limits, observe
 from hybrid.excitation.constraints import MotionLimits
 from hybrid.excitation.design import design
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.published import iterated_design, set_condition
-from hybrid.files import atomic_path
 from hybrid.plant.noise import Noise
-from hybrid.report import Table, markdown_table, provenance, write_results
 
 ROOT = Path(__file__).parents[1]
-FAMILY, RATE, MOTIONS = Fourier(5, 0.1), 20.0, 3
-ROWS = ("plain", "iterated", "iterated, block-weighted", "ours, one motion", "ours")
+FAMILY, RATE = Fourier(5, 0.1), 20.0
 
 
 def main() -> None:
@@ -44,7 +42,7 @@ def main() -> None:
         for name in options.arms:
             runs.setdefault(name, []).append(run(arm(name), seed))
             print(name, seed, runs[name][-1], flush=True)
-            write(options, runs)
+            write(options.out, options.seeds, options.arms, runs)
 
 
 def run(robot, seed):
@@ -75,31 +73,6 @@ def run(robot, seed):
         seconds = time.process_time() - begin
         found.append((set_condition(white, ours.trajectories, RATE), seconds))
     return found
-
-
-def write(options, runs):
-    """The table and JSON."""
-    rows = []
-    for name, seeds in runs.items():
-        x = np.array(seeds)  # (S, 5, 2)
-        for k, row in enumerate(ROWS):
-            count = 1 if k in (0, 3) else MOTIONS
-            spread = f"{np.median(x[:, k, 0]):.1f} ({x[:, k, 0].min():.1f}–"
-            spread += f"{x[:, k, 0].max():.1f})"
-            least = f"{np.median(x[:, 2, 0] / x[:, k, 0]):.2f}"
-            seconds = f"{np.median(x[:, k, 1]):.1f}"
-            rows.append((name, str(len(x)), row, str(count), spread, least, seconds))
-    header = ("arm", "seeds", "design", "motions", "condition")
-    header += ("block-weighted is so many times higher", "CPU s")
-    lead = "Condition number of the whitened observation matrix, SI units: median "
-    lead += "(lowest–highest); published 329 (plain), 275 (iterated), 193 (weighted)."
-    command = f"python experiments/excitation_chain.py --seeds {options.seeds} --arms "
-    command += " ".join(options.arms)
-    table = markdown_table(Table(header, tuple(rows)))
-    with atomic_path(options.out / "table.md") as path:
-        path.write_text(f"{lead}\n\n{table}\n\n`{command}`\n", encoding="utf-8")
-    content = {"provenance": provenance(command=command), "rows": ROWS, "runs": runs}
-    write_results(options.out / "results.json", content)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from excitation_fit import error, fit
 from excitation_report import Comparison
 
 from hybrid.effects import effects_from_text
@@ -27,19 +28,16 @@ from hybrid.excitation import (
     observe,
 )
 from hybrid.excitation.design import design
-from hybrid.excitation.path import Path as MotionPath
 from hybrid.excitation.published import PopulationProgram, niche_design
 from hybrid.plant import Plant
 from hybrid.plant.reference import random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
-from hybrid.signals import average_periods, fourier_fit, motion_from_recording
 
 ROOT = Path(__file__).parents[1]
 DESIGNS = ("plain series, genetic", "improved series, genetic", "improved series, ours")
 # The friction that the model has, and friction that it does not have.
 PLANTS = {"viscous, Coulomb": "viscous,coulomb", "Stribeck": "stribeck"}
-HARMONICS = 20  # of the fit to the averaged speed: the polynomial has many
 LEAD = (
     "published: 11.50 % and 26.35 % lower. Not reproduced: the model's own lack of fit"
 )
@@ -90,26 +88,11 @@ def run(plants, observation, seed):
     rms = []
     for plant in plants:
         *logs, held_out = plant.run(references, rng=rng)
-        motion = motion_from_recording(held_out)
-        test = MotionPath(motion.t, motion.q, motion.v, motion.a, motion.a)
-        W = observation.matrix(test, turning_speed=0)
-        errors = [motion.tau - W @ fit(observation, log) for log in logs]
-        rms.append([np.sqrt((e[motion.mask] ** 2).mean(axis=0)) for e in errors])
+        rms.append([error(observation, fit(observation, x), held_out) for x in logs])
     one_period = np.arange(200) / 20.0
     grams = [observation.gram(x.path(one_period), turning_speed=0.0) for x in found]
     print(seed, np.round(rms, 3).tolist(), flush=True)
     return rms, np.diff(seconds), [Condition().value(gram) for gram in grams]
-
-
-def fit(observation, log):
-    """Weighted least squares on the average of the periods."""
-    mean, noise = average_periods(log, 0.1)
-    speed = fourier_fit(mean.t, mean.v, fundamental=0.1, order=HARMONICS)
-    v, a = speed.position(mean.t), speed.velocity(mean.t)  # the series is of the speed
-    path = MotionPath(mean.t, mean.q, v, a, a)
-    W = observation.matrix(path, turning_speed=0) / noise[:, None]
-    rows = W.reshape(-1, observation.size)
-    return np.linalg.lstsq(rows, (mean.tau / noise).ravel(), rcond=None)[0]
 
 
 if __name__ == "__main__":

@@ -99,6 +99,12 @@ def _small(row: Row) -> bool:
     return row["stratum"] == "single" and 0 < size(row) <= _SMALL
 
 
+def _shrinks(row: Row) -> bool:
+    """Whether the true effect alone is more than the file's numbers can stand for."""
+    share = row.get("shrinkage", {}).get("share")
+    return _large("single")(row) and share is not None
+
+
 def _answers(row: Row) -> bool:
     return bool(row["named"])
 
@@ -122,8 +128,12 @@ MEASURES = (
         "right cause first, in its class, ≥ 1×",
         _large("single"), lambda r: r["in_class"], 0.95,
     ),
-    Measure("the same, strict", _large("single"), lambda r: r["strict"], 0.88),
-    Measure("the same, in its class, 0.3×", _small, lambda r: r["in_class"], 0.75),
+    Measure(
+        "the same, where the truth shrinks the gap on unseen motions",
+        _shrinks, lambda r: r["in_class"],
+    ),
+    Measure("the same, ≥ 1×, strict", _large("single"), lambda r: r["strict"], 0.88),
+    Measure("right cause first, 0.3×", _small, lambda r: r["in_class"], 0.75),
     Measure(
         "joint localised, of those that name something, ≥ 1×",
         lambda r: _large("single")(r) and _answers(r), lambda r: r["localised"], 0.98,

@@ -19,6 +19,7 @@ from hybrid.robot.chain import Array
 
 _CLOSE = 0.1  # of the size asked for
 _TRIES = 4
+_LEAST = 0.15  # of a declared number, three times what it may be off by
 _MOST_LINK, _MOST_PAYLOAD = 0.5, 0.25  # of the masses of link and arm
 # By which parameter an effect is made larger, where it is not by its gains.
 _GROWS_BY = {"deadzone": ("width",)}
@@ -91,22 +92,30 @@ class Rig:
         return None
 
     def plausible(self, effect: Effect) -> bool:
-        """Whether every value is within its physical bounds."""
-        scale = self.scales[effect.joints[-1]]
-        bounds = [x.scaled(scale) for x in (*effect.gains, *effect.shapes)]
-        inside = all(x.lower <= effect.values[x.name] <= x.upper for x in bounds)
-        return inside and self._modest(effect)
+        """Whether all values are within physical bounds, and none is background.
 
-    def _modest(self, effect: Effect) -> bool:
-        """Whether an effect is not more than the part of the arm that it changes."""
-        masses, j = self.robot.chain.inertial[:, 0], effect.joints[-1]
-        if effect.id == "asymmetric_friction":  # friction never pushes
-            return bool(abs(effect.values["level"]) <= self.robot.frictionloss[j])
-        if effect.id == "link_inertia":
-            return bool(effect.values["mass"] <= _MOST_LINK * masses[j])
-        if effect.id == "payload":
-            return bool(effect.values["mass"] <= _MOST_PAYLOAD * masses.sum())
-        return True
+        What changes a number of the file by no more than the file may be off by anyway
+        is no effect; and none is more than the part of the arm that it changes.
+        """
+        scale, j = self.scales[effect.joints[-1]], effect.joints[-1]
+        bounds = [x.scaled(scale) for x in (*effect.gains, *effect.shapes)]
+        if not all(x.lower <= effect.values[x.name] <= x.upper for x in bounds):
+            return False
+        robot, masses = self.robot, self.robot.chain.inertial[:, 0]
+        declared = {
+            "viscous": robot.damping,
+            "coulomb": robot.frictionloss,
+            "armature": robot.chain.armature,
+        }
+        first = abs(effect.gain_values[0])
+        if effect.id in declared:
+            return bool(first >= _LEAST * declared[effect.id][j])
+        most = {
+            "asymmetric_friction": robot.frictionloss[j],  # friction never pushes
+            "link_inertia": _MOST_LINK * masses[j],
+            "payload": _MOST_PAYLOAD * masses.sum(),
+        }
+        return bool(first <= most.get(effect.id, np.inf))
 
 
 def larger(effect: Effect, factor: float) -> Mapping[str, float]:

@@ -83,17 +83,18 @@ def advise(
     """
     rate = min(_RATE, result.gap.motions[0].rate)
     plans = [
-        *_merged(list(_between_rivals(result, rng, rate))),
+        *sorted(_between_rivals(result, rng, rate), key=lambda p: -p.advice.separation),
         *_for_unexplained(result, rng, rate),
         *_for_not_excited(result, rate),
     ]
-    advice = []
-    for k, plan in enumerate(plans):
-        file = ""
-        if plan.experiment is not None and directory is not None:
-            file = f"advice_{k + 1}.csv"
+    advice, files = [], dict[int, str]()
+    for plan in plans:
+        ask, file = plan.experiment, ""
+        if ask is not None and directory is not None:
+            # One experiment may tell several pairs apart.
+            file = files.setdefault(id(ask), f"advice_{len(files) + 1}.csv")
             path = Path(directory) / file
-            write_reference(path, plan.experiment.reference, result.gap.robot.joints)
+            write_reference(path, ask.reference, result.gap.robot.joints)
         advice.append(replace(plan.advice, file=file))
     return tuple(advice)
 
@@ -148,23 +149,6 @@ def _between_rivals(
             plan = _best(search, own, fit_rival(search, term, other), dishes[joint])
             if plan is not None:
                 yield plan
-
-
-def _merged(plans: Sequence[_Plan]) -> list[_Plan]:
-    """One plan for all pairs that one experiment tells apart."""
-    grouped: dict[str, list[_Plan]] = {}
-    for plan in plans:
-        name = (
-            plan.advice.experiment if plan.experiment is None else plan.experiment.name
-        )
-        grouped.setdefault(name, []).append(plan)
-    merged = []
-    for group in grouped.values():
-        splits = dict.fromkeys(x for p in group for x in p.advice.splits)
-        weakest = min(p.advice.separation for p in group)
-        advice = replace(group[0].advice, splits=tuple(splits), separation=weakest)
-        merged.append(replace(group[0], advice=advice))
-    return sorted(merged, key=lambda p: -p.advice.separation)
 
 
 def _best(

@@ -44,7 +44,7 @@ def memory(x: Array, row: NDArray[np.intp]) -> float:
         x: The residual, shape (R,).
         row: Place of each sample in time, shape (R,), ascending.
 
-    Source: Geyer 1992, doi 10.1214/ss/1177011137 (sums of pairs of lags while positive).
+    Source: Geyer 1992, doi 10.1214/ss/1177011137 (pairs of lags while positive).
     """
     power = x @ x
     if power == 0 or len(x) < 8:

@@ -17,6 +17,8 @@ from hybrid.robot import Robot
 if TYPE_CHECKING:
     import mujoco
 
+# Values of MuJoCo's mjtIntegrator, mjtTrn, mjtBias and mjtDyn.
+_IMPLICITFAST, _AT_JOINT, _AFFINE, _FIRST_ORDER = 3, 0, 1, 3
 _STEP = 0.001  # s
 # By default MuJoCo's dry friction is so soft that it is viscous at low speed.
 _IMPEDANCE = 0.9999
@@ -38,11 +40,9 @@ def express(
     Returns:
         The spec, and what it has only nearly or not at all.
     """
-    import mujoco
-
     spec = robot.mujoco_spec()
     spec.option.timestep = _STEP
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.integrator = _IMPLICITFAST
     for k, name in enumerate(robot.joints):
         joint = spec.joint(name)
         joint.solref_friction[0] = 2 * _STEP
@@ -53,7 +53,7 @@ def express(
                 np.array([robot.q_min[k], robot.q_max[k]]),
             )
         motor = spec.add_actuator(name=name, target=name)
-        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        motor.trntype = _AT_JOINT
         if np.isfinite(robot.tau_max[k]):
             motor.forcelimited = True
             motor.forcerange = np.array([-1.0, 1.0]) * robot.tau_max[k]
@@ -105,18 +105,14 @@ def _exact(spec: mujoco.MjSpec, robot: Robot, effect: Effect) -> bool:
 
 def _pull(motor: Any, constant: float, along: float = 0.0) -> None:
     """Let a motor pull by itself: a constant, and a part along its position."""
-    import mujoco
-
-    motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    motor.biastype = _AFFINE
     motor.biasprm[0] += constant
     motor.biasprm[1] += along
 
 
 def _follow(motor: Any, time: float) -> None:
     """Let a motor follow its control as a first-order lag."""
-    import mujoco
-
-    motor.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+    motor.dyntype = _FIRST_ORDER
     motor.dynprm[0] = time
 
 

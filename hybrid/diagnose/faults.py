@@ -13,6 +13,8 @@ from hybrid.robot.chain import Array
 _LONGEST_REPEAT = 0.2  # s; quantised torque repeats for less while an arm moves
 _FEWEST = 10  # samples
 _SHARE = 0.01  # of a log, at its extreme value: a peak is a sample or two
+_COARSE = 0.1  # distinct values of a torque that a sensor has rounded, per sample
+_ALONE = 5.0  # times the samples of the next level
 _JUMP = 5.0  # times the usual step, by which a frozen encoder is left
 
 
@@ -42,8 +44,9 @@ def find_faults(recording: Recording) -> Faults:
         if frozen.any():
             posture |= frozen
             notes.append(f"position of {name} is frozen for {frozen.mean():.0%}")
-        stuck = _moving(q, _runs(tau[:, j], least))
-        clipped = _clipped(tau[:, j])
+        coarse = len(np.unique(tau[:, j])) < _COARSE * len(t)
+        stuck = _moving(q, _runs(tau[:, j], 5 * least if coarse else least))
+        clipped = _clipped(tau[:, j], coarse)
         for bad, word in ((stuck & ~clipped, "frozen"), (clipped, "saturated")):
             if bad.any():
                 torque[:, j] |= bad
@@ -83,11 +86,17 @@ def _frozen(q: Array, least: int) -> NDArray[np.bool_]:
     return frozen
 
 
-def _clipped(x: Array) -> NDArray[np.bool_]:
-    """Samples at an extreme value that is held again and again."""
+def _clipped(x: Array, coarse: bool) -> NDArray[np.bool_]:
+    """Samples at an extreme value that is held again and again.
+
+    The highest level of a coarse sensor is held too, but so is the next one.
+    """
     clipped = np.zeros(len(x), dtype=bool)
-    for limit in (x.min(), x.max()):
-        at = x == limit
-        if at.mean() > _SHARE and (at[1:] & at[:-1]).sum() > 0.5 * at.sum():
+    levels, counts = np.unique(x, return_counts=True)
+    for end, beside in ((0, 1), (-1, -2)) if len(levels) > 1 else ():
+        at = x == levels[end]
+        again = (at[1:] & at[:-1]).sum() > 0.5 * at.sum()
+        alone = not coarse or counts[end] > _ALONE * counts[beside]
+        if at.mean() > _SHARE and again and alone:
             clipped |= at
     return clipped

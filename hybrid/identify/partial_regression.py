@@ -137,6 +137,8 @@ class PartialRegression:
         scores = np.array([np.bincount(label, weights=x * rest) for x in own])
         count = scores.shape[1]
         spread = scores @ scores.T * count / max(count - 1, 1)
+        if np.linalg.matrix_rank(spread, hermitian=True) < len(spread):
+            return False  # too few blocks, or the other terms explain the wave whole
         ratio = (H @ gains) @ np.linalg.solve(spread, H @ gains) / 2
         allowed = fisher.ppf(1 - chance, 2, max(count - 2, 1))
         return bool(ratio > allowed)

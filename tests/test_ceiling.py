@@ -1,0 +1,41 @@
+"""The flexible regression: nothing in noise, and structure of any kind."""
+
+import numpy as np
+import pytest
+from diagnosed import faultless
+
+from hybrid.diagnose.ceiling import recoverable
+
+
+def gap_rows(joint):
+    gap = faultless().gap
+    return gap, np.flatnonzero(gap.moving[:, joint])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_it_recovers_next_to_nothing_from_noise(seed):
+    gap, rows = gap_rows(1)
+    left = np.random.default_rng(seed).standard_normal(len(rows))
+    squares, of = recoverable(gap, 1, left, rows, 1.0)
+    assert squares < 0.02 * len(rows)
+
+
+@pytest.mark.parametrize(
+    "law, about",
+    [
+        (lambda m, j: np.sign(m.v[:, j]) * m.q[:, j], "position"),
+        (lambda m, j: np.sin(7 * m.q[:, j]), "position"),
+        (lambda m, j: np.sin(23 * m.t), "time"),
+        (lambda m, j: m.q[:, 0] * m.q[:, j], "joint"),
+        (lambda m, j: np.exp(-np.abs(m.v[:, j]) / 0.1) * np.sign(m.v[:, j]), "speed"),
+    ],
+)
+def test_it_recovers_what_depends_on_something(law, about):
+    gap, rows = gap_rows(1)
+    x = law(gap.sampled, 1)[rows]
+    x = x / x.std()
+    noise = np.random.default_rng(0).standard_normal(len(rows))
+    squares, of = recoverable(gap, 1, x + noise, rows, 1.0)
+    assert squares > 0.6 * x @ x
+    assert squares < 1.2 * x @ x
+    assert about in of

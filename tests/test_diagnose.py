@@ -1,0 +1,177 @@
+"""The diagnosis: right cause, right joint, right size; and silence where it must be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosed import RIPPLE, STRIBECK, faultless, planar
+from simulated import arm
+
+from hybrid.diagnose.diagnose import examine
+from hybrid.diagnose.explanation import between, split
+from hybrid.diagnose.gap import measure_gap
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.delay import Delay
+from hybrid.effects.torque_gain import TorqueGain
+from hybrid.effects.viscous import Viscous
+from hybrid.errors import HybridWarning, RecordingError
+from hybrid.plant import Noise, Plant, simulate
+
+
+def logs(effects, *, seed=1, duration=6.0, count=4, quiet=False):
+    robot = arm("planar")
+    noise = Noise.none(robot.size) if quiet else None
+    plant = Plant(robot, effects, nominal=robot, noise=noise)
+    return robot, simulate(plant, trajectories=count, duration=duration, seed=seed)
+
+
+def named(result):
+    return {(f.effect, f.joints) for f in result.diagnosis.findings}
+
+
+class TestGap:
+    def test_of_a_faultless_simulator_it_is_the_noise(self):
+        result = faultless()
+        assert result.diagnosis.verdict == "no_gap"
+        rms, floor = result.diagnosis.rms, result.diagnosis.noise_floor
+        np.testing.assert_allclose(rms, floor, rtol=0.1)
+
+    @pytest.mark.parametrize(
+        "effect",
+        [
+            TorqueGain((0,), {"gain": 0.2}),
+            Viscous((1,), {"coefficient": 0.3}),
+            Delay((0,), {"time": 0.004}),
+        ],
+    )
+    def test_of_one_effect_it_is_its_columns_times_its_gain(self, effect):
+        robot, clean = logs([], quiet=True)
+        bare = measure_gap(robot, clean, cutoff=15.0)
+        plant = Plant(robot, [effect], nominal=robot, noise=Noise.none(robot.size))
+        logged = simulate(plant, trajectories=4, duration=6.0, seed=1)
+        gap = measure_gap(robot, logged, cutoff=15.0)
+        (j,), (gain,) = effect.joints, effect.gain_values
+        here = gap.moving[:, j]
+        shown = gap.columns(effect)[j][here, 0] * gain
+        seen = gap.left[here, j]
+        scale = np.sqrt(np.mean(shown**2))
+        rest = np.sqrt(np.mean(bare.left[here, j] ** 2))
+        assert np.sqrt(np.mean((seen - shown) ** 2)) < 0.1 * scale + 2 * rest
+
+    def test_fit_and_score_share_nothing(self):
+        gap = planar().gap
+        learn = split(gap)
+        assert not {*gap.trajectory[learn]} & {*gap.trajectory[~learn]}
+        robot, recordings = logs([], count=1, duration=20.0)
+        single = measure_gap(robot, recordings)
+        learn = split(single)
+        scored = ~learn & between(single, learn)
+        known, place = np.flatnonzero(learn), np.flatnonzero(scored)
+        after = known[np.minimum(np.searchsorted(known, place), len(known) - 1)]
+        before = known[np.searchsorted(known, place) - 1]
+        apart = np.minimum(np.abs(after - place), np.abs(place - before))
+        assert apart.min() >= 0.3 * single.rate
+
+    def test_a_log_without_torque_is_refused(self):
+        robot, recordings = logs([])
+        bare = replace(recordings[0], tau=np.full_like(recordings[0].tau, np.nan))
+        with pytest.raises(RecordingError, match="no torque"):
+            measure_gap(robot, [bare])
+
+
+class TestCause:
+    def test_both_effects_are_named_where_they_act(self):
+        found = {(f.effect, f.joints) for f in planar().diagnosis.findings}
+        assert found == {("torque_ripple", ("shoulder",)), ("stribeck", ("elbow",))}
+        assert planar().diagnosis.verdict == "explained"
+
+    def test_they_have_the_size_that_they_have(self):
+        by_id = {e.id: e.values for e in planar().effects}
+        ripple = by_id["torque_ripple"]
+        for name in ("sine", "cosine", "periods"):
+            assert ripple[name] == pytest.approx(RIPPLE.values[name], rel=0.1)
+        level = by_id["stribeck"]["level"]
+        assert level == pytest.approx(STRIBECK.values["level"], rel=0.25)
+
+    def test_shares_add_up_to_one(self):
+        assert sum(f.share for f in planar().diagnosis.findings) == pytest.approx(1.0)
+
+    def test_the_gap_falls_to_the_noise_on_unseen_motion(self):
+        for f in planar().diagnosis.findings:
+            shrink = f.shrink["torque"]
+            assert shrink.interval[0] <= shrink.removed <= shrink.interval[1]
+            assert shrink.interval[0] > 0.3
+            floor = planar().diagnosis.noise_floor
+            joint = planar().diagnosis.joints.index(f.joints[0])
+            assert shrink.after == pytest.approx(floor[joint], rel=0.15)
+
+    def test_a_wrong_torque_constant_counts_friction_too(self):
+        effect = TorqueGain((1,), {"gain": 0.2})
+        robot, recordings = logs([Coulomb((1,), {"level": 1.0})])
+        frictional = replace(robot, frictionloss=np.array([0.0, 1.0]))
+        plant = Plant(frictional, [effect], nominal=frictional)
+        recordings = simulate(plant, trajectories=4, duration=6.0, seed=2)
+        result = examine(frictional, recordings)
+        assert ("torque_gain", ("elbow",)) in named(result)
+
+    def test_the_gains_are_within_their_intervals(self):
+        """Eight noise seeds of a linear effect: one at most may miss at 95 %."""
+        truth, hits = 0.25, 0
+        for seed in range(8):
+            robot, recordings = logs(
+                [Viscous((1,), {"coefficient": truth})], seed=seed + 10
+            )
+            result = examine(robot, recordings)
+            values = [v for f in result.diagnosis.findings for v in f.parameters]
+            (own,) = [v for v in values if v.name == "coefficient"]
+            hits += own.interval[0] <= truth <= own.interval[1]
+        assert hits >= 7
+
+
+class TestSilence:
+    @pytest.mark.parametrize("seed", range(4))
+    def test_no_cause_is_named_without_a_gap(self, seed):
+        robot, recordings = logs([], seed=20 + seed, duration=3.0)
+        assert examine(robot, recordings).diagnosis.verdict == "no_gap"
+
+    def test_an_effect_out_of_the_library_is_unexplained(self):
+        robot, recordings = logs([RIPPLE])
+        diagnosis = examine(robot, recordings, without=["torque_ripple"]).diagnosis
+        assert diagnosis.verdict == "unexplained"
+        assert diagnosis.findings == ()
+        whole = [r for r in diagnosis.where if r.variable == "link"]
+        assert {r.joint for r in whole} == {"shoulder"}
+
+    def test_one_joint_moving_is_not_enough(self):
+        robot, recordings = logs([STRIBECK])
+        q = recordings[0].q.copy()
+        rng = np.random.default_rng(0)
+        q[:, 0] = q[0, 0] + 1e-6 * rng.standard_normal(len(q))
+        diagnosis = examine(robot, [replace(recordings[0], q=q, v=None)]).diagnosis
+        assert diagnosis.verdict == "not_excited"
+        assert "shoulder does not move" in diagnosis.not_excited
+        assert diagnosis.findings == ()
+
+    def test_two_seconds_are_not_enough(self):
+        robot, recordings = logs([STRIBECK], duration=2.0, count=1)
+        diagnosis = examine(robot, recordings).diagnosis
+        assert diagnosis.verdict == "not_excited"
+        assert any("3 s or more" in w for w in diagnosis.warnings)
+
+    def test_another_arm_is_no_cause(self):
+        _, recordings = logs([STRIBECK])
+        robot = arm("planar")
+        other = replace(robot, chain=replace(robot.chain, gravity=-2.5 * robot.chain.gravity))
+        diagnosis = examine(other, recordings).diagnosis
+        assert diagnosis.findings == ()
+        assert any("file of this robot" in w for w in diagnosis.warnings)
+
+    def test_a_frozen_channel_is_no_cause(self):
+        robot, recordings = logs([STRIBECK])
+        tau = recordings[0].tau.copy()
+        tau[len(tau) // 3 :, 0] = tau[len(tau) // 3, 0]
+        spoilt = [replace(recordings[0], tau=tau), *recordings[1:]]
+        with pytest.warns(HybridWarning, match="frozen"):
+            result = examine(robot, spoilt)
+        assert named(result) == {("stribeck", ("elbow",))}
+        assert any("frozen" in w for w in result.diagnosis.warnings)

@@ -1,0 +1,142 @@
+"""Evidence: the same numbers as Bayesian regression written out, sample by sample."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+
+from hybrid.diagnose.bayes import log_bayes, memory
+from hybrid.diagnose.evidence import Evidence
+
+M = 60
+
+
+def problem(seed=0, widths=(2, 1, 3)):
+    """A made-up gap of two joints with some blocks of columns."""
+    rng = np.random.default_rng(seed)
+    gap = SimpleNamespace(
+        robot=SimpleNamespace(size=2),
+        left=rng.standard_normal((M, 2)),
+        moving=rng.random((M, 2)) < 0.9,
+        fold=np.arange(M) // 10 % 3,
+    )
+    blocks = [
+        {j: rng.standard_normal((M, p)) for j in ((0, 1) if k == 0 else (k % 2,))}
+        for k, p in enumerate(widths)
+    ]
+    std = [np.exp(rng.standard_normal(p)) for p in widths]
+    evidence = Evidence(gap, None)
+    index = evidence.add(blocks, std)
+    evidence.noise = np.array([0.7, 1.9])
+    return gap, blocks, std, evidence, index
+
+
+def dense(gap, blocks, std, noise):
+    """Everything stacked: columns, torque, noise variance and prior variance."""
+    columns, y, variance = [], [], []
+    for i in range(2):
+        rows = gap.moving[:, i]
+        parts = [b.get(i, np.zeros((M, len(s)))) for b, s in zip(blocks, std)]
+        columns.append(np.hstack(parts)[rows])
+        y.append(gap.left[rows, i])
+        variance.append(np.full(rows.sum(), noise[i]))
+    X, y = np.vstack(columns), np.concatenate(y)
+    return X, y, np.concatenate(variance), np.concatenate(std) ** 2
+
+
+@given(seed=st.integers(0, 10**6))
+@settings(max_examples=25, deadline=None)
+def test_the_evidence_is_that_of_the_whole_covariance(seed):
+    gap, blocks, std, evidence, index = problem(seed)
+    X, y, noise, prior = dense(gap, blocks, std, evidence.noise)
+    zero = np.zeros(len(y))
+    with_all = multivariate_normal(zero, np.diag(noise) + X * prior @ X.T).logpdf(y)
+    without = multivariate_normal(zero, np.diag(noise)).logpdf(y)
+    found = evidence.solve(np.concatenate(index))
+    assert found.evidence == pytest.approx(with_all - without, abs=1e-8)
+    A = X.T / noise @ X + np.diag(1 / prior)
+    np.testing.assert_allclose(found.gains, np.linalg.solve(A, X.T @ (y / noise)))
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(A), atol=1e-12)
+
+
+def test_screening_and_trying_add_what_solving_both_says():
+    gap, blocks, std, evidence, index = problem(1)
+    lower = [np.full(len(s), -np.inf) for s in std]
+    base = np.concatenate(index[:2])
+    difference = (
+        evidence.solve(np.concatenate(index)).evidence - evidence.solve(base).evidence
+    )
+    (screened,) = evidence.screen(base, [index[2]], [lower[2]])
+    tried, gains = evidence.trial(base, blocks[2], std[2], lower[2])
+    assert screened == pytest.approx(difference)
+    assert tried == pytest.approx(difference)
+    whole = evidence.solve(np.concatenate(index)).gains
+    np.testing.assert_allclose(gains, whole[-len(gains) :])
+
+
+def test_squares_are_those_of_the_residual():
+    _, _, _, evidence, index = problem(2)
+    found = evidence.solve(np.concatenate(index))
+    squares = evidence.squares(found.index, found.gains).sum(axis=1)
+    for i in range(2):
+        left = evidence.residual(i, found.index, found.gains)
+        assert squares[i] == pytest.approx(left @ left)
+
+
+def test_a_fold_left_out_is_never_fitted():
+    gap, blocks, std, evidence, index = problem(3)
+    X, y, noise, prior = dense(gap, blocks, std, evidence.noise)
+    fold = np.concatenate([gap.fold[gap.moving[:, i]] for i in range(2)])
+    expected = []
+    for f in range(3):
+        fit, test = fold != f, fold == f
+        A = X[fit].T / noise[fit] @ X[fit] + np.diag(1 / prior)
+        gains = np.linalg.solve(A, X[fit].T @ (y[fit] / noise[fit]))
+        expected.append(np.sum((y[test] - X[test] @ gains) ** 2 / noise[test]))
+    np.testing.assert_allclose(evidence.held_out(np.concatenate(index)), expected)
+
+
+def test_noise_is_found_beside_many_columns():
+    """Forty columns on 600 samples of noise, and torque along some of them."""
+    rng = np.random.default_rng(4)
+    found = []
+    for _ in range(20):
+        X = rng.standard_normal((600, 40))
+        left = X[:, :5] @ rng.standard_normal(5) + 0.3 * rng.standard_normal(600)
+        gap = SimpleNamespace(
+            robot=SimpleNamespace(size=1),
+            left=left[:, None],
+            moving=np.ones((600, 1), dtype=bool),
+            fold=np.arange(600) // 50 % 4,
+        )
+        evidence = Evidence(gap, None)
+        (index,) = evidence.add([{0: X}], [np.ones(40)])
+        evidence.estimate_noise(index)
+        found.append(evidence.noise[0])
+    assert np.median(found) == pytest.approx(0.09, rel=0.2)
+
+
+def test_a_gain_stays_within_its_physical_bound():
+    H, s = np.diag([4.0, 4.0]), np.array([-8.0, 6.0])
+    free, _ = log_bayes(H, s, np.ones(2), np.full(2, -np.inf))
+    bound, gains = log_bayes(H, s, np.ones(2), np.zeros(2))
+    assert gains[0] == 0.0
+    assert gains[1] == pytest.approx(6.0 / 5.0)
+    assert bound < free
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_memory_counts_samples_for_an_independent_one(rho):
+    rng = np.random.default_rng(5)
+    found = []
+    for _ in range(20):
+        x = np.zeros(4000)
+        steps = rng.standard_normal(4000)
+        for k in range(1, 4000):
+            x[k] = rho * x[k - 1] + steps[k]
+        rows = np.flatnonzero(rng.random(4000) < 0.8)  # with gaps, as where it stands
+        found.append(memory(x[rows], rows))
+    assert np.median(found) == pytest.approx((1 + rho) / (1 - rho), rel=0.15)

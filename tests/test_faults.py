@@ -1,0 +1,72 @@
+"""Frozen and saturated channels: found where they are, and nowhere else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hybrid.diagnose.faults import find_faults
+from hybrid.recording import Recording
+
+T = np.arange(0.0, 10.0, 0.004)
+
+
+def log(noise=1e-5, seed=0):
+    """Two joints that move, one of them through its turning points slowly."""
+    rng = np.random.default_rng(seed)
+    q = np.stack([np.sin(T), np.sin(0.4 * T)], axis=1)
+    tau = np.stack([5 * np.cos(T), 3 * np.sign(np.cos(0.4 * T)) + q[:, 1]], axis=1)
+    q = q + noise * rng.standard_normal(q.shape)
+    tau = tau + 0.05 * rng.standard_normal(tau.shape)
+    return Recording(t=T, q=q, tau=tau)
+
+
+@given(
+    seed=st.integers(0, 1000),
+    encoder=st.sampled_from([1e-6, 1e-4, 1e-3]),
+    torque=st.sampled_from([1e-3, 0.05, 0.3]),
+)
+@settings(max_examples=25, deadline=None)
+def test_a_sound_log_has_none_however_coarse_its_sensors(seed, encoder, torque):
+    sound = log(seed=seed)
+    q = encoder * np.round(sound.q / encoder)
+    tau = torque * np.round(sound.tau / torque)
+    found = find_faults(replace(sound, q=q, tau=tau))
+    assert not found.posture.any()
+    assert found.notes == ()
+
+
+def test_an_arm_that_waits_has_none():
+    moves = log(noise=0.0)
+    waits = T > 6.0
+    q, tau = moves.q.copy(), moves.tau.copy()
+    q[waits], tau[waits] = q[waits][0], 1.0
+    assert find_faults(replace(moves, q=q, tau=tau)).torque.sum() == 0
+
+
+def test_a_frozen_torque_is_found():
+    tau = log().tau.copy()
+    tau[1000:1500, 1] = tau[1000, 1]
+    found = find_faults(replace(log(), tau=tau))
+    np.testing.assert_array_equal(np.flatnonzero(found.torque[:, 1]), range(1000, 1500))
+    assert not found.torque[:, 0].any()
+    assert found.notes == ("torque of joint_2 is frozen for 20%",)
+
+
+def test_a_frozen_encoder_spoils_every_joint():
+    q = log().q.copy()
+    q[500:1250, 0] = q[500, 0]
+    found = find_faults(replace(log(), q=q))
+    np.testing.assert_array_equal(np.flatnonzero(found.posture), range(500, 1250))
+    assert "position of joint_1 is frozen" in found.notes[0]
+
+
+@pytest.mark.parametrize("limit", [2.0, 4.0])
+def test_a_saturated_torque_is_found(limit):
+    tau = log().tau.copy()
+    tau[:, 0] = np.clip(tau[:, 0], -limit, limit)
+    found = find_faults(replace(log(), tau=tau))
+    np.testing.assert_array_equal(found.torque[:, 0], np.abs(tau[:, 0]) == limit)
+    assert "saturated" in found.notes[0]
