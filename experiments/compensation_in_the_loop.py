@@ -67,7 +67,7 @@ def main() -> None:
     """Measure all seeds, print the table, write the report."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--seeds", type=int, default=10)
-    count, console, runs = parser.parse_args().seeds, Console(width=150), []
+    count, console, runs = parser.parse_args().seeds, Console(width=200), []
     for seed in range(count):
         runs.append(measure(seed))
         command = f"python experiments/compensation_in_the_loop.py --seeds {seed + 1}"

@@ -6,7 +6,7 @@ friction leaves, (c) what all stages and diagnosed effects leave; on motions lik
 learned from, with a payload of known mass, and at higher speed; and the RMS torque that
 was learned. Medians and spread over seeds.
 
-    python experiments/compensation_transfer.py --seeds 5
+    python experiments/compensation_transfer.py --seeds 3
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ LOAD = {"mass": 3.0, "mz": 0.3, "Ixx": 0.04, "Iyy": 0.04, "Izz": 0.01}
 def measure(seed: int) -> dict[str, Any]:
     """Errors of all three on the three kinds of motions."""
     robot, plant = load_arm()
-    options: dict[str, Any] = {"duration": 6.0, "seed": seed}
-    logs = simulate(plant, trajectories=3, fill=0.5, **options)
+    options: dict[str, Any] = {"duration": 8.0, "seed": seed}
+    logs = simulate(plant, trajectories=4, fill=0.6, **options)
     payload, options["seed"] = Payload(tuple(range(6)), LOAD), seed + 500
     loaded = replace(plant, effects=(*plant.effects, payload), servo=None)
     kinds = {
-        "seen before": simulate(plant, trajectories=2, fill=0.5, **options),
-        "payload": simulate(loaded, trajectories=2, fill=0.5, **options),
-        "faster": simulate(plant, trajectories=2, fill=0.9, **options),
+        "seen before": simulate(plant, trajectories=2, fill=0.6, **options),
+        "payload": simulate(loaded, trajectories=2, fill=0.6, **options),
+        "faster": simulate(plant, trajectories=2, fill=0.95, **options),
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
@@ -76,8 +76,8 @@ def measure(seed: int) -> dict[str, Any]:
 def main() -> None:
     """Measure all seeds, print the table, write the report."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--seeds", type=int, default=5)
-    count, console, runs = parser.parse_args().seeds, Console(width=150), []
+    parser.add_argument("--seeds", type=int, default=3)
+    count, console, runs = parser.parse_args().seeds, Console(width=220), []
     command = f"python experiments/compensation_transfer.py --seeds {count}"
     for seed in range(count):
         runs.append(measure(seed))

@@ -19,13 +19,14 @@ from hybrid.compensator import (
     RandomFeatureRegression,
     SymmetricRegression,
 )
-from hybrid.signals import motion_from_recording
+from hybrid.signals import Sampler, motion_from_recording
 
 EVERY, HISTORY = 5, 16  # samples
 mixture = partial(GaussianMixtureRegression.fit, components=12)
 odd = partial(SymmetricRegression.fit, signs=[1.0, -1.0], parity=-1.0)
 LEARNERS: dict[str, tuple[Callable[..., Any], int]] = {
     "mixture, full": (mixture, 1),
+    "mixture, 32 components": (partial(mixture, components=32), 1),
     "mixture, diagonal": (partial(mixture, structure="diagonal"), 1),
     "mixture, low rank": (partial(mixture, structure="low_rank", rank=1), 1),
     "mixture, odd in speed": (partial(odd, learn=mixture), 1),
@@ -39,15 +40,17 @@ COLUMNS = ("error", "90 %", "train s", "µs alone", "µs batch", "numbers")
 def samples(
     model: DynamicModel, logs: list[Recording], joint: int, history: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Position and speed of a joint, with their past, and what the model leaves."""
+    """Position and speed of a joint, with their past, and what is left."""
     x, y = [], []
     for log in logs:
         m = motion_from_recording(log, cutoff=model.cutoff)
-        state = np.stack([m.q[:, joint], m.v[:, joint]], axis=1)
-        rows = np.flatnonzero(m.mask)[HISTORY * EVERY :: EVERY]
-        past = rows[:, None] - EVERY * np.arange(history)[::-1]
+        sampler = Sampler(m.rate, model.cutoff, EVERY)
+        rest = sampler((m.tau - model.predict(m))[:, joint])
+        state = np.stack([m.q[:, joint], m.v[:, joint]], axis=1)[::EVERY]
+        rows = np.flatnonzero(sampler.keep(m.mask))[HISTORY:]
+        past = rows[:, None] - np.arange(history)[::-1]
         x.append(state[past].reshape(len(rows), -1))
-        y.append((m.tau - model.predict(m))[rows, joint, None])
+        y.append(rest[rows, None])
     return np.concatenate(x), np.concatenate(y)
 
 

@@ -16,7 +16,7 @@ def gap_rows(joint):
 def test_it_recovers_next_to_nothing_from_noise(seed):
     gap, rows = gap_rows(1)
     left = np.random.default_rng(seed).standard_normal(len(rows))
-    squares, of = recoverable(gap, 1, left, rows, 1.0)
+    squares, of, rest = recoverable(gap, 1, left, rows, 1.0)
     assert squares < 0.02 * len(rows)
 
 
@@ -35,7 +35,8 @@ def test_it_recovers_what_depends_on_something(law, about):
     x = law(gap.sampled, 1)[rows]
     x = x / x.std()
     noise = np.random.default_rng(0).standard_normal(len(rows))
-    squares, of = recoverable(gap, 1, x + noise, rows, 1.0)
+    squares, of, rest = recoverable(gap, 1, x + noise, rows, 1.0)
     assert squares > 0.6 * x @ x
     assert squares < 1.2 * x @ x
     assert about in of
+    assert rest.std() < 1.2

@@ -161,7 +161,9 @@ class TestSilence:
     def test_another_arm_is_no_cause(self):
         _, recordings = logs([STRIBECK])
         robot = arm("planar")
-        other = replace(robot, chain=replace(robot.chain, gravity=-2.5 * robot.chain.gravity))
+        other = replace(
+            robot, chain=replace(robot.chain, gravity=-2.5 * robot.chain.gravity)
+        )
         diagnosis = examine(other, recordings).diagnosis
         assert diagnosis.findings == ()
         assert any("file of this robot" in w for w in diagnosis.warnings)

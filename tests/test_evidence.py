@@ -39,7 +39,9 @@ def dense(gap, blocks, std, noise):
     columns, y, variance = [], [], []
     for i in range(2):
         rows = gap.moving[:, i]
-        parts = [b.get(i, np.zeros((M, len(s)))) for b, s in zip(blocks, std)]
+        parts = [
+            b.get(i, np.zeros((M, len(s)))) for b, s in zip(blocks, std, strict=True)
+        ]
         columns.append(np.hstack(parts)[rows])
         y.append(gap.left[rows, i])
         variance.append(np.full(rows.sum(), noise[i]))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arms import MODELS, public_arm
 
-from hybrid.errors import ExcitationError, RobotError
+from hybrid.errors import ExcitationError, HybridWarning, RobotError
 from hybrid.excitation import (
     Clearance,
     Condition,
@@ -87,13 +87,27 @@ def test_frames_are_those_of_pinocchio():
             np.testing.assert_allclose(p[j, k], data.oMi[j + 1].translation, atol=1e-12)
 
 
+def clearance_of_coman(limits):
+    with pytest.warns(HybridWarning, match="wrist_1 and wrist_3"):
+        return Clearance.of(COMAN, limits)
+
+
+def test_links_whose_capsules_touch_almost_anywhere_are_left_out_and_named():
+    limits = Limits.of(COMAN)
+    clearance = clearance_of_coman(limits)
+    q = np.random.default_rng(5).uniform(limits.low, limits.high, (500, 6))
+    assert ((clearance.distance(q) < 0.01).mean(axis=0) < 0.4).all()
+    assert [3, 5] not in clearance.pairs.tolist()
+    assert [-1, 4] in clearance.pairs.tolist()
+
+
 @pytest.mark.parametrize("kind", ["clearance", "workspace"])
 def test_slopes_are_those_of_finite_differences(kind):
     limits = Limits.of(COMAN)
     low = np.array([-0.5, -np.inf, 0.1])
     capsules = capsules_from_robot(COMAN)
     constraint = {
-        "clearance": Clearance.of(COMAN, limits),
+        "clearance": clearance_of_coman(limits),
         "workspace": Workspace(COMAN, capsules, low, np.array([0.6, np.inf, 0.9])),
     }[kind]
     q = np.random.default_rng(1).uniform(limits.low, limits.high, (15, 6))

@@ -29,7 +29,7 @@ _PICKED = _WAVES * 2 * np.log(400)  # the largest of so many squares of noise
 
 def recoverable(
     gap: Gap, joint: int, left: Array, rows: NDArray[np.intp], noise: float
-) -> tuple[float, str]:
+) -> tuple[float, str, Array]:
     """Squares of a residual that a flexible regression recovers on held-out folds.
 
     Args:
@@ -40,8 +40,8 @@ def recoverable(
         noise: Square that one chosen function recovers from noise, [N²·m²].
 
     Returns:
-        Recovered sum of squares, [N²·m²], and what the first function is of; 0 and
-        nothing where none helps.
+        Recovered sum of squares, [N²·m²]; what the first function is of, or nothing
+        where none helps; and what is left, shape (R,), [N·m].
     """
     fold = gap.fold[rows]
     folds = [fold == f for f in np.unique(fold)]
@@ -70,7 +70,7 @@ def recoverable(
             break
         total, first = total + worth, first or chosen
         rest = rest - fitted
-    return total, first
+    return total, first, rest
 
 
 def _cross_validated(G: Array, c: Array, samples: int) -> tuple[Array, Array]:

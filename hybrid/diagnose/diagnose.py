@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, refit, shares, split
-from hybrid.diagnose.findings import alternatives, findings, fitted_effects
+from hybrid.diagnose.findings import alternatives, findings
 from hybrid.diagnose.gap import Gap, measure_gap
 from hybrid.diagnose.grounds import another_arm, too_little, unlike
 from hybrid.diagnose.locate import locate
@@ -28,6 +29,7 @@ from hybrid.effects import Effect
 from hybrid.errors import EffectError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
+from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 Progress = Callable[[str], None]
@@ -119,16 +121,16 @@ def examine(
     named = [t for t in search.terms if check(search, t, found).passes(limits)]
     if strange := another_arm(gap, named):
         doubts, named = [strange], []
-    kinds = [alternatives(search, t, limits) for t in named]
+    kinds = {t: alternatives(search, t, limits) for t in named}
     refused = len(search.terms) - len(named)
     if refused:
         search.terms = named
         found = account(gap, search, limits)
     tell("scoring on motions that no step has seen")
-    scored = explain(gap, search, learn)
-    solution, own = refit(gap, search)
-    effects = fitted_effects(named, solution, own)
-    causes = findings(scored, effects, kinds, shares(scored, search, rng), rng)
+    scored, parts = _scored(gap, search, learn, rng)
+    effects = refit(gap, search).effects
+    own = [kinds[t] for t in search.terms]
+    causes = findings(scored, effects, own, parts, rng)
     verdict, unexplained = _verdict(found, causes, limits)
     if refused and verdict == "no_gap":
         verdict, unexplained = "unexplained", 1.0  # there is something, unlike all laws
@@ -139,9 +141,23 @@ def examine(
         warnings=(*gap.notes, *doubts),
     )
     tell("finding where the gap lies")
-    where = locate(gap, np.array(diagnosis.noise_floor), rng)
-    diagnosis = replace(diagnosis, where=where)
+    if verdict != "not_excited":
+        where = locate(gap, np.array(diagnosis.noise_floor), rng)
+        diagnosis = replace(diagnosis, where=where)
     return Result(diagnosis, gap, search, scored, found, effects)
+
+
+def _scored(
+    gap: Gap, search: Search, learn: NDArray[np.bool_], rng: np.random.Generator
+) -> tuple[Explanation, Array]:
+    """Terms on unseen samples and their shares, without those that hardly count."""
+    while True:
+        scored = explain(gap, search, learn)
+        parts = shares(scored, search, rng)
+        enough = parts >= thresholds().least_share
+        if enough.all():
+            return scored, parts
+        search.terms = [t for t, x in zip(search.terms, enough, strict=True) if x]
 
 
 def replayed(

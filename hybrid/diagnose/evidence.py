@@ -208,7 +208,7 @@ class Evidence:
 
     def residual(self, i: int, index: Index, gains: Array) -> Array:
         """What gains leave of the gap at a joint, in the order of ``rows[i]``."""
-        left = self._left[i]
+        left: Array = self._left[i]
         if not self._columns[i]:
             return left
         full = np.zeros(self.size)

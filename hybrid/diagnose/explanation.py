@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,10 +13,12 @@ from hybrid.diagnose.attribute import Search, Term
 from hybrid.diagnose.background import background
 from hybrid.diagnose.evidence import Evidence, Index, Solution
 from hybrid.diagnose.gap import Gap, block_seconds
+from hybrid.diagnose.shapes import nudges, shape_units
 from hybrid.effects import Effect
 from hybrid.robot.chain import Array
 
 _BLOCK_SECONDS = 1.0
+_SHAPE_SPREAD = 0.3  # prior deviation of a shape, of its range
 _ORDERS = 24  # of terms, and as many reversed
 
 
@@ -156,11 +159,57 @@ def _left(learn: Evidence, score: Evidence, fit: Index, same: Index) -> float:
     return float((left / score.noise).sum())
 
 
-def refit(gap: Gap, search: Search) -> tuple[Solution, tuple[Index, ...]]:
-    """The terms of a search on all samples: the numbers that are reported."""
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """The terms of a search on all samples: the numbers that are reported.
+
+    Attributes:
+        solution: Gains of background and terms at the shapes that were found.
+        effects: The effects of the terms, with these gains and standard deviations.
+            Those of gains take into account that shapes are not known exactly.
+    """
+
+    solution: Solution
+    effects: tuple[Effect, ...]
+
+
+def refit(gap: Gap, search: Search) -> Refit:
+    """Fit the terms of a search to all samples."""
     evidence, index, own = _fresh(gap, search, np.ones(len(gap.fold), dtype=bool))
     evidence.noise = search.evidence.noise
-    return evidence.solve(index), own
+    solution = evidence.solve(index)
+    gains = dict(zip(solution.index.tolist(), solution.gains, strict=True))
+    effects = [
+        with_gains(t.candidate.effect, [gains[k] for k in i])
+        for t, i in zip(search.terms, own, strict=True)
+    ]
+    nudged, shapes = [solution.index], []
+    for effect in effects:
+        blocks = nudges(gap, effect)
+        spread = [np.array([_SHAPE_SPREAD])] * len(blocks)
+        found = evidence.add(blocks, spread) if blocks else []
+        shapes.append([int(k[0]) for k in found])
+        nudged += found
+    whole = evidence.solve(np.concatenate(nudged))
+    deviation = dict(
+        zip(whole.index.tolist(), np.sqrt(np.diag(whole.covariance)), strict=True)
+    )
+    certain = []
+    for effect, i, s in zip(effects, own, shapes, strict=True):
+        std = {
+            g.name: float(deviation[k]) for g, k in zip(effect.gains, i, strict=True)
+        }
+        units = shape_units(gap, effect)
+        for shape, k, unit in zip(effect.shapes, s, units, strict=True):
+            std[shape.name] = float(deviation[k]) * unit
+        certain.append(effect.at({}, std))
+    return Refit(solution, tuple(certain))
+
+
+def with_gains(effect: Effect, gains: Sequence[float] | Array) -> Effect:
+    """An effect with its gains in order, shape (p,)."""
+    names = [g.name for g in effect.gains]
+    return effect.at(dict(zip(names, map(float, gains), strict=True)))
 
 
 def _fresh(
@@ -175,12 +224,3 @@ def _fresh(
         columns = [gap.columns(c.effect) for c in effects]
         own = tuple(evidence.add(columns, [c.std for c in effects]))
     return evidence, np.concatenate([rigid, *own]), own
-
-
-def fitted(term: Term, gains: Array, std: Array) -> Effect:
-    """The effect of a term with the gains of a solution."""
-    names = [g.name for g in term.candidate.effect.gains]
-    return term.candidate.effect.at(
-        dict(zip(names, map(float, gains), strict=True)),
-        dict(zip(names, map(float, std), strict=True)),
-    )

@@ -9,8 +9,7 @@ import numpy as np
 from hybrid.diagnose.attribute import Search, Term, same
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.diagnosis import Finding, Shrink, Value
-from hybrid.diagnose.evidence import Index, Solution
-from hybrid.diagnose.explanation import Explanation, fitted
+from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.thresholds import Thresholds
 from hybrid.effects import Effect
@@ -47,25 +46,6 @@ def _twins(search: Search, own: Candidate) -> list[str]:
         and len(c.std) == len(own.std) > 1
         and same(search.gap.columns(c.effect), columns)
     ]
-
-
-def fitted_effects(
-    terms: Sequence[Term], solution: Solution, own: Sequence[Index]
-) -> tuple[Effect, ...]:
-    """The effects of terms with the gains of a solution and their deviations.
-
-    Args:
-        terms: The terms.
-        solution: Their gains.
-        own: Columns of each term in the solution.
-    """
-    place = {k: at for at, k in enumerate(solution.index)}
-    spread = np.sqrt(np.diag(solution.covariance))
-    effects = []
-    for term, index in zip(terms, own, strict=True):
-        at = [place[k] for k in index]
-        effects.append(fitted(term, solution.gains[at], spread[at]))
-    return tuple(effects)
 
 
 def findings(

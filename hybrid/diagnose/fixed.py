@@ -77,7 +77,7 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
     """
     if not result.effects:
         return result.gap.robot, ()
-    solution, _ = refit(result.gap, result.search)
+    solution = refit(result.gap, result.search).solution
     rigid = len(result.search.background)
     scored: Explanation = result.scored
     return corrected(scored, result.effects, solution.gains[:rigid])

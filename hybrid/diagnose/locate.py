@@ -149,7 +149,7 @@ def _densest(cut: _Cut, test: _Test) -> slice | None:
     over &= test.exceeds(gained[first, last], samples[best].sum())
     # Over blocks of time, too: what one block shows is no property of the region.
     inside, visited = test.draws @ cut.excess, test.draws @ cut.samples
-    means = inside.sum(axis=1) / visited.sum(axis=1)
+    means = inside.sum(axis=1) / np.maximum(visited.sum(axis=1), 1e-12)
     lead = (inside[:, best] - means[:, None] * visited[:, best]).sum(axis=1)
     return best if over and np.quantile(lead, 0.025) > 0 else None
 

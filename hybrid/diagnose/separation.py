@@ -19,11 +19,10 @@ from hybrid.diagnose.attribute import Search, Term
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.gap import Columns, Gap
+from hybrid.diagnose.shapes import nudges
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.effects import Effect, effect_classes
 from hybrid.robot.chain import Array
-
-_NUDGE = 0.02  # of the range of a shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,11 +66,11 @@ def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
         )
     )
     effect = candidate.effect.at(fitted)
-    blocks = _nudges(gap, effect)
-    nudges = evidence.add(blocks, [np.ones(1)] * len(blocks)) if blocks else []
-    index = np.concatenate([base, own, *nudges])
+    blocks = nudges(gap, effect)
+    bends = evidence.add(blocks, [np.ones(1)] * len(blocks)) if blocks else []
+    index = np.concatenate([base, own, *bends])
     A, _ = evidence.normal(index)
-    gains = np.concatenate([solution.gains, np.zeros(len(nudges))])
+    gains = np.concatenate([solution.gains, np.zeros(len(bends))])
     others = tuple(t.candidate for t in search.terms if t is not term)
     known = A + np.diag(evidence.precision[index])
     return Rival(replace(candidate, effect=effect), others, gains, known)
@@ -164,23 +163,7 @@ def _blocks(gap: Gap, rival: Rival) -> list[Columns]:
     """Columns of background, others, effect and nudges along a motion."""
     others = [gap.columns(c.effect) for c in rival.others]
     own = rival.effect
-    return [*background(gap)[0], *others, gap.columns(own), *_nudges(gap, own)]
-
-
-def _nudges(gap: Gap, effect: Effect) -> list[Columns]:
-    """Change of torque with each shape of an effect, per range of the shape."""
-    blocks: list[Columns] = []
-    scale, gains = gap.scales[effect.joints[-1]], effect.gain_values
-    now = gap.columns(effect)
-    for shape in (s.scaled(scale) for s in effect.shapes):
-        step = _NUDGE * (shape.upper - shape.lower)
-        value = effect.values[shape.name]
-        if value + step > shape.upper:
-            step = -step
-        then = gap.columns(effect.at({shape.name: value + step}))
-        size = _NUDGE if step > 0 else -_NUDGE
-        blocks.append({j: ((then[j] - now[j]) @ gains / size)[:, None] for j in now})
-    return blocks
+    return [*background(gap)[0], *others, gap.columns(own), *nudges(gap, own)]
 
 
 def _stacked(gap: Gap, noise: Array, blocks: Sequence[Columns]) -> Array:

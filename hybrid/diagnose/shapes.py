@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.gap import Columns, Gap
 from hybrid.effects import Effect
 from hybrid.effects.effect import Quantity
 from hybrid.effects.torque_ripple import TorqueRipple
@@ -19,6 +19,7 @@ _SHAPE_PRICE = {"torque_ripple": 6.0}  # of several hundred orders
 _REACH = 0.2  # of a shape's range, to either side
 _WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
 _MOST_TRIALS = 40
+_NUDGE = 0.01  # of a range, for a derivative
 
 
 def price(effect: Effect) -> float:
@@ -61,8 +62,7 @@ def fit_shapes(
     Returns:
         The effect with better shapes, and what was gained.
     """
-    scale = gap.scales[effect.joints[-1]]
-    ranges = [_Range(s.scaled(scale)) for s in effect.shapes]
+    ranges = _ranges(gap, effect)
     if not ranges:
         return effect, gain(effect)
 
@@ -110,3 +110,38 @@ def _several(loss: Callable[[Array], float], start: Array, reach: float) -> Arra
         options=options,  # type: ignore[call-overload]
     )
     return np.asarray(found.x)
+
+
+def nudges(gap: Gap, effect: Effect) -> list[Columns]:
+    """Change of an effect's torque with each shape, per whole range of the shape.
+
+    Args:
+        gap: Where to evaluate it.
+        effect: The effect with its gains.
+
+    Returns:
+        For each shape a column at every joint that the effect reaches, shape (M, 1).
+    """
+    now, gains = gap.columns(effect), effect.gain_values
+    blocks: list[Columns] = []
+    for r in _ranges(gap, effect):
+        place = r.place(effect.values[r.shape.name])
+        step = _NUDGE if place + _NUDGE <= 1.0 else -_NUDGE
+        then = gap.columns(effect.at({r.shape.name: r.value(place + step)}))
+        blocks.append({j: ((then[j] - now[j]) @ gains / step)[:, None] for j in now})
+    return blocks
+
+
+def shape_units(gap: Gap, effect: Effect) -> list[float]:
+    """Change of each shape's value with its place in its range, at its value."""
+    units = []
+    for r in _ranges(gap, effect):
+        place = r.place(effect.values[r.shape.name])
+        low, high = max(place - _NUDGE, 0.0), min(place + _NUDGE, 1.0)
+        units.append((r.value(high) - r.value(low)) / (high - low))
+    return units
+
+
+def _ranges(gap: Gap, effect: Effect) -> list[_Range]:
+    scale = gap.scales[effect.joints[-1]]
+    return [_Range(s.scaled(scale)) for s in effect.shapes]

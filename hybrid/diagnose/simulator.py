@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from hybrid.diagnose.explanation import Explanation, fitted
+from hybrid.diagnose.explanation import Explanation, with_gains
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
@@ -37,7 +37,7 @@ def scored_effects(scored: Explanation) -> tuple[Effect, ...]:
     edges = np.cumsum([len(own) for own in scored.own])[:-1]
     parts = np.split(gains, edges) if scored.own else []
     pairs = zip(scored.terms, parts, strict=True)
-    return tuple(fitted(term, x, np.full(len(x), np.nan)) for term, x in pairs)
+    return tuple(with_gains(term.candidate.effect, x) for term, x in pairs)
 
 
 def corrected(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.bayes import memory
 from hybrid.diagnose.ceiling import recoverable
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.thresholds import Thresholds
@@ -77,9 +78,12 @@ def account(gap: Gap, search: Search, limits: Thresholds) -> Account:
         left = evidence.residual(i, whole.index, whole.gains)
         # Time order: what lags needs its past.
         order = np.argsort(rows)
-        squares, of = recoverable(gap, i, left[order], rows[order], weight[i])
+        rows = rows[order]
+        squares, of, rest = recoverable(gap, i, left[order], rows, weight[i])
         squares = max(0.0, squares - limits.spurious * float(left @ left))
-        missed[i] = squares / weight[i] if squares > limits.evident * weight[i] else 0.0
+        # Noise as estimated before may hold what no effect explains.
+        noise = float(rest @ rest) / len(rest) * memory(rest, rows)
+        missed[i] = squares / weight[i] if squares > limits.evident * noise else 0.0
         depends.append(of if missed[i] > 0 else "")
     return Account(before, after, missed, tuple(depends), after - missed)
 

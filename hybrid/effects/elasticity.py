@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,9 @@ from hybrid.signals import Motion
 
 if TYPE_CHECKING:
     import mujoco
+
+
+_LEAST_DAMPING = 0.05  # of the critical one; no gear rings for longer
 
 
 class Elasticity(Effect):
@@ -43,6 +47,38 @@ class Elasticity(Effect):
         speed = np.gradient(twist, motion.t, axis=0)
         rush = np.gradient(speed, motion.t, axis=0)
         return body.response(twist, speed, rush)[:, :, None]
+
+    def observe(self, motion: Motion, body: Body) -> Motion:
+        """The motion of the link, which swings on its spring behind the motor.
+
+        The spring carries the load of a link that follows by τ_load = K d + D ḋ + M d̈,
+        if M, the inertia about the joint, is taken at its mean along the motion.
+        """
+        (j,) = self.joints
+        soft, damping = self.values["compliance"], self.values["damping"]
+        if soft <= 0:
+            return motion
+        push = np.zeros_like(motion.q)
+        push[:, j] = 1.0
+        none = np.zeros_like(push)
+        inertia = float(np.mean(body.response(none, none, push)[:, j]))
+        step = float(np.median(np.diff(motion.t)))
+        damping = max(damping, 2 * _LEAST_DAMPING * np.sqrt(inertia / soft))
+        load = body.load[:, j]
+        # Continued by its point reflection, which keeps value and slope at the ends.
+        whole = np.concatenate(
+            [2 * load[0] - load[:0:-1], load, 2 * load[-1] - load[-2::-1]]
+        )
+        omega = 2 * np.pi * np.fft.rfftfreq(len(whole), step)
+        spectrum = np.fft.rfft(whole) / (
+            1 / soft + 1j * omega * damping - inertia * omega**2
+        )
+        first, last = len(load) - 1, 2 * len(load) - 1
+        q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+        for x, power in ((q, 0), (v, 1), (a, 2)):
+            turn = spectrum * (1j * omega) ** power
+            x[:, j] -= np.fft.irfft(turn, len(whole))[first:last]
+        return replace(motion, q=q, v=v, a=a)
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Add a deflection joint behind the motor joint, on the same axis.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
-from hybrid.errors import ExcitationError
+from hybrid.errors import ExcitationError, HybridWarning
 from hybrid.excitation.constraints import Index, Limits
 from hybrid.excitation.path import Path
 from hybrid.robot.chain import Array, Chain
@@ -18,7 +19,10 @@ from hybrid.robot.robot import Robot
 # The length in which a missing distance is counted; limits have their own size.
 _LENGTH = 0.2  # m
 _POSTURES = 300
-_ALWAYS = 0.95  # pairs that touch in more postures are joined by their joints
+# Of links two joints apart, such as those of a wrist, the capsules may touch wherever
+# they are: pairs that do so in more than this part of all postures say nothing.
+_OFTEN = 0.3
+_ALWAYS = 0.95  # those that touch in more postures are joined by their joints
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +56,9 @@ class Clearance:
 
         Raises:
             RobotError: There is no geometry.
+
+        Warns:
+            HybridWarning: Pairs are left out, as their capsules often touch.
         """
         capsules = capsules_from_robot(robot)
         links = np.arange(-1, robot.size)
@@ -60,8 +67,15 @@ class Clearance:
         q = np.random.default_rng(0).uniform(
             limits.low, limits.high, (_POSTURES, robot.size)
         )
-        touching = (every.distance(q) < margin).mean(axis=0)
-        return cls(robot, capsules, every.pairs[touching < _ALWAYS], margin)
+        share = (every.distance(q) < margin).mean(axis=0)
+        kept = cls(robot, capsules, every.pairs[share <= _OFTEN], margin)
+        unsure = (share > _OFTEN) & (share < _ALWAYS)
+        if unsure.any():
+            left_out = replace(kept, pairs=every.pairs[unsure]).names
+            named = ", ".join(x.split("links of ")[1] for x in dict.fromkeys(left_out))
+            text = f"not kept apart, as their capsules touch too often: {named}"
+            warnings.warn(text, HybridWarning, stacklevel=2)
+        return kept
 
     @cached_property
     def _rows(self) -> tuple[Index, Index, Index]:

@@ -17,6 +17,7 @@ from hybrid.robot.chain import Array
 
 FINER = 10  # times as fine as the design grid is the one on which limits are verified
 _NEAR = 0.5  # conditions within this part of their limit enter a step
+_CLOSE = 0.1  # ... and within this one with the samples beside them
 _NEARLY, _SHRINKS = 0.1, 8  # a start may exceed a limit by so much, or is made smaller
 _POSTURES = 300
 
@@ -157,7 +158,14 @@ class MotionProgram:
             grid = self.fine if constraint.is_linear else self.grid
             path = grid.path(self.coefficients(x))
             excess = constraint.excess(path) + self.margin
-            sample, which = np.nonzero(_peaks(excess) & (excess > -_NEAR))
+            peaks = _peaks(excess)
+            if not constraint.is_linear:
+                # A step may move a sharp peak to the next sample of a coarse grid.
+                beside = np.zeros_like(peaks)
+                beside[1:] = peaks[:-1]
+                beside[:-1] |= peaks[1:]
+                peaks |= beside & (excess > -_CLOSE)
+            sample, which = np.nonzero(peaks & (excess > -_NEAR))
             slope = constraint.slope(path.at(sample), which)  # (M, 4, n)
             by = np.einsum("kMm,Mkj->Mmj", grid.bases[:, sample], slope)
             values.append(excess[sample, which])
