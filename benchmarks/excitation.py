@@ -44,7 +44,8 @@ LEAD = """\
 Condition number of designed motions: median (lowest–highest) over seeds, one core. 24 s
 starting and ending at rest, 20 Hz design grid, 0.8 × position, speed and torque limits
 of the robot file, kept on a grid ten times finer; no limit of acceleration. Columns in
-SI units (raw) or brought to unit length (normalised)."""
+SI units (raw) or brought to unit length (normalised). The peer's figures are of the same
+robot, limits and grid on a machine like this one, measured beforehand."""
 # Robot, columns, collision, harmonics, starts, and what a peer reached there.
 TASKS = (
     ("ur10", "rigid", False, 12, 2, "FIGAROH 13.3–17.4 in 234–250 s"),

@@ -42,7 +42,14 @@ def main() -> None:
     unknown = effects_from_text("viscous,coulomb", robot.joints, joint_scales(robot))
     noise = plant.noise.torque_covariance
     observation = observe(robot.chain, unknown, covariance=noise)
-    runs = [run(robot, plant, observation, seed) for seed in range(options.seeds)]
+    runs = []
+    for seed in range(options.seeds):
+        runs.append(run(robot, plant, observation, seed))
+        write(options.out, robot.joints, runs)
+
+
+def write(folder, joints, runs):
+    """The table and the figure of the seeds so far."""
     rms, seconds, conditions, errors = (np.array(x) for x in zip(*runs, strict=True))
     ratio = np.exp(np.log(errors / errors[:, :1]).mean(axis=2))  # (S, 3)
     lead = "standard errors against those of the random motion, geometric mean: "
@@ -50,10 +57,10 @@ def main() -> None:
         f"{name} {np.median(x):.2f} ({x.min():.2f}…{x.max():.2f})"
         for name, x in zip(DESIGNS[1:], ratio[:, 1:].T, strict=True)
     )
-    joints = (*robot.joints, "mean")
     rms = np.concatenate([rms, rms.mean(axis=2, keepdims=True)], axis=2)
-    comparison = Comparison(joints, DESIGNS, rms[:, None], seconds, conditions)
-    comparison.write(options.out, "excitation_gain", ("COMAN-like",), lead)
+    names = (*joints, "mean")
+    comparison = Comparison(names, DESIGNS, rms[:, None], seconds, conditions)
+    comparison.write(folder, "excitation_gain", ("COMAN-like",), lead)
 
 
 def run(robot, plant, observation, seed):
@@ -79,7 +86,6 @@ def run(robot, plant, observation, seed):
         rms.append(validate(fit.model, logs[3:]).rows[-1].rms)
         conditions.append(fit.condition)
         errors.append(np.sqrt(fit.covariance.diagonal()))
-    print(seed, np.mean(rms, axis=1).round(3), np.round(conditions, 1), flush=True)
     return rms, seconds, conditions, errors
 
 

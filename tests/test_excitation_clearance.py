@@ -88,7 +88,7 @@ def test_frames_are_those_of_pinocchio():
 
 
 def clearance_of_coman(limits):
-    with pytest.warns(HybridWarning, match="wrist_1 and wrist_3"):
+    with pytest.warns(HybridWarning, match="often: elbow and wrist_3"):
         return Clearance.of(COMAN, limits)
 
 
@@ -97,7 +97,7 @@ def test_links_whose_capsules_touch_almost_anywhere_are_left_out_and_named():
     clearance = clearance_of_coman(limits)
     q = np.random.default_rng(5).uniform(limits.low, limits.high, (500, 6))
     assert ((clearance.distance(q) < 0.01).mean(axis=0) < 0.4).all()
-    assert [3, 5] not in clearance.pairs.tolist()
+    assert [2, 5] not in clearance.pairs.tolist()
     assert [-1, 4] in clearance.pairs.tolist()
 
 

@@ -76,6 +76,10 @@ def test_an_exported_simulator_moves_as_the_plant_and_the_callback_adds_the_rest
     assert any(text.startswith("stribeck of base (level 3 N·m") for text in left_out)
     exported = rollout(tmp_path, model, plant, complete=False)
     completed = rollout(tmp_path, model, plant, complete=True)
+    nominal = Robot.load(MODELS / "coman_like.xml")
+    export(model_of(nominal, declared(nominal)), tmp_path / "nominal", format="mjcf")
+    before = rollout(tmp_path / "nominal", model, plant, complete=False)
+    assert exported < 0.9 * before
     assert completed < 0.01
     assert completed < exported / 10
 

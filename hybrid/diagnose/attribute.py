@@ -18,6 +18,7 @@ from hybrid.effects import Effect
 from hybrid.effects.torque_ripple import TorqueRipple
 
 _WORTH = 12.0  # nats that a term must add
+_LEAST_REMOVED = 0.015  # of the RMS at a term's joints, on folds left out
 _RIPPLES = 3  # orders tried at each joint at a time
 _SHORTLIST = 4
 _MOST_TERMS = 40
@@ -84,7 +85,7 @@ class Search:
             found.append((total, off, self.terms))
         _, self.off, self.terms = max(found, key=lambda x: x[0])
         self.evidence.spread(self.background, self.off)
-        self._prune()
+        self.prune()
         return self.terms
 
     def _grow(self) -> None:
@@ -223,16 +224,20 @@ class Search:
                 return
             del self.terms[weakest]
 
-    def _prune(self) -> None:
-        """Remove terms that do not lower the squares on folds left out."""
+    def prune(self) -> None:
+        """Remove terms that hardly lower the squares on folds left out."""
+        evidence = self.evidence
         while self.terms:
-            whole = self.evidence.held_out(self.base())
-            falls = [
-                float((self.evidence.held_out(self.base(t)) - whole).sum())
-                for t in self.terms
-            ]
-            weakest = int(np.argmin(falls))
-            if falls[weakest] >= _WORTH:
+            whole = evidence.held_out(self.base()).sum(axis=1)
+            worth = []
+            for term in self.terms:
+                without = evidence.held_out(self.base(term)).sum(axis=1)
+                fall = (without - whole) / evidence.noise
+                main = fall >= 0.2 * fall.max()
+                part = 1.0 - np.sqrt(whole[main].sum() / without[main].sum())
+                worth.append(min(fall.sum() / _WORTH, part / _LEAST_REMOVED))
+            weakest = int(np.argmin(worth))
+            if worth[weakest] >= 1.0:
                 return
             del self.terms[weakest]
 

@@ -6,10 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.diagnose.advise import advise
-from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.attribute import Search, Term
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, refit, shares, split
 from hybrid.diagnose.findings import alternatives, findings
@@ -29,12 +28,12 @@ from hybrid.effects import Effect
 from hybrid.errors import EffectError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 Progress = Callable[[str], None]
 
 # Effects between motor and link, and of clocks: torque alone does not settle them.
+_UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _IN_MOTION = {"elasticity", "backlash", "actuator_lag", "delay"}
 
 
@@ -117,20 +116,22 @@ def examine(
     if not doubts:
         search.run()
     tell("asking what is left")
-    found = account(gap, search, limits)
-    named = [t for t in search.terms if check(search, t, found).passes(limits)]
-    if strange := another_arm(gap, named):
-        doubts, named = [strange], []
-    kinds = {t: alternatives(search, t, limits) for t in named}
-    refused = len(search.terms) - len(named)
-    if refused:
-        search.terms = named
-        found = account(gap, search, limits)
+    found, kinds, refused = _vetted(gap, search, limits)
+    if strange := another_arm(gap, search.terms):
+        doubts, search.terms = [strange], []
     tell("scoring on motions that no step has seen")
-    scored, parts = _scored(gap, search, learn, rng)
-    effects = refit(gap, search).effects
-    own = [kinds[t] for t in search.terms]
-    causes = findings(scored, effects, own, parts, rng)
+    while True:
+        scored = explain(gap, search, learn)
+        effects = refit(gap, search).effects
+        own = [kinds[t] for t in search.terms]
+        causes = findings(scored, effects, own, shares(search, rng), rng)
+        worse = {f.effect for f in causes if f.shrink["torque"].removed <= 0}
+        if not worse:
+            break
+        refused = True
+        search.terms = [t for t in search.terms if t.place[0] not in worse]
+        found = account(gap, search, limits)
+    doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     verdict, unexplained = _verdict(found, causes, limits)
     if refused and verdict == "no_gap":
         verdict, unexplained = "unexplained", 1.0  # there is something, unlike all laws
@@ -147,17 +148,30 @@ def examine(
     return Result(diagnosis, gap, search, scored, found, effects)
 
 
-def _scored(
-    gap: Gap, search: Search, learn: NDArray[np.bool_], rng: np.random.Generator
-) -> tuple[Explanation, Array]:
-    """Terms on unseen samples and their shares, without those that hardly count."""
+def _unsure(finding: Finding) -> bool:
+    return finding.shrink["torque"].interval[0] < 0
+
+
+def _vetted(
+    gap: Gap, search: Search, limits: Thresholds
+) -> tuple[Account, dict[Term, tuple[str, ...]], bool]:
+    """Leave a search the terms that pass all checks beside each other.
+
+    Returns:
+        What they explain and miss, what each cannot be told from, and whether a term
+        was refused.
+    """
+    found = account(gap, search, limits)
+    kinds: dict[Term, tuple[str, ...]] = {}
+    every = list(search.terms)
     while True:
-        scored = explain(gap, search, learn)
-        parts = shares(scored, search, rng)
-        enough = parts >= thresholds().least_share
-        if enough.all():
-            return scored, parts
-        search.terms = [t for t, x in zip(search.terms, enough, strict=True) if x]
+        passing = [t for t in search.terms if check(search, t, found).passes(limits)]
+        kinds |= {t: alternatives(search, t, limits) for t in passing if t not in kinds}
+        if len(passing) == len(search.terms):
+            return found, kinds, len(passing) < len(every)
+        search.terms = passing
+        search.prune()
+        found = account(gap, search, limits)
 
 
 def replayed(

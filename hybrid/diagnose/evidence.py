@@ -181,10 +181,10 @@ class Evidence:
         return Solution(index, gains, spread, float(0.5 * b @ gains - occam))
 
     def held_out(self, index: Index) -> Array:
-        """Squares left on each fold by gains from the others, shape (F,), in noise."""
+        """Squares left at each joint and fold by gains from the others, (n, F)."""
         folds = np.arange(len(self.folds))
         gains = [self.solve(index, np.delete(folds, f)).gains for f in folds]
-        return self.squares(index, np.stack(gains)).T @ (1.0 / self.noise)
+        return self.squares(index, np.stack(gains))
 
     def squares(self, index: Index, gains: Array) -> Array:
         """Sum of squares left on each joint and fold, shape (n, F), [N²·m²].

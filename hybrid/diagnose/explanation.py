@@ -92,7 +92,8 @@ def split(gap: Gap) -> NDArray[np.bool_]:
     count = gap.trajectory.max() + 1
     if count >= 4:
         return np.asarray(gap.trajectory % 4 != 3)
-    return np.asarray(gap.fold % 4 != 3)
+    # Not the same one of each: trajectories often end alike.
+    return np.asarray((gap.fold + gap.trajectory) % 4 != 3)
 
 
 def between(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -122,41 +123,36 @@ def explain(gap: Gap, search: Search, learn: NDArray[np.bool_]) -> Explanation:
     return Explanation(gap, tuple(search.terms), evidence, index, gains, own)
 
 
-def shares(scored: Explanation, search: Search, rng: np.random.Generator) -> Array:
+def shares(search: Search, rng: np.random.Generator) -> Array:
     """Part of each term in what all of them explain, shape (terms,).
 
-    Shapley's shares of the fall in squares, in units of noise, on the scored samples;
-    every subset of terms is fitted anew to the others. They are estimated from random
-    orders and their reverses, which settles the shares of two terms exactly.
+    Shapley's shares of the fall in squares, in units of noise, on the samples learnt
+    from; every subset of terms is fitted anew. They are estimated from random orders
+    and their reverses, which settles the shares of two terms exactly.
 
     Source: Shapley 1953, doi 10.1515/9781400881970-018; Mitchell et al. 2022,
     arXiv 2104.12199 (antithetic orders).
     """
-    count, gain = len(scored.terms), np.zeros(len(scored.terms))
-    learn, score = search.evidence, scored.evidence
-    for _ in range(_ORDERS if count > 2 else 1):
-        forth = rng.permutation(count)
+    evidence, terms = search.evidence, search.terms
+    gain = np.zeros(len(terms))
+
+    def left(order: Sequence[int]) -> float:
+        columns = [search.background, *(terms[i].index for i in order)]
+        found = evidence.solve(np.concatenate(columns))
+        squares = evidence.squares(found.index, found.gains).sum(axis=1)
+        return float((squares / evidence.noise).sum())
+
+    nothing = left([])
+    for _ in range(_ORDERS if len(terms) > 2 else 1):
+        forth = rng.permutation(len(terms)).tolist()
         for order in (forth, forth[::-1]):
-            left = _left(learn, score, search.background, scored.rigid)
-            for k in range(count):
-                before, some = left, order[: k + 1]
-                left = _left(
-                    learn,
-                    score,
-                    np.concatenate(
-                        [search.background, *(scored.terms[i].index for i in some)]
-                    ),
-                    np.concatenate([scored.rigid, *(scored.own[i] for i in some)]),
-                )
-                gain[order[k]] += before - left
-    gain = np.maximum(gain, 0.0)  # some only help beside others
+            before = nothing
+            for k in range(len(order)):
+                after = left(order[: k + 1])
+                gain[order[k]] += before - after
+                before = after
+    gain = np.maximum(gain, 0.0)
     return np.asarray(gain / max(gain.sum(), 1e-300))
-
-
-def _left(learn: Evidence, score: Evidence, fit: Index, same: Index) -> float:
-    """Squares left on scored samples by columns fitted on those learnt from."""
-    left = score.squares(same, learn.solve(fit).gains).sum(axis=1)
-    return float((left / score.noise).sum())
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,6 @@ class Thresholds:
         complete: Least part of what is explainable at a joint that its terms explain.
         steady: Largest reduced chi-square of gains from fold to fold.
         crowded: Most terms at one joint that still make a cause.
-        least_share: Least part in what all terms explain that makes a cause.
         explained: Least part of the whole gap explained for the verdict ``explained``.
     """
 
@@ -34,7 +33,6 @@ class Thresholds:
     complete: float
     steady: float
     crowded: int
-    least_share: float
     explained: float
 
 

@@ -116,8 +116,7 @@ def program_from_model(model: DynamicModel) -> Program:
     effects = [e for e in model.effects if not e.not_in_loop]
     q, v, a = ([tape.input(f"{x}[{j}]") for j in range(n)] for x in "qva")
     for effect in effects:
-        if effect.observes:
-            (j,) = effect.joints
+        for j in effect.joints if effect.observes else ():
             q[j], v[j], a[j] = _traced(effect.true_state, effect, q[j], v[j], a[j])
     chain, inertial = robot.chain, model.link_parameters
     load = newton_euler(chain, inertial, chain.gravity, q=q, v=v, a=a)
