@@ -44,8 +44,8 @@ LEAD = """\
 Condition number of designed motions: median (lowest–highest) over seeds, one core. 24 s
 starting and ending at rest, 20 Hz design grid, 0.8 × position, speed and torque limits
 of the robot file, kept on a grid ten times finer; no limit of acceleration. Columns in
-SI units (raw) or brought to unit length (normalised). The peer's figures are of the same
-robot, limits and grid on a machine like this one, measured beforehand."""
+SI units (raw) or brought to unit length (normalised). The peer's figures are of the
+same robot, limits and grid on a machine like this one, measured beforehand."""
 # Robot, columns, collision, harmonics, starts, and what a peer reached there.
 TASKS = (
     ("ur10", "rigid", False, 12, 2, "FIGAROH 13.3–17.4 in 234–250 s"),
@@ -107,23 +107,23 @@ def main() -> None:
     options = parser.parse_args()
     warnings.simplefilter("ignore", HybridWarning)  # pairs of links in the wrist
     for k in options.tasks:
+        command = f"python benchmarks/excitation.py --seeds {options.seeds} --tasks {k}"
         for result in run(TASKS[k], options.seeds):
-            write(options, result)
+            write(options.out, result | {"command": command})
 
 
-def write(options: argparse.Namespace, result: dict[str, Any]) -> None:
+def write(folder: Path, result: dict[str, Any]) -> None:
     """Add a task to the results, and write the table of all that are there."""
-    path = options.out / "results.json"
+    path = folder / "results.json"
     tasks = json.loads(path.read_text("utf-8"))["tasks"] if path.exists() else []
     tasks = [x for x in tasks if x["task"] != result["task"]] + [result]
     rows = tuple(row(x) for x in tasks)
     header = ("task", "seeds", "CPU s", "raw", "normalised", "log det", "peer, raw")
     table = Table(header, rows)
-    command = f"python benchmarks/excitation.py --seeds {options.seeds}"
-    content = {"provenance": provenance(command=command), "tasks": tasks}
-    write_results(path, content)
-    text = f"{LEAD}\n\n{markdown_table(table)}\n\n`{command}`\n"
-    with atomic_path(options.out / "table.md") as temporary:
+    write_results(path, {"provenance": provenance(), "tasks": tasks})
+    commands = "".join(f"    {x['command']}\n" for x in tasks)
+    text = f"{LEAD}\n\n{markdown_table(table)}\n\n{commands}"
+    with atomic_path(folder / "table.md") as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

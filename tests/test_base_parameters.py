@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from hybrid.dynamics import base_parameters, inertial_labels, regressor
 from hybrid.effects import effect_class
+from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identify.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.robot.spatial import inertial_about
@@ -218,3 +219,11 @@ def test_no_samples_reveal_nothing():
     base = base_parameters(np.zeros((0, 10)), labels, units)
     assert base.size == 0 and base.names == ()
     assert base.mapping.shape == (0, 10) and set(base.dropped) == set(labels)
+
+
+def test_two_ripples_of_one_joint_have_names_of_their_own():
+    robot = arm("scara.xml")
+    ripples = [TorqueRipple((0,), {"periods": k}) for k in (6.0, 11.5)]
+    base = build_problem(robot.chain, ripples).base
+    assert len(set(base.labels)) == len(base.labels)
+    assert "torque_ripple.sine[shoulder, periods 11.5]" in base.labels

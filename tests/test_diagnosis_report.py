@@ -256,8 +256,8 @@ class TestVerdict:
         lines = verdict_lines(planar().diagnosis)
         assert lines[0].startswith("Explained: 2 effects account for all of the gap")
         assert lines[1].startswith("RMS gap in N·m: shoulder 1.")
-        assert lines[2].startswith("1. Torque ripple at shoulder: ")
-        assert "% less (95% interval " in lines[3]
+        assert lines[3].startswith("1. Torque ripple at shoulder: ")
+        assert "% less (95% interval " in lines[4]
 
     def test_it_says_what_cannot_be_told_apart(self):
         text = "\n".join(verdict_lines(replace(planar().diagnosis, findings=many(1))))

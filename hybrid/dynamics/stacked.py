@@ -47,6 +47,10 @@ def stacked_base(
         effect, gain = effects[e], effects[e].gains[g]
         where = "+".join(chain.joints[j] for j in effect.joints)
         where = "arm" if effect.scope == "arm" else where
+        if sum((x.id, x.joints) == (effect.id, effect.joints) for x in effects) > 1:
+            # Two ripples of one joint differ in their shapes only.
+            shapes = (f"{name} {x:.6g}" for name, x in effect.shape_values.items())
+            where = ", ".join([where, *shapes])
         labels += (f"{effect.id}.{gain.name}[{where}]",)
         units += (gain.unit,)
     stacked = stacked_columns(chain, effects, gains, rich_motion(chain))
