@@ -23,16 +23,19 @@ class Run:
     Attributes:
         kind: Id of its effects.
         seed: Of sizes, motions and noise.
+        quiet: Whether torque noise is a tenth of the usual.
         effects: The effects that it has.
         diagnosis: What was found.
-        rms: Torque gap on the held-out motion, at the joints with effects, by what the
-            simulator has: ``before``, ``after``, ``floor``, perhaps ``sysid``, [N·m].
+        rms: Torque gap on the held-out motion, at the joints with effects or at all
+            where there are none, by what the simulator has: ``before``, ``after``,
+            ``floor``, perhaps ``sysid``, [N·m].
         seconds: Processor time of the diagnosis in torque, and of its replay.
         fitted: A fit of fixed structure to the same log.
     """
 
     kind: str
     seed: int
+    quiet: bool
     effects: tuple[Effect, ...]
     diagnosis: Diagnosis
     rms: dict[str, float]
@@ -55,7 +58,7 @@ class Run:
         before, after = (
             np.sqrt(max(self.rms[k] ** 2 - floor**2, 0.0)) for k in ("before", name)
         )
-        return float(1 - after / before)
+        return float(1 - after / before) if before > 0 else float("nan")
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
@@ -70,6 +73,7 @@ class Run:
         return {
             "plant": self.kind,
             "seed": self.seed,
+            "quiet": self.quiet,
             "effects": [e.as_dict(self.diagnosis.joints) for e in self.effects],
             "named": sorted(self.places),
             "right": self.places == self.true_places,
@@ -95,14 +99,18 @@ def table(runs: Sequence[Run]) -> Table:
             f"{f.effect} {','.join(sorted(order[j] for j in f.joints))}"
             for f in x.diagnosis.findings
         ]
-        row = [f"{x.kind}, {x.seed}", "; ".join(named) or x.diagnosis.verdict]
+        row = [
+            f"{x.kind}, {x.seed}{', quiet' if x.quiet else ''}",
+            "; ".join(named) or x.diagnosis.verdict,
+        ]
         row += [f"{x.rms[k]:.3f}" for k in ("before", "after", "floor")]
-        row += [f"{x.removed('after', above_floor=b):.1%}" for b in (False, True)]
+        cut = [x.removed("after", above_floor=b) for b in (False, True)]
+        row += [f"{c:.1%}" if x.effects else "" for c in cut]
         row += [f"{x.seconds[0]:.1f} + {x.seconds[1]:.1f}"]
         if x.fitted is not None:
             row += [
                 f"{x.rms['sysid']:.3f}",
-                f"{x.removed('sysid', above_floor=False):.1%}",
+                f"{x.removed('sysid', above_floor=False):.1%}" if x.effects else "",
                 f"{np.median(x.fitted.wrong):.0%}",
                 f"{x.fitted.seconds:.0f}",
             ]
@@ -112,42 +120,45 @@ def table(runs: Sequence[Run]) -> Table:
 
 
 def summary(runs: Sequence[Run]) -> list[str]:
-    """What it comes to."""
-    right = sum(x.places == x.true_places for x in runs)
-    first = sum(
-        bool(x.diagnosis.findings) and x.diagnosis.findings[0].effect == x.kind
-        for x in runs
-    )
-    missed = sum(len(x.true_places - x.places) for x in runs)
-    false = sum(len(x.places - x.true_places) for x in runs)
-    lines = [
-        f"exactly the effects that are there, at exactly their joints: {right} of "
-        f"{len(runs)}; the right effect first: {first}; places missed: {missed}, named "
-        f"without cause: {false}"
-    ]
-    for above in (False, True):
-        cut = [x.removed("after", above_floor=above) for x in runs]
-        lines.append(
-            f"gap removed{' above the floor' if above else ''}: median "
-            f"{np.median(cut):.1%}, least {min(cut):.1%}"
+    """What it comes to, plant by plant."""
+    lines = []
+    for kind, quiet in dict.fromkeys((x.kind, x.quiet) for x in runs):
+        own = [x for x in runs if (x.kind, x.quiet) == (kind, quiet)]
+        head = f"{kind}{', a tenth of the noise' if quiet else ''}: "
+        right = sum(x.places == x.true_places for x in own)
+        missed = sum(len(x.true_places - x.places) for x in own)
+        false = sum(len(x.places - x.true_places) for x in own)
+        text = (
+            f"exactly what is there is named in {right} of {len(own)} (places missed "
         )
-    floor = [x.removed("floor", above_floor=False) for x in runs]
-    lines.append(
-        f"the plant's own effects remove {np.median(floor):.1%} in the median, "
-        f"{min(floor):.1%} at least"
-    )
-    torque, replay = np.median([x.seconds for x in runs], axis=0)
-    lines.append(f"processor time, median: {torque:.1f} s, and {replay:.1f} s to replay")
-    fits = [x.fitted for x in runs if x.fitted is not None]
-    if fits:
-        seconds = [x.seconds for x in fits]
-        wrong = np.concatenate([x.wrong for x in fits])
-        inside = np.concatenate([x.inside for x in fits])
-        cut = [x.removed("sysid", above_floor=False) for x in runs if x.fitted]
-        lines.append(
-            f"mujoco.sysid: {min(seconds):.0f} to {max(seconds):.0f} s; its numbers are "
-            f"off by {np.median(wrong):.0%} in the median, {inside.sum()} of "
-            f"{inside.size} true ones lie in its 95 % intervals; it removes "
-            f"{np.median(cut):.1%} of the gap in the median"
-        )
+        text += f"{missed}, named without cause {false})"
+        if own[0].effects:
+            for above, words in ((False, "gap removed"), (True, "above the floor")):
+                cut = [x.removed("after", above_floor=above) for x in own]
+                text += f"; {words}: median {np.median(cut):.1%}, least {min(cut):.1%}"
+            floor = [x.removed("floor", above_floor=False) for x in own]
+            text += f"; the plant's own effects remove {np.median(floor):.1%}"
+        torque, replay = np.median([x.seconds for x in own], axis=0)
+        text += f"; {torque:.1f} s of processor time, {replay:.1f} s to replay"
+        lines.append(f"{head}{text}")
+        fits = [x.fitted for x in own if x.fitted is not None]
+        if fits:
+            lines.append(f"{head}{_fixed_structure(own, fits)}")
     return lines
+
+
+def _fixed_structure(runs: Sequence[Run], fits: Sequence[Fitted]) -> str:
+    """What the fit of fixed structure comes to on one kind of plant."""
+    seconds = [x.seconds for x in fits]
+    wrong = np.concatenate([x.wrong for x in fits])
+    inside = np.concatenate([x.inside for x in fits])
+    text = (
+        f"mujoco.sysid takes {min(seconds):.0f} to {max(seconds):.0f} s of processor "
+    )
+    text += f"time; its numbers are off by {np.median(wrong):.1%} in the median and "
+    text += f"{wrong.max():.0%} at most, {inside.sum()} of {inside.size} true ones lie "
+    text += "in its 95 % intervals"
+    if runs[0].effects:
+        cut = [x.removed("sysid", above_floor=False) for x in runs]
+        text += f"; it removes {np.median(cut):.1%} of the gap in the median"
+    return text

@@ -146,7 +146,9 @@ def _parameters(sysid: Any, robot: Robot, spec: Any) -> Any:
                 setattr(s.joint(joint), field, [x, *now[1:]] if np.size(now) > 1 else x)
 
             params.add(
-                sysid.Parameter(f"{joint} {field}", value, 0.0, 5 * value, modifier=set_)
+                sysid.Parameter(
+                    f"{joint} {field}", value, 0.0, 5 * value, modifier=set_
+                )
             )
     body, mass = spec.joint(robot.joints[-1]).parent.name, chain.inertial[-1, 0]
 
@@ -163,9 +165,9 @@ def _with_values(robot: Robot, values: np.ndarray) -> Robot:
     # The mass alone changes: its centre stays, and so does its inertia about it.
     mass, moment = inertial[-1, 0], inertial[-1, 1:4]
     centre, added = moment / mass, values[-1] - mass
-    xx, xy, yy, xz, yz, zz = (
-        (centre @ centre) * np.eye(3) - np.outer(centre, centre)
-    )[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    xx, xy, yy, xz, yz, zz = ((centre @ centre) * np.eye(3) - np.outer(centre, centre))[
+        [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]
+    ]
     inertial[-1] += added * np.array([1, *centre, xx, xy, yy, xz, yz, zz])
     chain = replace(robot.chain, inertial=inertial, armature=armature)
     return replace(robot, chain=chain, damping=damping, frictionloss=friction)

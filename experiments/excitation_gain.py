@@ -85,7 +85,8 @@ def run(robot, plant, observation, seed):
         rms.append(validate(fit.model, logs[3:]).rows[-1].rms)
         conditions.append(fit.condition)
         errors.append(dict(zip(fit.names, fit.covariance.diagonal(), strict=True)))
-    same = [x for x in errors[0] if all(x in other for other in errors)]
+    # An unknown that a fit put at its bound has no variance there.
+    same = [x for x in errors[0] if all(0 < e.get(x, 0) < np.inf for e in errors)]
     logs = np.log([[x[name] for name in same] for x in errors]).mean(axis=1)
     return rms, seconds, conditions, np.exp((logs - logs[0]) / 2)
 

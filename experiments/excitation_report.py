@@ -41,19 +41,24 @@ class Comparison:
         """By how much each error is lower than that of the first design, [%]."""
         return 100 * (1 - self.rms / self.rms[:, :, :1])
 
+    @property
+    def _gained(self) -> list[int]:
+        """Joints whose gain the table shows: of many only the last, their mean."""
+        return list(range(len(self.joints)))[-1 if len(self.joints) > 3 else 0 :]
+
     def table(self, plant: int) -> Table:
         """Medians over the seeds on one plant."""
         rms, lower = self.rms[:, plant], self.lower[:, plant]
         rows = []
         for k, name in enumerate(self.designs):
             errors = [f"{x:.3f}" for x in np.median(rms[:, k], axis=0)]
-            gains = [spread(x) if k else "" for x in lower[:, k].T]
+            gains = [spread(x) if k else "" for x in lower[:, k, self._gained].T]
             figures = (self.conditions[:, k], self.seconds[:, k])
             rows.append(
                 (name, *errors, *gains, *(f"{np.median(x):.1f}" for x in figures))
             )
         header = ("", *(f"{x} [N·m]" for x in self.joints))
-        header += tuple(f"{x}: lower by [%]" for x in self.joints)
+        header += tuple(f"{self.joints[j]}: lower by [%]" for j in self._gained)
         return Table((*header, "condition", "design [CPU s]"), tuple(rows))
 
     def write(

@@ -21,12 +21,20 @@ from typing import Any
 
 import numpy as np
 from real_arms_data import ARMS, Arm
-from real_arms_diagnosis_report import Score, gap_figure, gap_table, in_words, said
+from real_arms_diagnosis_report import (
+    Score,
+    gap_figure,
+    gap_table,
+    held_out,
+    in_words,
+    said,
+)
 from rich.console import Console
 
 from hybrid import Robot, read_recordings
 from hybrid.diagnose.advise import advise
-from hybrid.diagnose.diagnose import Result, examine, replayed
+from hybrid.diagnose.diagnose import examine, replayed
+from hybrid.diagnose.explanation import between, split
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.report import numbers_table, provenance, save_figure, write_results
@@ -45,28 +53,9 @@ def measure(arm: Arm, data: Path) -> Score:
     result = replayed(result, rng)
     diagnosis = replace(result.diagnosis, advice=advise(result, rng))
     seconds = middle - start, process_time() - middle
-    return Score(arm.name, diagnosis, held_out(result), seconds)
-
-
-def held_out(result: Result) -> dict[str, np.ndarray]:
-    """RMS on samples that no step has seen, shape (n,) each, [N·m]."""
-    scored, search = result.scored, result.search
-    alone = np.zeros(len(scored.index))
-    background = search.evidence.solve(search.background).gains
-    alone[: len(background)] = background
-    squares = {
-        "torque": [
-            (result.gap.sampled.tau + result.gap.left)[rows, i]
-            for i, rows in enumerate(scored.evidence.rows)
-        ],
-        "as the file stands": scored.left(np.zeros(len(scored.index))),
-        "links corrected": scored.left(alone),
-        "with the findings": scored.after,
-    }
-    return {
-        name: np.array([np.sqrt(np.mean(x**2)) if len(x) else np.nan for x in parts])
-        for name, parts in squares.items()
-    }
+    learnt, gap = split(result.gap), result.gap
+    unseen = np.sum(~learnt & between(gap, learnt) & gap.sampled.mask) / gap.rate
+    return Score(arm.name, diagnosis, held_out(result), float(unseen), seconds)
 
 
 def main() -> None:

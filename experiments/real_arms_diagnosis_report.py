@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from hybrid.diagnose.diagnosis import Diagnosis, Finding
+from hybrid.diagnose.diagnose import Result
+from hybrid.diagnose.diagnosis import Diagnosis, Finding, Region
 from hybrid.report import Table, markdown_table
 from hybrid.report.style import BLUE, GREY, PALE, RED, clean, legend, new_figure
 
@@ -24,12 +25,14 @@ class Score:
         diagnosis: The answer.
         held_out: RMS of torque and of its gap on samples that no step has seen, by
             model, shape (n,) each, [N·m].
+        unseen: Length of those samples, [s].
         seconds: Processor time of the diagnosis in torque, and of replay and advice.
     """
 
     arm: str
     diagnosis: Diagnosis
     held_out: dict[str, np.ndarray]
+    unseen: float
     seconds: tuple[float, float]
 
     def as_dict(self) -> dict[str, Any]:
@@ -37,8 +40,30 @@ class Score:
         return {
             "diagnosis": self.diagnosis.as_dict(),
             "held_out_rms": self.held_out,
+            "held_out_seconds": self.unseen,
             "cpu_seconds": dict(zip(("torque", "motion"), self.seconds, strict=True)),
         }
+
+
+def held_out(result: Result) -> dict[str, np.ndarray]:
+    """RMS on samples that no step has seen, shape (n,) each, [N·m]."""
+    scored, search = result.scored, result.search
+    alone = np.zeros(len(scored.index))
+    background = search.evidence.solve(search.background).gains
+    alone[: len(background)] = background
+    squares = {
+        "torque": [
+            (result.gap.sampled.tau + result.gap.left)[rows, i]
+            for i, rows in enumerate(scored.evidence.rows)
+        ],
+        "as the file stands": scored.left(np.zeros(len(scored.index))),
+        "links corrected": scored.left(alone),
+        "with the findings": scored.after,
+    }
+    return {
+        name: np.array([np.sqrt(np.mean(x**2)) if len(x) else np.nan for x in parts])
+        for name, parts in squares.items()
+    }
 
 
 def said(score: Score) -> str:
@@ -85,8 +110,9 @@ def gap_table(score: Score) -> Table:
     before, after = (score.held_out[k] for k in list(INKS)[::2])
     cut = 1 - np.append(after / before, np.nanmean(after) / np.nanmean(before))
     rows.append(("removed", *(f"{x:.0%}" for x in cut)))
-    caption = f"{score.arm}: RMS on samples that no step has seen, N·m"
-    return Table(("", *score.diagnosis.joints, "mean"), tuple(rows), caption)
+    caption = f"{score.arm}: RMS on {score.unseen:.1f} s that no step has seen, N·m"
+    numbers = (str(k + 1) for k in range(len(score.diagnosis.joints)))
+    return Table(("joint", *numbers, "mean"), tuple(rows), caption)
 
 
 def gap_figure(score: Score) -> Figure:
@@ -99,12 +125,13 @@ def gap_figure(score: Score) -> Figure:
         share = 100 * score.held_out[name] / torque
         axes.bar(x + 0.27 * (k - 1), share, 0.25, color=ink, label=name)
     floor = 100 * np.array(score.diagnosis.noise_floor) / torque
-    axes.hlines(floor, x - 0.42, x + 0.42, color=RED, linewidth=1.4)
-    axes.lines or axes.plot([], [], color=RED, label="noise floor")
+    axes.hlines(
+        floor, x - 0.42, x + 0.42, color=RED, linewidth=1.4, label="noise floor"
+    )
     axes.set_ylabel("RMS gap [% of RMS torque]")
     axes.set_xticks(x, score.diagnosis.joints)
     axes.tick_params(axis="x", labelsize=7)
-    legend(figure, axes.get_legend_handles_labels()[0], enlarge=1.0)
+    legend(figure, axes.get_legend_handles_labels()[0])
     return figure
 
 
@@ -131,7 +158,7 @@ def _shrunk(
     return f"{removed:.0%} ({low:.0%} to {high:.0%}): {before:.3g} → {after:.3g} {unit}"
 
 
-def _place(r: Any) -> str:
+def _place(r: Region) -> str:
     return (
         f"{r.joint}, {r.variable} {r.low:.3g} to {r.high:.3g} {r.unit}: {r.share:.0%} "
         f"({r.interval[0]:.0%} to {r.interval[1]:.0%})"

@@ -98,7 +98,8 @@ def test_a_fold_left_out_is_never_fitted():
         A = X[fit].T / noise[fit] @ X[fit] + np.diag(1 / prior)
         gains = np.linalg.solve(A, X[fit].T @ (y[fit] / noise[fit]))
         expected.append(np.sum((y[test] - X[test] @ gains) ** 2))
-    found = evidence.held_out(np.concatenate(index)).sum(axis=0)
+    every = np.concatenate(index)
+    found = evidence.squares(every, evidence.by_fold(every)).sum(axis=0)
     np.testing.assert_allclose(found, expected)
 
 
@@ -143,3 +144,17 @@ def test_memory_counts_samples_for_an_independent_one(rho):
         rows = np.flatnonzero(rng.random(4000) < 0.8)  # with gaps, as where it stands
         found.append(memory(x[rows], rows))
     assert np.median(found) == pytest.approx((1 + rho) / (1 - rho), rel=0.15)
+
+
+def test_gains_beside_known_ones_are_those_of_what_these_leave():
+    gap, blocks, std, evidence, index = problem(6)
+    known = np.array([[0.3, -0.2]] * 3)
+    found = evidence.by_fold(np.concatenate(index[1:]), index[0], known)
+    X, y, noise, prior = dense(gap, blocks, std, evidence.noise)
+    fold = np.concatenate([gap.fold[gap.moving[:, i]] for i in range(2)])
+    for f in range(3):
+        fit = fold != f
+        left = y[fit] - X[fit, :2] @ known[f]
+        A = X[fit, 2:].T / noise[fit] @ X[fit, 2:] + np.diag(1 / prior[2:])
+        gains = np.linalg.solve(A, X[fit, 2:].T @ (left / noise[fit]))
+        np.testing.assert_allclose(found[f], [*known[f], *gains])

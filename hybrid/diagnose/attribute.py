@@ -24,6 +24,7 @@ _SHORTLIST = 4
 _MOST_TERMS = 40
 _EXACT_PASSES = 4
 _NEAR = 10.0
+_ALIKE = 3.0  # nats that do not settle which of two effects it is
 # Sizes of the background that are tried: one standard deviation, relative.
 _OFF = (0.003, 0.01, 0.03)
 
@@ -153,14 +154,19 @@ class Search:
         return Term(c, index)
 
     def best(self, base: Index) -> tuple[Candidate, float] | None:
-        """The candidate that adds most evidence, with its shapes fitted."""
+        """The candidate that adds most evidence, with its shapes fitted.
+
+        Of those that add about as much it is the one with the fewest numbers.
+        """
         ranked = self.ranked(base)[:_SHORTLIST]
         if not ranked or ranked[0][1] < _WORTH / 2:
             return None
         top = ranked[0][1]
         close = [c for c, gain in ranked if gain > 0.5 * top]
         refined = [self.refine(base, c) for c in close]
-        return max(refined, key=lambda x: x[1])
+        most = max(gain for _, gain in refined)
+        near = [x for x in refined if x[1] > most - _ALIKE]
+        return min(near, key=lambda x: (_numbers(x[0].effect), -x[1]))
 
     def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
         """The best shape of each effect at each place, most evidence first."""
@@ -225,13 +231,20 @@ class Search:
             del self.terms[weakest]
 
     def prune(self) -> None:
-        """Remove terms that hardly lower the squares on folds left out."""
-        evidence = self.evidence
+        """Remove terms that hardly lower the squares on folds left out.
+
+        Without a term the others are fitted anew, but for the background: it could
+        take over, at the price of numbers that are far off.
+        """
+        evidence, rigid = self.evidence, self.background
         while self.terms:
-            whole = evidence.held_out(self.base()).sum(axis=1)
-            worth = []
+            gains = evidence.by_fold(self.base())
+            whole = evidence.squares(self.base(), gains).sum(axis=1)
+            known, worth = gains[:, : len(rigid)], []
             for term in self.terms:
-                without = evidence.held_out(self.base(term)).sum(axis=1)
+                base = self.base(term)
+                rest = evidence.by_fold(base[len(rigid) :], rigid, known)
+                without = evidence.squares(base, rest).sum(axis=1)
                 fall = (without - whole) / evidence.noise
                 main = fall >= 0.2 * fall.max()
                 part = 1.0 - np.sqrt(whole[main].sum() / without[main].sum())
@@ -253,7 +266,7 @@ class Search:
             base = self.base(term)
             own, now = self.refine(base, term.candidate)
             best = self.best(base)
-            if best is not None and best[1] > now + 1.0:
+            if best is not None and best[1] > now + _ALIKE:
                 own, now = best
             before = self.loss(term)
             if now > before + 0.5:
@@ -281,6 +294,10 @@ class Search:
                 self.terms.append(self._term(alone))
                 return True
         return False
+
+
+def _numbers(effect: Effect) -> int:
+    return len(effect.gains) + len(effect.shapes)
 
 
 def same(a: Columns, b: Columns) -> bool:

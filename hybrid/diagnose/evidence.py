@@ -180,11 +180,27 @@ class Evidence:
         occam = np.log(np.diag(factor[0])).sum()
         return Solution(index, gains, spread, float(0.5 * b @ gains - occam))
 
-    def held_out(self, index: Index) -> Array:
-        """Squares left at each joint and fold by gains from the others, (n, F)."""
+    def by_fold(
+        self, index: Index, known: Index | None = None, gains: Array | None = None
+    ) -> Array:
+        """Gains from all folds but one, for each fold, shape (F, k).
+
+        Args:
+            index: Columns.
+            known: Columns that come first, with gains of their own.
+            gains: Gains of these for each fold, shape (F, K).
+        """
         folds = np.arange(len(self.folds))
-        gains = [self.solve(index, np.delete(folds, f)).gains for f in folds]
-        return self.squares(index, np.stack(gains))
+        others = [np.delete(folds, f) for f in folds]
+        if known is None or gains is None:
+            return np.stack([self.solve(index, o).gains for o in others])
+        found, K = [], len(known)
+        for own, rest in zip(gains, others, strict=True):
+            A, b = self.normal(np.concatenate([known, index]), rest)
+            prior = np.diag(self.precision[index])
+            target = b[K:] - A[K:, :K] @ own
+            found.append([*own, *np.linalg.solve(A[K:, K:] + prior, target)])
+        return np.array(found)
 
     def squares(self, index: Index, gains: Array) -> Array:
         """Sum of squares left on each joint and fold, shape (n, F), [N²·m²].

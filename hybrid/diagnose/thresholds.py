@@ -19,6 +19,7 @@ class Thresholds:
         spurious: Share of a joint's noise that the flexible regression may recover
             without any gap.
         evident: Least squares that it must recover at a joint, in units of noise.
+        negligible: RMS that is not worth a cause, over that of the measured torque.
         complete: Least part of what is explainable at a joint that its terms explain.
         steady: Largest reduced chi-square of gains from fold to fold.
         crowded: Most terms at one joint that still make a cause.
@@ -30,6 +31,7 @@ class Thresholds:
     alike_share: float
     spurious: float
     evident: float
+    negligible: float
     complete: float
     steady: float
     crowded: int
