@@ -17,7 +17,7 @@ class AsymmetricFriction(JointEffect):
     gains = (Quantity("level", "N·m", 0.015, -0.2, 0.2, per=(1, 0)),)
     equation = "τ = ΔF_c · |sgn v|"
     source = "Swevers et al. 1997, doi 10.1109/70.631234"
-    sentence = "{joints} is harder to move in one direction than in the other."
+    sentence = "Friction of {joints} is higher in one direction than in the other."
     remedy = "Give the joint two friction levels, one for each direction."
 
     @staticmethod

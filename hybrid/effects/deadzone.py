@@ -21,7 +21,7 @@ class Deadzone(Effect):
     shapes = (Quantity("width", "N·m", 0.02, 0.0005, 0.3, per=(1, 0)),)
     equation = "τ_reported = τ_delivered + p · clip(τ_reported, ±w)"
     source = "Tao and Kokotovic 1994, doi 10.1109/9.273339"
-    sentence = "{joints} delivers nothing for small torques."
+    sentence = "The drive of {joints} delivers nothing for small torques."
     remedy = "Add the dead zone's width to the commanded torque, in its direction."
 
     def columns(self, motion: Motion, body: Body) -> Array:

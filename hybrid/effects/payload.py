@@ -41,7 +41,7 @@ class LinkInertia(Effect):
     gains = _GAINS
     equation = "τ = Y_k(q, v, a) · Δπ_k"
     source = "Atkeson et al. 1986, doi 10.1177/027836498600500306"
-    sentence = "The last link that {joints} move is not as the simulator says."
+    sentence = "Mass or inertia of the link at {joints} is not the simulator's."
     remedy = "Correct the link's mass, centre of mass and inertia."
 
     def __post_init__(self) -> None:

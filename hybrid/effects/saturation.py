@@ -21,7 +21,7 @@ class Saturation(Effect):
     shapes = (Quantity("limit", "N·m", 0.3, 0.02, 2.0, per=(1, 0)),)
     equation = "τ_reported = τ_delivered + p · (τ_reported − clip(τ_reported, ±L))"
     source = "Siciliano et al. 2009, doi 10.1007/978-1-84628-642-1, section 5.2"
-    sentence = "{joints} delivers less torque than it reports when that is high."
+    sentence = "The drive of {joints} delivers less than it reports of high torques."
     remedy = "Set the actuator's force range, and plan motions below it."
 
     def columns(self, motion: Motion, body: Body) -> Array:

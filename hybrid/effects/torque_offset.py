@@ -16,7 +16,7 @@ class TorqueOffset(JointEffect):
     gains = (Quantity("level", "N·m", 0.02, -0.3, 0.3, per=(1, 0)),)
     equation = "τ = c"
     source = "Swevers et al. 1997, doi 10.1109/70.631234"
-    sentence = "The torque that {joints} reports is shifted by a constant."
+    sentence = "The reported torque of {joints} is shifted by a constant."
     remedy = "Zero the current sensor with the drive off."
 
     @staticmethod

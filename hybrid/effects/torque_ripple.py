@@ -22,7 +22,7 @@ class TorqueRipple(JointEffect):
     shapes = (Quantity("periods", "1/turn", 20.0, 1.0, 1000.0),)
     equation = "τ = A_s · sin(k q) + A_c · cos(k q)"
     source = "Holtz and Springob 1996, doi 10.1109/28.491472"
-    sentence = "{joints} has a torque that repeats with its position."
+    sentence = "The torque of {joints} repeats with position."
     remedy = "Compensate the ripple from a position table, or move faster than it."
 
     @staticmethod
