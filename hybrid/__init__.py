@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hybrid.diagnose.diagnosis import Diagnosis
     from hybrid.effects import Effect
     from hybrid.effects import effect_classes as effects
+    from hybrid.excitation import design as excite
     from hybrid.export.export import export
     from hybrid.identify import DynamicModel, Fit, identify, predict, validate
     from hybrid.identify.online import OnlineIdentifier, Sample

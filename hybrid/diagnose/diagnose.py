@@ -32,6 +32,7 @@ from hybrid.signals import Motion
 
 Progress = Callable[[str], None]
 
+_LOST = 1.0  # rad; a replay that is so far off tells nothing
 # Effects between motor and link, and of clocks: torque alone does not settle them.
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _IN_MOTION = {"elasticity", "backlash", "actuator_lag", "delay"}
@@ -193,7 +194,10 @@ def replayed(
         for f in diagnosis.findings:
             members = [k for k, t in enumerate(terms) if t.place[0] == f.effect]
             shrink = motion_shrink(replay, members, rng)
-            if shrink is not None:
+            if shrink is not None and shrink.after >= _LOST:
+                lost = "replayed, the simulator leaves the motion with or without {}"
+                notes.append(lost.format(f.effect))
+            elif shrink is not None:
                 f = replace(f, shrink={**f.shrink, "motion": shrink})
             found.append(f)
             if f.effect in _IN_MOTION and any(
