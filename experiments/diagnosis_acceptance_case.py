@@ -42,7 +42,7 @@ def truth(kind: str, robot: Robot, rng: np.random.Generator) -> list[Effect]:
 def left(gap: Gap, model: DynamicModel, joints: list[int]) -> float:
     """RMS that a model leaves of a motion's torque at some joints, [N·m]."""
     ((motion, _, sampler),) = gap
-    off = gap.sampled.tau + gap.left - sampler(model.predict(motion))
+    off = gap.left + sampler(motion.tau - model.predict(motion))
     return float(np.sqrt(np.mean(off[:, joints][gap.moving[:, joints]] ** 2)))
 
 

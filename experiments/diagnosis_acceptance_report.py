@@ -89,9 +89,9 @@ class Run:
 def table(runs: Sequence[Run]) -> Table:
     """One row for each plant."""
     header = ("plant, seed", "named", "before", "after", "floor", "removed",
-              "above the floor", "CPU s, torque + replay")  # fmt: skip
+              "above floor", "CPU s")  # fmt: skip
     beside = any(x.fitted for x in runs)
-    header += ("sysid: after", "removed", "wrong by", "CPU s") if beside else ()
+    header += ("sysid: after", "removed", "CPU s") if beside else ()
     rows = []
     for x in runs:
         order = {name: str(k) for k, name in enumerate(x.diagnosis.joints)}
@@ -106,12 +106,11 @@ def table(runs: Sequence[Run]) -> Table:
         row += [f"{x.rms[k]:.3f}" for k in ("before", "after", "floor")]
         cut = [x.removed("after", above_floor=b) for b in (False, True)]
         row += [f"{c:.1%}" if x.effects else "" for c in cut]
-        row += [f"{x.seconds[0]:.1f} + {x.seconds[1]:.1f}"]
+        row += [f"{sum(x.seconds):.1f}"]
         if x.fitted is not None:
             row += [
                 f"{x.rms['sysid']:.3f}",
                 f"{x.removed('sysid', above_floor=False):.1%}" if x.effects else "",
-                f"{np.median(x.fitted.wrong):.0%}",
                 f"{x.fitted.seconds:.0f}",
             ]
         rows.append((*row, *[""] * (len(header) - len(row))))
@@ -150,14 +149,22 @@ def summary(runs: Sequence[Run]) -> list[str]:
 def _fixed_structure(runs: Sequence[Run], fits: Sequence[Fitted]) -> str:
     """What the fit of fixed structure comes to on one kind of plant."""
     seconds = [x.seconds for x in fits]
-    wrong = np.concatenate([x.wrong for x in fits])
-    inside = np.concatenate([x.inside for x in fits])
     text = (
         f"mujoco.sysid takes {min(seconds):.0f} to {max(seconds):.0f} s of processor "
     )
-    text += f"time; its numbers are off by {np.median(wrong):.1%} in the median and "
-    text += f"{wrong.max():.0%} at most, {inside.sum()} of {inside.size} true ones lie "
-    text += "in its 95 % intervals"
+    text += "time"
+    joints = runs[0].diagnosis.joints
+    touched = {joints[e.joints[0]] for e in runs[0].effects}
+    for own, words in ((True, "joints with an effect"), (False, "the other joints")):
+        here = [[(n.split()[0] in touched) == own for n in x.names] for x in fits]
+        wrong = np.concatenate([x.wrong[h] for x, h in zip(fits, here, strict=True)])
+        inside = np.concatenate([x.inside[h] for x, h in zip(fits, here, strict=True)])
+        if len(wrong):
+            text += (
+                f"; its numbers of {words} are off by {np.median(wrong):.1%} in the "
+            )
+            text += f"median and {wrong.max():.0%} at most, {inside.sum()} of "
+            text += f"{inside.size} true ones lie in its 95 % intervals"
     if runs[0].effects:
         cut = [x.removed("sysid", above_floor=False) for x in runs]
         text += f"; it removes {np.median(cut):.1%} of the gap in the median"

@@ -51,11 +51,10 @@ def held_out(result: Result) -> dict[str, np.ndarray]:
     alone = np.zeros(len(scored.index))
     background = search.evidence.solve(search.background).gains
     alone[: len(background)] = background
+    simulated = np.concatenate([sampler(m.tau) for m, _, sampler in result.gap])
+    torque = simulated + result.gap.left
     squares = {
-        "torque": [
-            (result.gap.sampled.tau + result.gap.left)[rows, i]
-            for i, rows in enumerate(scored.evidence.rows)
-        ],
+        "torque": [torque[rows, i] for i, rows in enumerate(scored.evidence.rows)],
         "as the file stands": scored.left(np.zeros(len(scored.index))),
         "links corrected": scored.left(alone),
         "with the findings": scored.after,

@@ -11,7 +11,7 @@ from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search, Term
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, refit, shares, split
-from hybrid.diagnose.findings import alternatives, findings
+from hybrid.diagnose.findings import alternatives, findings, torque_shrink
 from hybrid.diagnose.gap import Gap, measure_gap
 from hybrid.diagnose.grounds import another_arm, too_little, unlike
 from hybrid.diagnose.locate import locate
@@ -33,6 +33,7 @@ from hybrid.signals import Motion
 Progress = Callable[[str], None]
 
 _LOST = 1.0  # rad; a replay that is so far off tells nothing
+_LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
 # Effects between motor and link, and of clocks: torque alone does not settle them.
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _IN_MOTION = {"elasticity", "backlash", "actuator_lag", "delay"}
@@ -126,11 +127,10 @@ def examine(
         effects = refit(gap, search).effects
         own = [kinds[t] for t in search.terms]
         causes = findings(scored, effects, own, shares(search, rng), rng)
-        worse = {f.effect for f in causes if f.shrink["torque"].removed <= 0}
-        if not worse:
+        useful = _useful(scored, rng)
+        if len(useful) == len(search.terms):
             break
-        refused = True
-        search.terms = [t for t in search.terms if t.place[0] not in worse]
+        refused, search.terms = True, useful
         found = account(gap, search, limits)
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     verdict, unexplained = _verdict(found, causes, limits)
@@ -147,6 +147,22 @@ def examine(
         where = locate(gap, np.array(diagnosis.noise_floor), rng)
         diagnosis = replace(diagnosis, where=where)
     return Result(diagnosis, gap, search, scored, found, effects)
+
+
+def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
+    """Terms whose effect, and whose joint, leaves less of the gap on unseen motions.
+
+    Two effects of one joint may each seem to help, and only undo one another.
+    """
+    useless: set[int] = set()
+    for kind in range(2):  # effect, joints
+        groups: dict[object, list[int]] = {}
+        for k, term in enumerate(scored.terms):
+            groups.setdefault(term.place[kind], []).append(k)
+        for members in groups.values():
+            if torque_shrink(scored, members, rng).removed <= _LEAST_REMOVED * kind:
+                useless |= {*members}
+    return [t for k, t in enumerate(scored.terms) if k not in useless]
 
 
 def _unsure(finding: Finding) -> bool:
