@@ -33,6 +33,7 @@ from hybrid.signals import Motion
 Progress = Callable[[str], None]
 
 _LOST = 1.0  # rad; a replay that is so far off tells nothing
+_SMALLEST = 0.003  # of the measured torque, RMS
 _LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
 # Effects between motor and link, and of clocks: torque alone does not settle them.
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
@@ -130,7 +131,8 @@ def examine(
         useful = _useful(scored, rng)
         if len(useful) == len(search.terms):
             break
-        refused, search.terms = True, useful
+        refused |= not _negligible(scored, useful)
+        search.terms = useful
         found = account(gap, search, limits)
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     verdict, unexplained = _verdict(found, causes, limits)
@@ -160,9 +162,23 @@ def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
         for k, term in enumerate(scored.terms):
             groups.setdefault(term.place[kind], []).append(k)
         for members in groups.values():
-            if torque_shrink(scored, members, rng).removed <= _LEAST_REMOVED * kind:
+            rest = [t for k, t in enumerate(scored.terms) if k not in members]
+            removed = torque_shrink(scored, members, rng).removed
+            if removed <= _LEAST_REMOVED * kind or _negligible(scored, rest):
                 useless |= {*members}
     return [t for k, t in enumerate(scored.terms) if k not in useless]
+
+
+def _negligible(scored: Explanation, kept: list[Term]) -> bool:
+    """Whether all terms that go are too small to matter beside the torque itself."""
+    gap, left = scored.gap, [k for k, t in enumerate(scored.terms) if t not in kept]
+    before = scored.left(scored.without(*left))
+    for i, rows in enumerate(scored.evidence.rows):
+        tau = gap.sampled.tau[rows, i] + gap.left[rows, i]
+        fall = before[i] @ before[i] - scored.after[i] @ scored.after[i]
+        if fall > (_SMALLEST * np.linalg.norm(tau)) ** 2:
+            return False
+    return True
 
 
 def _unsure(finding: Finding) -> bool:
