@@ -277,7 +277,7 @@ def test_an_effect_that_the_whole_arm_feels_is_fitted_at_all_of_its_joints():
     scales = [Scale(50.0, 2.0)] * 2
     twist = Elasticity((1,), {"compliance": 2e-3, "damping": 0.3})
     rub = Coulomb((0,), {"level": 2.0})
-    tau = twist.torque(motion, body)  # felt at both joints
+    tau = 2e-3 * twist.columns(motion, body)[:, :, 0]  # felt at both joints
     tau[:, [0]] += rub.torque(motion, body)
     assert np.abs(tau[:, 0] - rub.torque(motion, body)[:, 0]).max() > 1e-3
     first = [Elasticity((1,), {"damping": 0.3}), Coulomb((0,))]

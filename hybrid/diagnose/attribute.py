@@ -24,6 +24,11 @@ _SHORTLIST = 4
 _MOST_TERMS = 40
 _EXACT_PASSES = 4
 _NEAR = 10.0
+_SIMPLER = {
+    "presliding": "coulomb",
+    "thermal_friction": "viscous",
+    "counterbalance": "spring",
+}
 _ALIKE = 3.0  # nats that do not settle which of two effects it is
 # Sizes of the background that are tried: one standard deviation, relative.
 _OFF = (0.003, 0.01, 0.03)
@@ -156,7 +161,7 @@ class Search:
     def best(self, base: Index) -> tuple[Candidate, float] | None:
         """The candidate that adds most evidence, with its shapes fitted.
 
-        Of those that add about as much it is the one with the fewest numbers.
+        A law gives way to the simpler one that it becomes at a bound of its shapes.
         """
         ranked = self.ranked(base)[:_SHORTLIST]
         if not ranked or ranked[0][1] < _WORTH / 2:
@@ -164,9 +169,10 @@ class Search:
         top = ranked[0][1]
         close = [c for c, gain in ranked if gain > 0.5 * top]
         refined = [self.refine(base, c) for c in close]
-        most = max(gain for _, gain in refined)
-        near = [x for x in refined if x[1] > most - _ALIKE]
-        return min(near, key=lambda x: (_numbers(x[0].effect), -x[1]))
+        best, most = max(refined, key=lambda x: x[1])
+        simpler = _SIMPLER.get(best.effect.id), best.effect.joints
+        near = [x for x in refined if x[1] > most - _ALIKE and x[0].place == simpler]
+        return near[0] if near else (best, most)
 
     def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
         """The best shape of each effect at each place, most evidence first."""
@@ -294,10 +300,6 @@ class Search:
                 self.terms.append(self._term(alone))
                 return True
         return False
-
-
-def _numbers(effect: Effect) -> int:
-    return len(effect.gains) + len(effect.shapes)
 
 
 def same(a: Columns, b: Columns) -> bool:
