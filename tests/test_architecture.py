@@ -37,7 +37,7 @@ LEVEL = {name: -depth for depth, names in enumerate(FLOORS) for name in names}
 # Library -> the only places that may import it, and what others do instead.
 HOMES = {
     "mujoco": (
-        ("robot", "plant", "compensator.export"),
+        ("robot", "plant"),
         "ask Robot for the model, or import it under TYPE_CHECKING",
     ),
     "pinocchio": (("robot", "dynamics"), "use hybrid.dynamics"),
@@ -279,8 +279,6 @@ def test_import_hybrid_takes_less_than_a_fifth_of_a_second():
 
 @pytest.mark.parametrize("floor", ["identify", "cli"])
 def test_torch_and_matplotlib_wait_until_they_are_needed(floor):
-    if not any(source.floor == floor for source in sources()):
-        pytest.skip(f"hybrid.{floor} is not there yet")
     loaded = run(
         f"import sys, hybrid.{floor}; "
         "print(*(set(sys.modules) & {'torch', 'matplotlib'}))"

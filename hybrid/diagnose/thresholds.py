@@ -21,7 +21,8 @@ class Thresholds:
         evident: Least squares that it must recover at a joint, in units of noise.
         negligible: RMS that is not worth a cause, over that of the measured torque.
         complete: Least part of what is explainable at a joint that its terms explain.
-        steady: Largest reduced chi-square of gains from fold to fold.
+        steady: Most that gains of their own on each fold may take from the gap, over
+            what the term takes.
         crowded: Most terms at one joint that still make a cause.
         explained: Least part of the whole gap explained for the verdict ``explained``.
     """

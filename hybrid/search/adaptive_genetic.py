@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hybrid.errors import HybridError
-from hybrid.search.search import Array, Best, checked_bounds, checked_values
+from hybrid.search.genetic import Genetic
+from hybrid.search.search import Array
 
 _SHRINKING = 2.0  # exponent with which mutations shrink over the generations
 
 
-class AdaptiveGenetic:
+class AdaptiveGenetic(Genetic):
     """Roulette, arithmetic crossover, shrinking mutation and elitism.
 
     An individual fitter than the average is crossed and mutated less, down to the
@@ -45,43 +45,10 @@ class AdaptiveGenetic:
         crossover: tuple[float, float] = (0.9, 0.6),
         mutation: tuple[float, float] = (0.1, 0.001),
     ) -> None:
-        if population < 4 or population % 2 or generations < 1:
-            raise HybridError(
-                f"population {population} over {generations} generations; valid are an "
-                "even number from 4 and at least one generation"
-            )
-        self.lower, self.upper = checked_bounds(lower, upper)
-        self.population, self.generations = population, generations
-        self.generation = 0
+        super().__init__(
+            lower, upper, rng=rng, population=population, generations=generations
+        )
         self._crossover, self._mutation = crossover, mutation
-        self._rng = rng
-        self._x = rng.uniform(self.lower, self.upper, (population, len(self.lower)))
-        self._values = np.full(population, np.inf)
-        self._asked = self._x
-        self._best = Best(self._x[0], np.inf)
-
-    @property
-    def best(self) -> Best:
-        """The best point of all that were told."""
-        return self._best
-
-    def ask(self) -> Array:
-        """The first population, then the offspring of each, shape (P, d)."""
-        self._asked = self._x if self.generation == 0 else self._offspring()
-        return self._asked.copy()
-
-    def tell(self, values: Array) -> None:
-        """Let the points asked for take over, and keep the best of all (elitism)."""
-        self._take_over(self._asked, checked_values(values, self.population))
-        self.generation += 1
-
-    def _take_over(self, x: Array, values: Array) -> None:
-        self._x, self._values = x.copy(), values.copy()
-        k = int(np.argmin(values))
-        if values[k] < self._best.value:
-            self._best = Best(x[k].copy(), float(values[k]))
-        worst = int(np.argmax(values))
-        self._x[worst], self._values[worst] = self._best.point, self._best.value
 
     def _offspring(self) -> Array:
         rng, size = self._rng, self.population
