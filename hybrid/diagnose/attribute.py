@@ -10,16 +10,20 @@ from numpy.typing import NDArray
 
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate, candidate, candidates, scale_of
+from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.diagnose.ripples import ripple_orders
 from hybrid.diagnose.shapes import fit_shapes, price
 from hybrid.effects import Effect
+from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
 
 _WORTH = 12.0  # nats that a term must add
 _LEAST_REMOVED = 0.015  # of the RMS at a term's joints, on folds left out
 _RIPPLES = 3  # orders tried at each joint at a time
+_CONTACTS = 2  # stretches of time tried at a time
+_REPEATED = {TorqueRipple.id, Contact.id}  # may be there more than once
 _SHORTLIST = 4
 _MOST_TERMS = 40
 _EXACT_PASSES = 4
@@ -77,6 +81,7 @@ class Search:
         self.terms: list[Term] = []
         self.off = _OFF[-1]
         self.evidence.spread(self.background, self.off)
+        self._contacts = None if Contact.id in self.without else Contacts(gap)
         self._take_ripples(3 * _RIPPLES)
         self.evidence.estimate_noise(np.arange(self.evidence.size))
 
@@ -144,10 +149,25 @@ class Search:
                     found.append(new)
         self._take(found)
 
+    def _take_contacts(self) -> None:
+        if self._contacts is None:
+            return
+        evidence, solution = self.evidence, self.evidence.solve(self.base())
+        left = [
+            evidence.residual(i, solution.index, solution.gains)
+            for i in range(len(evidence.rows))
+        ]
+        found = self._contacts.strongest(left, evidence.rows, evidence.noise, _CONTACTS)
+        known = [t.candidate.effect.shape_values for t in self.tried]
+        self._take(
+            [candidate(self.gap, c) for c in found if c.shape_values not in known]
+        )
+
     # Steps
 
     def _add(self) -> bool:
         self._take_ripples()
+        self._take_contacts()
         best = self.best(self.base())
         if best is None or best[1] < _WORTH:
             return False
@@ -179,7 +199,7 @@ class Search:
         taken = {t.place for t in self.terms if t.index[0] in base}
         terms = [
             t for t in self.tried
-            if t.place not in taken or t.place[0] == TorqueRipple.id
+            if t.place not in taken or t.place[0] in _REPEATED
         ]  # fmt: skip
         gains = self.evidence.screen(
             base, [t.index for t in terms], [t.candidate.lower for t in terms]
@@ -255,6 +275,8 @@ class Search:
                 main = fall >= 0.2 * fall.max()
                 part = 1.0 - np.sqrt(whole[main].sum() / without[main].sum())
                 worth.append(min(fall.sum() / _WORTH, part / _LEAST_REMOVED))
+                if evidence.folds_with(term.index) == 1:  # it happened once
+                    worth[-1] = self.loss(term) / (2 * _WORTH)
             weakest = int(np.argmin(worth))
             if worth[weakest] >= 1.0:
                 return

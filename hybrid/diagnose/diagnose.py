@@ -37,6 +37,10 @@ _SMALLEST = 0.003  # of the measured torque, RMS
 _LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
 # Effects between motor and link, and of clocks: torque alone does not settle them.
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
+_ONCE = (
+    "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
+    "on motions that no step has seen"
+)
 _IN_MOTION = {"elasticity", "backlash", "actuator_lag", "delay"}
 
 
@@ -135,6 +139,7 @@ def examine(
         search.terms = useful
         found = account(gap, search, limits)
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
+    doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
     verdict, unexplained = _verdict(found, causes, limits)
     if refused and verdict == "no_gap":
         verdict, unexplained = "unexplained", 1.0  # there is something, unlike all laws
@@ -163,6 +168,8 @@ def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
             groups.setdefault(term.place[kind], []).append(k)
         for members in groups.values():
             rest = [t for k, t in enumerate(scored.terms) if k not in members]
+            if scored.where_seen(members) is not scored:
+                continue
             removed = torque_shrink(scored, members, rng).removed
             if removed <= _LEAST_REMOVED * kind or _negligible(scored, rest):
                 useless |= {*members}
@@ -174,7 +181,7 @@ def _negligible(scored: Explanation, kept: list[Term]) -> bool:
     gap, left = scored.gap, [k for k, t in enumerate(scored.terms) if t not in kept]
     before = scored.left(scored.without(*left))
     for i, rows in enumerate(scored.evidence.rows):
-        tau = gap.sampled.tau[rows, i] + gap.left[rows, i]
+        tau = gap.measured[rows, i]
         fall = before[i] @ before[i] - scored.after[i] @ scored.after[i]
         if fall > (_SMALLEST * np.linalg.norm(tau)) ** 2:
             return False
@@ -183,6 +190,15 @@ def _negligible(scored: Explanation, kept: list[Term]) -> bool:
 
 def _unsure(finding: Finding) -> bool:
     return finding.shrink["torque"].interval[0] < 0
+
+
+def _members(finding: Finding, scored: Explanation) -> list[int]:
+    """Terms that a finding is made of."""
+    return [k for k, t in enumerate(scored.terms) if t.place[0] == finding.effect]
+
+
+def _once(finding: Finding, scored: Explanation) -> bool:
+    return scored.where_seen(_members(finding, scored)) is not scored
 
 
 def _vetted(
@@ -220,12 +236,13 @@ def replayed(
     if not result.effects:
         return result
     (progress or (lambda _: None))("replaying the simulator")
-    diagnosis, terms = result.diagnosis, result.scored.terms
+    diagnosis = result.diagnosis
     replay, found, notes = Replay(result.scored), [], []
     try:
         for f in diagnosis.findings:
-            members = [k for k, t in enumerate(terms) if t.place[0] == f.effect]
-            shrink = motion_shrink(replay, members, rng)
+            members = _members(f, result.scored)
+            once = result.scored.where_seen(members) is not result.scored
+            shrink = None if once else motion_shrink(replay, members, rng)
             if shrink is not None and shrink.after >= _LOST:
                 lost = "replayed, the simulator leaves the motion with or without {}"
                 notes.append(lost.format(f.effect))
@@ -278,8 +295,7 @@ def _diagnosis(
     squares = np.where(gap.moving, gap.left, 0.0) ** 2
     moving = np.maximum(gap.moving.sum(axis=0), 1)
     rms = np.sqrt(squares.sum(axis=0) / moving)
-    measured = gap.sampled.tau + gap.left
-    size = np.sqrt((np.where(gap.moving, measured, 0.0) ** 2).sum(axis=0) / moving)
+    size = np.sqrt((np.where(gap.moving, gap.measured, 0.0) ** 2).sum(axis=0) / moving)
     floor = np.sqrt(np.maximum(found.noise, 0.0) * search.evidence.noise / count)
     return Diagnosis(
         robot=gap.robot.name,

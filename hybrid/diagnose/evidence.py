@@ -23,6 +23,7 @@ from hybrid.robot.chain import Array
 
 Index = NDArray[np.intp]
 
+_TAIL = 0.01  # of the squares of a column
 # For columns of unit length.
 _RIDGES = np.array([1e-5, 1e-4, 1e-3, 1e-2]).reshape(-1, 1, 1)
 
@@ -201,6 +202,14 @@ class Evidence:
             target = b[K:] - A[K:, :K] @ own
             found.append([*own, *np.linalg.solve(A[K:, K:] + prior, target)])
         return np.array(found)
+
+    def folds_with(self, index: Index) -> int:
+        """Number of folds in which some columns are more than the tail of a filter."""
+        power = np.zeros(len(self.folds))
+        for gram, owner in zip(self._gram, self._owner, strict=True):
+            here = np.flatnonzero(np.isin(owner, index))
+            power += gram[:, here, here].sum(axis=1)
+        return int(np.count_nonzero(power > _TAIL * power.max()))
 
     def squares(self, index: Index, gains: Array) -> Array:
         """Sum of squares left on each joint and fold, shape (n, F), [N²·m²].

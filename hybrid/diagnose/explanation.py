@@ -19,6 +19,7 @@ from hybrid.robot.chain import Array
 
 _BLOCK_SECONDS = 1.0
 _SHAPE_SPREAD = 0.3  # prior deviation of a shape, of its range
+_TAIL = 0.02  # of a term's squares: no more than a filter spreads
 _ORDERS = 24  # of terms, and as many reversed
 
 
@@ -33,6 +34,7 @@ class Explanation:
         index: Columns of background and terms.
         gains: Their values, found on the other samples.
         own: Columns of each term.
+        learnt: The same on the samples that the gains were found on.
     """
 
     gap: Gap
@@ -41,6 +43,7 @@ class Explanation:
     index: Index
     gains: Array
     own: tuple[Index, ...]
+    learnt: Explanation | None = None
 
     @cached_property
     def rigid(self) -> Index:
@@ -75,6 +78,19 @@ class Explanation:
         return [
             w - a for w, a in zip(self.left(self.without(k)), self.after, strict=True)
         ]
+
+    def where_seen(self, members: Sequence[int]) -> Explanation:
+        """This, or :attr:`learnt` if some terms hardly act on the scored samples.
+
+        What happened only once cannot be checked on another occasion.
+        """
+        if self.learnt is None:
+            return self
+        here, there = (
+            sum(float(part @ part) for k in members for part in x.contribution(k))
+            for x in (self, self.learnt)
+        )
+        return self if here > _TAIL * there else self.learnt
 
     def blocks(self, i: int) -> NDArray[np.intp]:
         """Block of time of each scored sample of a joint, for resampling."""
@@ -117,10 +133,12 @@ def explain(gap: Gap, search: Search, learn: NDArray[np.bool_]) -> Explanation:
     found = search.evidence.solve(search.base())
     evidence, index, own = _fresh(gap, search, ~learn & between(gap, learn))
     evidence.noise = search.evidence.noise
-    gains = np.empty(len(index))
-    gains[: len(search.background)] = found.gains[: len(search.background)]
-    gains[len(search.background) :] = found.gains[len(search.background) :]
-    return Explanation(gap, tuple(search.terms), evidence, index, gains, own)
+    terms = tuple(search.terms)
+    learnt = Explanation(
+        gap, terms, search.evidence, found.index, found.gains,
+        tuple(t.index for t in terms),
+    )  # fmt: skip
+    return Explanation(gap, terms, evidence, index, found.gains, own, learnt)
 
 
 def shares(search: Search, rng: np.random.Generator) -> Array:

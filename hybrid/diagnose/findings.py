@@ -81,7 +81,9 @@ def findings(
                 alternatives=tuple(dict.fromkeys((effect_id, *alike))),
                 share=float(parts[members].sum()),
                 parameters=tuple(v for k in members for v in _values(gap, effects[k])),
-                shrink={"torque": torque_shrink(scored, members, rng)},
+                shrink={
+                    "torque": torque_shrink(scored.where_seen(members), members, rng)
+                },
                 sentence=cls.sentence.format(joints=_listed(names)),
                 remedy=cls.remedy,
             )

@@ -88,6 +88,12 @@ class Gap:
         return Motion(t, q, v, a, tau, mask.astype(bool), warm, self.robot.joints)
 
     @cached_property
+    def measured(self) -> Array:
+        """Measured torque, filtered as the gap is, shape (M, n), [N·m]."""
+        parts = zip(self.motions, self.samplers, strict=True)
+        return np.concatenate([sampler(m.tau) for m, sampler in parts]) + self.left
+
+    @cached_property
     def load(self) -> Array:
         """Torque the simulator says is passed to the links, shape (M, n), [N·m]."""
         parts = zip(self.bodies, self.samplers, strict=True)

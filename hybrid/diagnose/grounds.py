@@ -37,7 +37,7 @@ def unlike(gap: Gap) -> str | None:
 
     Squares add up over joints in N²·m², in which the joints that carry the arm count.
     """
-    measured = np.where(gap.moving, gap.sampled.tau + gap.left, 0.0)
+    measured = np.where(gap.moving, gap.measured, 0.0)
     left = np.where(gap.moving, gap.left, 0.0)
     if np.sum(left**2) <= np.sum(measured**2):
         return None

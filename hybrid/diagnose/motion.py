@@ -254,7 +254,7 @@ def _motions(
         # All windows share one clock.
         if fresh.any() and np.isclose(gap.rate, m.rate / sampler.factor, 1e-4):
             warm = None if m.temperature is None else m.temperature[keep]
-            tau = sampler(m.tau) + gap.left[own]
+            tau = gap.measured[own]
             parts = {
                 name: getattr(m, name)[keep] for name in ("t", "q", "v", "a", "mask")
             }

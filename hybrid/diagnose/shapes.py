@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
@@ -15,10 +15,11 @@ from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
 
 _PRICE = 2.0  # of choosing one shape; the logarithm of how many differ in effect
-_SHAPE_PRICE = {"torque_ripple": 6.0}  # of several hundred orders
+_SHAPE_PRICE = {"torque_ripple": 6.0, "contact": 8.0}  # of hundreds, of thousands
 _REACH = 0.2  # of a shape's range, to either side
 _WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
 _MOST_TRIALS = 40
+_ENDLESS = 1e4  # times the usual value
 _NUDGE = 0.01  # of a range, for a derivative
 
 
@@ -144,4 +145,15 @@ def shape_units(gap: Gap, effect: Effect) -> list[float]:
 
 def _ranges(gap: Gap, effect: Effect) -> list[_Range]:
     scale = gap.scales[effect.joints[-1]]
-    return [_Range(s.scaled(scale)) for s in effect.shapes]
+    shapes = [s.scaled(scale) for s in effect.shapes]
+    return [_Range(_near(s, effect.values[s.name])) for s in shapes]
+
+
+def _near(shape: Quantity, value: float) -> Quantity:
+    """A shape within reach: of a time on a clock without end, what is around it."""
+    if shape.upper < _ENDLESS * shape.typical:
+        return shape
+    low, high = value - shape.typical, value + shape.typical
+    return replace(
+        shape, lower=max(low, shape.lower), upper=min(high, shape.upper)
+    )

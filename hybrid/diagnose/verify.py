@@ -83,7 +83,7 @@ def account(gap: Gap, search: Search, limits: Thresholds) -> Account:
         squares = max(0.0, squares - limits.spurious * float(left @ left))
         # Noise as estimated before may hold what no effect explains.
         noise = float(rest @ rest) / len(rest) * memory(rest, rows)
-        tau = gap.sampled.tau[rows, i] + gap.left[rows, i]
+        tau = gap.measured[rows, i]
         least = max(limits.evident * noise, limits.negligible**2 * float(tau @ tau))
         missed[i] = squares / weight[i] if squares > least else 0.0
         depends.append(of if missed[i] > 0 else "")

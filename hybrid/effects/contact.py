@@ -21,7 +21,7 @@ class Contact(Effect):
     scope = "arm"
     gains = (
         *(Quantity(f"force_{x}", "N", 10.0, -500.0, 500.0) for x in "xyz"),
-        *(Quantity(f"moment_{x}", "N·m", 0.0, -100.0, 100.0) for x in "xyz"),
+        *(Quantity(f"moment_{x}", "N·m", 1.0, -100.0, 100.0) for x in "xyz"),
     )
     shapes = (
         Quantity("start", "s", 1.0, 0.0, 100000.0),

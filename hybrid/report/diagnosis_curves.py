@@ -190,7 +190,7 @@ def rms_table(result: Result) -> list[dict[str, float]]:
         the RMS of what was measured; zeros where no such sample moves.
     """
     gap, scored = result.gap, result.scored
-    measured = gap.sampled.tau + gap.left
+    measured = gap.measured
     table = []
     for i, rows in enumerate(scored.evidence.rows):
         table.append(

@@ -1,0 +1,89 @@
+"""When an arm touched something: stretches of a residual that one wrench explains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hybrid.diagnose.gap import Gap
+from hybrid.effects.contact import Contact
+from hybrid.robot.chain import Array
+
+_CHUNK = 0.05  # s
+_LENGTHS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192)  # chunks
+_FORCE, _MOMENT = 20.0, 2.0  # N, N·m; prior standard deviations of the scan
+
+
+class Contacts:
+    """Cross-products of the gap's wrench columns, chunk by chunk of the clock.
+
+    All recordings share the clock: what is in the way is so in every repeat.
+
+    Args:
+        gap: The gap.
+    """
+
+    def __init__(self, gap: Gap) -> None:
+        n = gap.robot.size
+        t = gap.sampled.t
+        self._joints = tuple(range(n))
+        self._first = float(t.min())
+        self._chunk = ((t - self._first) / _CHUNK).astype(int)
+        always = {"start": self._first, "duration": float(np.ptp(t)) + 1.0}
+        self._columns = gap.columns(Contact(self._joints, always))
+
+    def strongest(
+        self, left: Sequence[Array], rows: Sequence[Array], noise: Array, count: int
+    ) -> list[Contact]:
+        """Contacts that explain most of a residual, none of them overlapping.
+
+        Args:
+            left: Residual of each joint, shape (R_i,), [N·m].
+            rows: Samples of the gap that these are, shape (R_i,).
+            noise: Variance of each joint, shape (n,), [N²·m²].
+            count: How many contacts, at most.
+        """
+        size = int(self._chunk.max()) + 1
+        gram, moment = np.zeros((size, 6, 6)), np.zeros((size, 6))
+        for i, (x, r) in enumerate(zip(left, rows, strict=True)):
+            columns, chunk = self._columns[i][r], self._chunk[r]
+            squares = columns[:, :, None] * columns[:, None, :] / noise[i]
+            np.add.at(gram, chunk, squares)
+            np.add.at(moment, chunk, columns * (x / noise[i])[:, None])
+        windows = _windows(gram, moment)
+        found: list[tuple[int, int]] = []
+        for _, first, length in sorted(windows, reverse=True):
+            apart = (first + length <= a or first >= a + b for a, b in found)
+            if all(apart):
+                found.append((first, length))
+            if len(found) == count:
+                break
+        return [
+            Contact(
+                self._joints,
+                {
+                    "start": self._first + _CHUNK * first,
+                    "duration": _CHUNK * length,
+                },
+            )
+            for first, length in found
+        ]
+
+
+def _windows(gram: Array, moment: Array) -> list[tuple[float, int, int]]:
+    """Evidence for a wrench, first chunk and length: the best start of each length."""
+    unit = np.array([_FORCE] * 3 + [_MOMENT] * 3)
+    gram = np.concatenate([np.zeros((1, 6, 6)), gram * unit[:, None] * unit]).cumsum(0)
+    moment = np.concatenate([np.zeros((1, 6)), moment * unit]).cumsum(0)
+    found = []
+    for length in _LENGTHS:
+        if 2 * length > len(gram) - 1:
+            break
+        A = np.eye(6) + gram[length:] - gram[:-length]
+        b = moment[length:] - moment[:-length]
+        solved = np.linalg.solve(A, b[:, :, None])[:, :, 0]
+        gain = 0.5 * np.einsum("ck,ck->c", b, solved) - 0.5 * np.linalg.slogdet(A)[1]
+        for k in np.argsort(-gain)[:8]:
+            found.append((float(gain[k]), int(k), length))
+    return found
