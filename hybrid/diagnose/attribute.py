@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate, candidate, candidates, scale_of
@@ -28,6 +29,7 @@ _SHORTLIST = 4
 _MOST_TERMS = 40
 _EXACT_PASSES = 4
 _NEAR = 10.0
+_STEP, _SCAN = 1.5, 12  # factor to either side of a steep gain; values tried
 _SIMPLER = {
     "presliding": "coulomb",
     "thermal_friction": "viscous",
@@ -221,7 +223,9 @@ class Search:
         effect, best = fit_shapes(c.effect, gain, self.gap)
         if best < start:
             effect, best = c.effect, start
-        if (effect.observes or effect.reports) and len(effect.gains) == 1:
+        if effect.steep:
+            effect, best = self._scanned(base, c)
+        elif (effect.observes or effect.reports) and len(effect.gains) == 1:
             effect, best = self._exact(base, replace(c, effect=effect))
         return replace(c, effect=effect), best
 
@@ -241,6 +245,22 @@ class Search:
             value = float(np.clip(gains[0], bounds.lower, bounds.upper))
             effect = effect.at({name: value})
         return effect, best
+
+    def _scanned(self, base: Index, c: Candidate) -> tuple[Effect, float]:
+        """A steep effect at the best gain near its own, which is on a grid."""
+        (gain,), (now,) = c.effect.gains, c.effect.gain_values
+
+        def at(power: float) -> Effect:
+            value = float(np.clip(now * _STEP**power, gain.lower, gain.upper))
+            return c.effect.at({gain.name: value})
+
+        found = minimize_scalar(
+            lambda x: -self.gain(base, replace(c, effect=at(x))),
+            bounds=(-1.0, 1.0),
+            method="bounded",
+            options={"maxiter": _SCAN, "xatol": 0.02},
+        )
+        return at(found.x), -float(found.fun)
 
     def loss(self, term: Term) -> float:
         """Evidence that would be lost without a term, [nat]."""

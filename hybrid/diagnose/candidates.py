@@ -19,6 +19,7 @@ _COMPOSITE = {"threshold_friction", "improved_stribeck"}
 _SEARCHED = {"torque_ripple", "contact"}  # their shapes come from the residual
 _GRID = 7
 _COARSE = 4
+_GAINS = 14  # of an effect that is scanned over its gain
 _LINK_OFF = 0.15  # a link that is wrong is so by this much
 
 # Of the mass of a middling link: what an arm usually carries, within a hand's breadth.
@@ -98,6 +99,9 @@ def _grid(cls: type[Effect], joints: tuple[int, ...], gap: Gap) -> Iterator[Effe
     shapes = [s.scaled(scale) for s in cls.shapes]
     count = _GRID if len(shapes) == 1 else _COARSE
     axes = [grid(s, count) for s in shapes]
+    if cls.steep:
+        (gain,) = (g.scaled(scale) for g in cls.gains)
+        shapes, axes = [gain], [np.geomspace(gain.typical / 10, gain.upper, _GAINS)]
     for values in product(*axes):
         named = {s.name: float(x) for s, x in zip(shapes, values, strict=True)}
         yield cls(joints, named)

@@ -1,293 +1,357 @@
-"""The link from command to torque: what a servo is asked for, and what it gives."""
+"""The link from command to torque: does the servo do what it is thought to do?
+
+Effects of the controller leave no trace between torque and motion. Here the torque
+logged is held against the torque that a servo law asks for.
+"""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
-from hybrid.diagnose.bayes import memory
+from hybrid.diagnose.diagnosis import Diagnosis, Finding, Region, Shrink, Verdict
+from hybrid.diagnose.explanation import between, split
+from hybrid.diagnose.findings import listed, values
 from hybrid.diagnose.gap import Gap
-from hybrid.dynamics import RigidBody
-from hybrid.errors import HybridWarning
+from hybrid.diagnose.servo import (
+    FEWEST,
+    WORTH,
+    Fit,
+    Law,
+    ServoLog,
+    at_once,
+    evidence,
+    fit,
+    laws,
+    servo_logs,
+)
+from hybrid.diagnose.verify import Account
+from hybrid.effects import Effect
+from hybrid.effects.command_latency import CommandLatency
+from hybrid.effects.controller_gain import ControllerGain
 from hybrid.recording import Recording
-from hybrid.recording.clock import resample
 from hybrid.robot.chain import Array
-from hybrid.signals import Motion, motion_from_recording
-from hybrid.signals.filters import butterworth
+from hybrid.signals import Motion
 
-Index = NDArray[np.intp]
+COMMAND_TO_TORQUE = "command to torque"
 
-_POSITION_CUTOFF = 2.0  # of the gap's, as positions are filtered
-_LATEST, _MOST_SHIFT = 0.2, 0.05  # s; as the effects latency and delay allow
-_STEP = 0.004  # s
-_ROUNDS, _CONVERGED = 12, 1e-6  # s
-_FEWEST = 100  # samples of a joint
-_CLIPPED = 0.98  # of the rated torque
-# Signals of a joint, in the order of their columns.
-_FEED, _WEIGHT, _ERROR, _ASKED, _SPEED, _ONE, _TORQUE, _SLOPE = range(8)
+_EXPLAINED = 0.95  # of the torque's squares, or the servo is of another kind
+# A controller holds its command for a period, and a log may be a period late.
+_HELD, _PERIODS = 0.002, 1.0  # s, of the log
+_LEAST_GAIN = 0.02  # relative error of a gain
+_RESAMPLES = 400
+_NORMAL = 1.96
+_BLOCK_SECONDS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Law:
-    """A servo law of one joint, linear in its gains.
-
-    τ(t + S) = c·F + k_p (q_ref(t − T) − q) + k_d (v_ref(t − T) − v) + constant, with F
-    the torque fed forward: of the simulator along the command, its gravity, or none;
-    and with or without the commanded speed.
+class Link:
+    """What the link from command to torque lacks.
 
     Attributes:
-        columns: Its columns in terms of a joint's signals, shape (8, p).
-        target: Torque to explain in terms of them, shape (8,).
-        gains: Places of torque fed forward, stiffness and damping in the columns.
+        findings: Findings, with their shares of this link.
+        effects: The effects found, joint by joint.
+        squares: What they explain, in units of noise.
+        excess: Squares above noise of the servos as they are thought to be, by block
+            of time, shape (B, n), in units of noise; 0 where nothing was found.
     """
 
-    columns: Array
-    target: Array
-    gains: tuple[int | None, int, int]
-
-
-def laws(kp: float = np.nan, kd: float = np.nan) -> Iterator[Law]:
-    """Every law, with free gains or with stated ones.
-
-    Stated gains leave the scale of the torque free where it can be told, with torque
-    fed forward: a log may be off by a factor.
-
-    Args:
-        kp: Stiffness, [N·m/rad]; free if not given.
-        kd: Damping, [N·m·s/rad].
-    """
-    unit = np.eye(8)
-    for feed in (unit[_FEED], unit[_WEIGHT], None):
-        for speed in (unit[_ASKED] - unit[_SPEED], -unit[_SPEED]):
-            target, first = unit[_TORQUE], [] if feed is None else [feed]
-            parts = [*first, unit[_ERROR], speed, unit[_ONE]]
-            if np.isfinite(kp):
-                servo = kp * unit[_ERROR] + kd * speed
-                parts = [unit[_ONE]] if feed is None else [feed + servo, unit[_ONE]]
-                target = target - servo if feed is None else target
-            k = len(first)
-            yield Law(np.stack(parts, axis=1), target, (0 if k else None, k, k + 1))
+    findings: tuple[Finding, ...] = ()
+    effects: tuple[Effect, ...] = ()
+    squares: float = 0.0
+    excess: Array = field(default_factory=lambda: np.zeros((1, 1)))
 
 
 @dataclass(frozen=True, eq=False)
-class Servo:
-    """One joint's command, motion and torque, filtered as the gap is.
+class _Servo:
+    """One joint's servo, fitted with and without each of the two effects.
 
     Attributes:
-        row: Samples of the gap, shape (M,).
-        t: Their time; each recording is apart from the next, shape (M,), [s].
-        own: Gravity, position and speed there, shape (M, 3).
-        asked: Torque fed forward, position and speed commanded at any time.
-        torque: Torque logged at any time.
+        joint: The joint.
+        log: All its samples.
+        test: Those kept for scoring.
+        fits: Fits on the others, by (late, off): whether commands may be late, and
+            whether gains may be off the declared ones.
+        found: Effects found: ``CommandLatency`` and ``ControllerGain``.
+        noise: Variance of the torque that no law explains, [(N·m)²].
     """
 
-    row: Index
-    t: Array
-    own: Array
-    asked: CubicSpline
-    torque: CubicSpline
+    joint: int
+    log: ServoLog
+    test: ServoLog
+    fits: dict[tuple[bool, bool], Fit]
+    found: tuple[type[Effect], ...]
+    noise: float
 
-    def signals(self, late: float, shift: float, slope: bool = False) -> Array:
-        """All signals with commands late by T and torque by S, shape (M, 8).
-
-        Args:
-            late: T, [s].
-            shift: S, [s].
-            slope: Their change with T in its stead.
-        """
-        A = np.zeros((len(self.t), 8))
-        weight, q, v = self.own.T
-        if slope:
-            A[:, [_FEED, _ERROR, _ASKED]] = -self.asked(self.t - late, 1)
-            return A
-        A[:, [_FEED, _ERROR, _ASKED]] = self.asked(self.t - late)
-        A[:, _ERROR] -= q
-        A[:, _WEIGHT], A[:, _SPEED], A[:, _ONE] = weight, v, 1.0
-        A[:, _TORQUE] = self.torque(self.t + shift)
-        A[:, _SLOPE] = self.torque(self.t + shift, 1)
-        return A
-
-    def only(self, use: NDArray[np.bool_]) -> Servo:
-        """The samples of a mask over the gap's, shape (all,)."""
-        k = use[self.row]
-        return replace(self, row=self.row[k], t=self.t[k], own=self.own[k])
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A servo law with its shifts and gains.
-
-    Attributes:
-        law: The law.
-        late: Commands act late by T after the position, [s].
-        shift: Torque is logged late by S after the position, [s].
-        gains: Gain of each column, shape (p,).
-        left: Torque left, shape (M,), [N·m].
-        covariance: Of T, S and the gains, shape (2 + p, 2 + p).
-    """
-
-    law: Law
-    late: float
-    shift: float
-    gains: Array
-    left: Array
-    covariance: Array
+    def without(self, kind: type[Effect]) -> Fit:
+        """The best law without one effect."""
+        return self.fits[kind is not CommandLatency, kind is not ControllerGain]
 
     @property
-    def latency(self) -> float:
-        """From command to torque, whichever of both the position is in step with."""
-        return self.late + min(self.shift, 0.0)
+    def thought(self) -> Fit:
+        """The servo as it is thought to be, without any effect that was found."""
+        return self.fits[
+            CommandLatency not in self.found, ControllerGain not in self.found
+        ]
 
-    def residual(self, servo: Servo) -> Array:
-        """Torque that the law leaves on other samples, shape (M,), [N·m]."""
-        A = servo.signals(self.late, self.shift)
-        return np.asarray(A @ (self.law.target - self.law.columns @ self.gains))
+    def squares(self, a: Fit, b: Fit) -> float:
+        """What one fit leaves more than another, in units of noise."""
+        return max(0.0, float(a.left @ a.left - b.left @ b.left)) / self.noise
 
-
-def fit(servo: Servo, choice: Sequence[Law], *, prompt: bool) -> Fit:
-    """The law, the shifts and the gains that leave least.
-
-    The scan takes all laws at all latencies from one set of cross-products; the best is
-    refined by Gauss–Newton steps.
-
-    Args:
-        servo: Signals of a joint.
-        choice: Laws to choose from.
-        prompt: Whether torque must follow the command at once: a position that is
-            logged late, or torque, is no latency.
-    """
-    best: list[tuple[float, int, tuple[float, float], Array]] = []
-    for late in np.arange(0.0, _LATEST, _STEP):
-        A = servo.signals(late, 0.0)
-        G = A.T @ A
-        for k, law in enumerate(choice):
-            best += [(x, k, z, B) for x, z, B in _scan(G, law, late, prompt)]
-    _, k, start, basis = min(best, key=lambda x: x[0])
-    return _refined(servo, choice[k], np.array(start), basis)
+    def share(self, kind: type[Effect]) -> float:
+        """What an effect explains (Shapley), in units of noise."""
+        if kind not in self.found:
+            return 0.0
+        alone = self.squares(self.without(kind), self.fits[True, True])
+        if len(self.found) < 2:
+            return alone
+        other = CommandLatency if kind is ControllerGain else ControllerGain
+        return (alone + self.squares(self.thought, self.without(other))) / 2
 
 
-def _scan(
-    G: Array, law: Law, late: float, prompt: bool
-) -> Iterator[tuple[float, tuple[float, float], Array]]:
-    """Squares left, shifts, and in which directions these may change."""
-    unit = np.eye(8)[_SLOPE]
-    free = np.column_stack([law.columns, -unit])
-    if not prompt or late == 0.0:
-        squares, x = _solve(G, free, law.target)
-        shift = float(np.clip(x[-1], -_MOST_SHIFT, _MOST_SHIFT))
-        if not prompt:
-            yield squares, (late, shift), np.eye(2)
-        elif shift >= 0:
-            yield squares, (0.0, shift), np.array([[0.0], [1.0]])
-        else:
-            yield _solve(G, law.columns, law.target)[0], (0.0, 0.0), np.zeros((2, 0))
-    if prompt and 0 < late <= _MOST_SHIFT:
-        squares, _ = _solve(G, law.columns, law.target - late * unit)
-        yield squares, (late, -late), np.array([[1.0], [-1.0]])
+def command_link(
+    gap: Gap,
+    recordings: Sequence[Recording | Motion],
+    rng: np.random.Generator,
+    *,
+    without: Sequence[str] = (),
+) -> Link:
+    """What lies between the command and the torque of each joint.
 
-
-def _solve(G: Array, columns: Array, target: Array) -> tuple[float, Array]:
-    H, s = columns.T @ G @ columns, columns.T @ G @ target
-    d = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    x = d * np.linalg.lstsq(H * d * d[:, None], s * d, rcond=1e-12)[0]
-    return float(target @ G @ target - s @ x), x
-
-
-def _refined(servo: Servo, law: Law, x: Array, basis: Array) -> Fit:
-    """Gauss–Newton steps from shifts x = (T, S) along the directions of a basis."""
-    at_once = basis.shape[1] < 2
-    for _ in range(_ROUNDS):
-        A = servo.signals(*x)
-        X, y = A @ law.columns, A @ law.target
-        gains = _least(X, y)
-        mix = law.target - law.columns @ gains
-        turn = np.column_stack([servo.signals(*x, slope=True) @ mix, A[:, _SLOPE]])
-        J = np.column_stack([turn @ basis, -X])
-        left = y - X @ gains
-        step = basis @ -_least(J, left)[: basis.shape[1]]
-        if np.abs(step).max() < _CONVERGED:
-            break
-        x = x + np.clip(step, -_STEP, _STEP)
-        if at_once and (x[0] < 0 or x.sum() < 0):
-            x = np.zeros(2)
-    d = 1 / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    spread = np.linalg.pinv((J * d).T @ (J * d), rcond=1e-12) * d * d[:, None]
-    spread *= left @ left / len(left) * memory(left, servo.row)
-    wide = np.eye(2 + len(gains))[:, 2:]
-    wide = np.column_stack([np.pad(basis, ((0, len(gains)), (0, 0))), wide])
-    return Fit(law, float(x[0]), float(x[1]), gains, left, wide @ spread @ wide.T)
-
-
-def _least(X: Array, y: Array) -> Array:
-    d = 1 / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
-    return np.asarray(d * np.linalg.lstsq(X * d, y, rcond=1e-10)[0])
-
-
-def servos(gap: Gap, recordings: Sequence[Recording | Motion]) -> list[Servo | None]:
-    """Signals of each joint, of the recordings that have a command.
+    Nothing is said of joints whose torque no servo law explains.
 
     Args:
         gap: The gap.
-        recordings: What it was measured from.
-
-    Returns:
-        Nothing for joints that hardly move, or where no command was logged.
+        recordings: What it was measured from; those with a command are used.
+        rng: Draws of the bootstrap.
+        without: Ids of effects to leave out.
     """
-    clock, parts, rows = 0.0, [], []
-    for k, recording in enumerate(recordings):
-        if isinstance(recording, Recording) and recording.command is not None:
-            part = _signals(gap, k, recording)
-            own = np.flatnonzero(gap.trajectory == k)
-            since = gap.sampled.t[own] - gap.motions[k].t[0]
-            rows.append((own, clock - part[0][0] + since, since > _LATEST))
-            parts.append((clock - part[0][0] + part[0], *part[1:]))
-            clock = parts[-1][0][-1] + 1 / gap.motions[k].rate
-    if not parts:
-        return [None] * gap.robot.size
-    t, asked, torque, own = map(np.concatenate, zip(*parts, strict=True))
-    row, at, known = map(np.concatenate, zip(*rows, strict=True))
-    found: list[Servo | None] = []
-    for i in range(gap.robot.size):
-        whole = CubicSpline(t, torque[:, i])
-        clipped = np.abs(whole(at)) > _CLIPPED * gap.robot.tau_max[i]
-        use = known & gap.moving[row, i] & ~clipped
-        if np.count_nonzero(use) < _FEWEST:
-            found.append(None)
+    learn = split(gap)
+    test = ~learn & between(gap, learn)
+    kinds = [k for k in (CommandLatency, ControllerGain) if k.id not in without]
+    servos = []
+    for i, log in enumerate(servo_logs(gap, recordings)):
+        servo = None if log is None else _examined(gap, i, log, learn, test, kinds)
+        if servo is not None and servo.found:
+            servos.append(servo)
+    effects = tuple(e for s in servos for e in _fitted(gap, s))
+    total = sum(s.share(k) for s in servos for k in s.found)
+    found = [
+        _finding(gap, [s for s in servos if k in s.found], k, effects, total, rng)
+        for k in kinds
+        if any(k in s.found for s in servos)
+    ]
+    return Link(tuple(found), effects, total, _excess(gap, servos))
+
+
+def _examined(
+    gap: Gap,
+    i: int,
+    log: ServoLog,
+    learn: NDArray[np.bool_],
+    test: NDArray[np.bool_],
+    kinds: Sequence[type[Effect]],
+) -> _Servo | None:
+    """A joint's servo; nothing if no law explains its torque."""
+    own, unseen = log.only(learn), log.only(test)
+    if min(len(own.row), len(unseen.row)) < FEWEST:
+        return None
+    free = list(laws())
+    stated = _stated(gap, i)
+    whole = fit(own, free, prompt=False)
+    tau = unseen.torque(unseen.t)
+    left = whole.residual(unseen)
+    if left @ left > (1 - _EXPLAINED) * len(tau) * tau.var():
+        return None
+    fits = {(True, True): whole, (False, True): at_once(own, free, whole)}
+    found: list[type[Effect]] = []
+    least = max(_HELD, _PERIODS / gap.motions[0].rate)
+    late = whole.latency - _NORMAL * whole.latency_std > least
+    if late and _better(own, unseen, fit(own, free, prompt=True), whole):
+        found.append(CommandLatency)
+    if stated:
+        fits[True, False] = fit(own, stated, prompt=False)
+        off, std = _off(whole, gap, i)
+        wrong = np.abs(off) - _NORMAL * std > _LEAST_GAIN
+        if wrong.any() and _better(own, unseen, fits[True, False], whole):
+            found.append(ControllerGain)
+        if len(found) == 2:
+            fits[False, False] = at_once(own, stated, whole)
+    noise = float(whole.left @ whole.left) / len(own.row)
+    return _Servo(i, log, unseen, fits, tuple(k for k in found if k in kinds), noise)
+
+
+def _better(own: ServoLog, unseen: ServoLog, before: Fit, after: Fit) -> bool:
+    """Whether a fit is better, on the samples it has seen and on others."""
+    squares = [float(x @ x) for x in (before.residual(unseen), after.residual(unseen))]
+    return squares[1] < squares[0] and evidence(own, before, after) > WORTH
+
+
+def _stated(gap: Gap, i: int) -> list[Law]:
+    kp, kd = gap.robot.kp[i], gap.robot.kd[i]
+    return list(laws(float(kp), float(kd))) if np.isfinite(kp) else []
+
+
+def _off(found: Fit, gap: Gap, i: int) -> tuple[Array, Array]:
+    """Relative errors of stiffness and damping, and their standard deviations.
+
+    A free scale of the whole torque, where there is one, is taken out.
+    """
+    declared = gap.robot.kp[i], gap.robot.kd[i]
+    scale, *places = found.law.gains
+    off, std = np.zeros(2), np.zeros(2)
+    for k, (place, gain) in enumerate(zip(places, declared, strict=True)):
+        if not gain > 0:  # a servo without damping has none to be off
             continue
-        found.append(
-            Servo(row[use], at[use], own[use, :, i],
-                  CubicSpline(t, asked[:, :, i]), whole)
-        )  # fmt: skip
-    return found
+        slope = np.zeros(len(found.gains))
+        unit = gain if scale is None else gain * found.gains[scale]
+        slope[place] = 1 / unit
+        off[k] = found.gains[place] / unit - 1.0
+        if scale is not None:
+            slope[scale] = -(off[k] + 1.0) / found.gains[scale]
+        std[k] = np.sqrt(slope @ found.covariance[2:, 2:] @ slope)
+    return off, std
 
 
-def _signals(
-    gap: Gap, k: int, recording: Recording
-) -> tuple[Array, Array, Array, Array]:
-    """One recording: a longer clock, (N + 2P, 3, n) asked, torque, (M, 3, n) own."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", HybridWarning)  # said when the gap was measured
-        recording = resample(recording.in_order(gap.robot.joints))
-    assert recording.command is not None
-    motion, chain = gap.motions[k], gap.robot.chain
-    wanted = motion_from_recording(
-        replace(recording, q=recording.command), cutoff=_POSITION_CUTOFF * gap.cutoff
+def _fitted(gap: Gap, servo: _Servo) -> list[Effect]:
+    """The effects of a joint with their values from all samples."""
+    found = fit(servo.log, list(laws()), prompt=CommandLatency not in servo.found)
+    effects: list[Effect] = []
+    for kind in servo.found:
+        if kind is CommandLatency:
+            value, std = [found.latency], [found.latency_std]
+        else:
+            value, std = (x.tolist() for x in _off(found, gap, servo.joint))
+        names = [g.name for g in kind.gains]
+        effect = kind((servo.joint,), dict(zip(names, value, strict=True)))
+        effects.append(effect.at({}, dict(zip(names, std, strict=True))))
+    return effects
+
+
+def _finding(
+    gap: Gap,
+    servos: Sequence[_Servo],
+    kind: type[Effect],
+    effects: Sequence[Effect],
+    total: float,
+    rng: np.random.Generator,
+) -> Finding:
+    names = tuple(gap.robot.joints[s.joint] for s in servos)
+    own = [e for e in effects if isinstance(e, kind)]
+    return Finding(
+        effect=kind.id,
+        joints=names,
+        alternatives=(kind.id,),
+        share=sum(s.share(kind) for s in servos) / max(total, 1e-300),
+        parameters=tuple(v for e in own for v in values(gap, e)),
+        shrink={"torque": _shrink(gap, servos, kind, rng)},
+        sentence=kind.sentence.format(joints=listed(names)),
+        remedy=kind.remedy,
     )
-    feed = RigidBody(chain, wanted).load + chain.armature * wanted.a
-    still = replace(motion, v=0 * motion.v, a=0 * motion.a)
-    weight = RigidBody(chain, still).load
-    asked = np.stack([feed, wanted.q, wanted.v], axis=1)
-    held = int(np.ceil((_LATEST + _MOST_SHIFT) * motion.rate)) + 1
-    t = np.arange(-held, len(motion.t) + held) / motion.rate
 
-    def longer(x: Array) -> Array:
-        x = butterworth(x, rate=motion.rate, cutoff=gap.cutoff)
-        return np.pad(x, ((held, held), *[(0, 0)] * (x.ndim - 1)), mode="edge")
 
-    own = gap.samplers[k](np.stack([weight, motion.q, motion.v], axis=1))
-    return t, longer(asked), longer(recording.tau), own
+def _blocks(gap: Gap) -> NDArray[np.intp]:
+    return np.arange(len(gap.fold)) // max(1, round(_BLOCK_SECONDS * gap.rate))
+
+
+def _shrink(
+    gap: Gap,
+    servos: Sequence[_Servo],
+    kind: type[Effect],
+    rng: np.random.Generator,
+) -> Shrink:
+    """Torque that the servo laws leave, without and with an effect."""
+    block, count = _blocks(gap), sum(len(s.test.row) for s in servos)
+    squares = np.zeros((2, block[-1] + 1))
+    for s in servos:
+        for k, found in enumerate((s.without(kind), s.fits[True, True])):
+            left = found.residual(s.test)
+            squares[k] += np.bincount(block[s.test.row], left**2, len(squares[k]))
+    squares = squares[:, squares[0] > 0]
+    size = squares.shape[1]
+    draws = squares @ rng.multinomial(size, np.full(size, 1 / size), _RESAMPLES).T
+    before, after = np.sqrt(squares.sum(axis=1) / count).tolist()
+    low, high = np.quantile(1 - np.sqrt(draws[1] / draws[0]), [0.025, 0.975])
+    interval = (float(low), float(high)) if size > 1 else (0.0, 1.0)
+    return Shrink(before, after, 1 - after / before, interval)
+
+
+def _excess(gap: Gap, servos: Sequence[_Servo]) -> Array:
+    block = _blocks(gap)
+    excess = np.zeros((block[-1] + 1, gap.robot.size))
+    for s in servos:
+        left = s.thought.residual(s.log)
+        weight = left**2 / s.noise - 1.0
+        excess[:, s.joint] = np.bincount(block[s.log.row], weight, len(excess))
+    return excess
+
+
+def joined(
+    diagnosis: Diagnosis,
+    account: Account,
+    gap: Gap,
+    link: Link,
+    rng: np.random.Generator,
+) -> Diagnosis:
+    """A diagnosis of torque and motion with what lies between command and torque.
+
+    Shares are of both links, in units of noise squares.
+
+    Args:
+        diagnosis: The diagnosis.
+        account: What it explains and misses.
+        gap: Its gap.
+        link: The link from command to torque.
+        rng: Draws of the bootstrap.
+    """
+    if not link.findings:
+        return diagnosis
+    noise = np.maximum(diagnosis.noise_floor, 1e-12)
+    above = np.where(gap.moving, (gap.left / noise) ** 2 - 1.0, 0.0).sum()
+    explained = float(account.explained.sum()) if diagnosis.findings else 0.0
+    part = link.squares / (link.squares + explained)
+    found = [replace(f, share=(1 - part) * f.share) for f in diagnosis.findings]
+    found += [replace(f, share=part * f.share) for f in link.findings]
+    whole = explained + float(account.missed.sum()) or max(float(above), 0.0)
+    verdict: Verdict = {
+        "no_gap": "explained", "unexplained": "partly_explained",
+    }.get(diagnosis.verdict, diagnosis.verdict)  # type: ignore[assignment]  # fmt: skip
+    return replace(
+        diagnosis,
+        findings=tuple(sorted(found, key=lambda f: -f.share)),
+        where=_where(diagnosis, max(float(above), 0.0), link.excess, rng),
+        verdict=verdict,
+        unexplained=diagnosis.unexplained * whole / (whole + link.squares),
+    )
+
+
+def _where(
+    diagnosis: Diagnosis, above: float, excess: Array, rng: np.random.Generator
+) -> tuple[Region, ...]:
+    """Regions with their shares of both links, largest first."""
+    total = excess.sum()
+    other = above if diagnosis.where else 0.0
+    size = len(excess)
+    times = rng.multinomial(size, np.full(size, 1 / size), _RESAMPLES)
+    drawn = times @ excess
+    shares = drawn / np.maximum(drawn.sum(axis=1) + other, 1e-300)[:, None]
+    scale = other / (other + total)
+    found = [
+        replace(
+            r,
+            share=scale * r.share,
+            interval=(scale * r.interval[0], scale * r.interval[1]),
+        )
+        for r in diagnosis.where
+    ]
+    for i in np.flatnonzero(excess.sum(axis=0) > 0):
+        low, high = np.quantile(shares[:, i], [0.025, 0.975])
+        region = Region(
+            diagnosis.joints[i], "link", 0.0, 1.0, COMMAND_TO_TORQUE,
+            float(excess[:, i].sum() / (total + other)), (float(low), float(high)),
+        )  # fmt: skip
+        found.append(region)
+    return tuple(sorted(found, key=lambda r: -r.share))

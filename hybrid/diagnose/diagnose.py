@@ -9,6 +9,7 @@ import numpy as np
 
 from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.command import Link, command_link, joined
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, refit, shares, split
 from hybrid.diagnose.findings import alternatives, findings, torque_shrink
@@ -55,6 +56,7 @@ class Result:
         scored: The same terms on samples that no step has seen.
         account: What is explained and missed, joint by joint.
         effects: The effects named, with fitted values.
+        command: Those between command and torque.
     """
 
     diagnosis: Diagnosis
@@ -63,6 +65,7 @@ class Result:
     scored: Explanation
     account: Account
     effects: tuple[Effect, ...]
+    command: tuple[Effect, ...] = ()
 
 
 def diagnose(
@@ -126,6 +129,7 @@ def examine(
     found, kinds, refused = _vetted(gap, search, limits)
     if strange := another_arm(gap, search.terms):
         doubts, search.terms = [strange], []
+    foreign = bool(doubts)
     tell("scoring on motions that no step has seen")
     while True:
         scored = explain(gap, search, learn)
@@ -153,7 +157,12 @@ def examine(
     if verdict != "not_excited":
         where = locate(gap, np.array(diagnosis.noise_floor), rng)
         diagnosis = replace(diagnosis, where=where)
-    return Result(diagnosis, gap, search, scored, found, effects)
+    link = Link()
+    if verdict != "not_excited" and not foreign:
+        tell("asking whether torque follows the command")
+        link = command_link(gap, recordings, rng, without=without)
+        diagnosis = joined(diagnosis, found, gap, link, rng)
+    return Result(diagnosis, gap, search, scored, found, effects, link.effects)
 
 
 def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
@@ -242,7 +251,9 @@ def replayed(
         for f in diagnosis.findings:
             members = _members(f, result.scored)
             once = result.scored.where_seen(members) is not result.scored
-            shrink = None if once else motion_shrink(replay, members, rng)
+            # A replay is driven by torque: what lies before it plays no part.
+            apart = once or not members
+            shrink = None if apart else motion_shrink(replay, members, rng)
             if shrink is not None and shrink.after >= _LOST:
                 lost = "replayed, the simulator leaves the motion with or without {}"
                 notes.append(lost.format(f.effect))

@@ -221,7 +221,9 @@ def refit(gap: Gap, search: Search) -> Refit:
 
 
 def with_gains(effect: Effect, gains: Sequence[float] | Array) -> Effect:
-    """An effect with its gains in order, shape (p,)."""
+    """An effect with its gains in order, shape (p,); a steep one has them already."""
+    if effect.steep:
+        return effect
     names = [g.name for g in effect.gains]
     return effect.at(dict(zip(names, map(float, gains), strict=True)))
 

@@ -80,11 +80,11 @@ def findings(
                 joints=names,
                 alternatives=tuple(dict.fromkeys((effect_id, *alike))),
                 share=float(parts[members].sum()),
-                parameters=tuple(v for k in members for v in _values(gap, effects[k])),
+                parameters=tuple(v for k in members for v in values(gap, effects[k])),
                 shrink={
                     "torque": torque_shrink(scored.where_seen(members), members, rng)
                 },
-                sentence=cls.sentence.format(joints=_listed(names)),
+                sentence=cls.sentence.format(joints=listed(names)),
                 remedy=cls.remedy,
             )
         )
@@ -157,7 +157,8 @@ def _where(effect: Effect) -> tuple[int, ...]:
     return effect.joints[-1:] if effect.id == "link_inertia" else effect.joints
 
 
-def _values(gap: Gap, effect: Effect) -> list[Value]:
+def values(gap: Gap, effect: Effect) -> list[Value]:
+    """The parameters of an effect with their 95 % intervals."""
     joint = "+".join(gap.robot.joints[j] for j in _where(effect))
     if effect.scope == "arm":
         joint = "arm"
@@ -168,7 +169,8 @@ def _values(gap: Gap, effect: Effect) -> list[Value]:
     return values
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """``a, b and c``."""
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"

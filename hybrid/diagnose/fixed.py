@@ -61,13 +61,30 @@ def write_fixed(result: Result, directory: str | Path) -> Fixed:
     """
     robot, effects = fixed_simulator(result)
     spec, notes = express(result.gap, robot, effects)
+    notes = (*notes, *_of_servos(result))
     spec.compile()
     folder = Path(directory)
     with atomic_path(folder / SIMULATOR) as temporary:
         text = _comment(result.gap, notes) + spec.to_xml()
         temporary.write_text(text, encoding="utf-8")
+    effects = (*effects, *result.command)
     fixed_model(result.gap, robot, effects).save(folder / MODEL)
     return Fixed(folder / SIMULATOR, folder / MODEL, notes)
+
+
+def _of_servos(result: Result) -> list[str]:
+    """What lies between command and torque, where motors that take torque have none."""
+    robot, notes = result.gap.robot, []
+    for effect in result.command:
+        (j,), value = effect.joints, effect.values
+        note = f"{effect.id} of {robot.joints[j]}"
+        if effect.id == "command_latency":
+            note += f", delay commands by {1000 * value['time']:.3g} ms"
+        else:
+            kp, kd = effect.tune(robot.kp[[j]], robot.kd[[j]])
+            note += f", use kp = {kp[0]:.4g} and kd = {kd[0]:.4g}"
+        notes.append(note)
+    return notes
 
 
 def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:

@@ -114,6 +114,7 @@ class Gap:
             For each joint that the effect's torque reaches, shape (M, p).
         """
         exact = len(effect.gains) == 1 and (effect.observes or effect.reports)
+        exact &= not effect.steep
         if exact and effect.gain_values[0] == 0.0:
             # A report is of all torque, friction included: its columns are not.
             exact = effect.reports

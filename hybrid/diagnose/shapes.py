@@ -25,7 +25,7 @@ _NUDGE = 0.01  # of a range, for a derivative
 
 def price(effect: Effect) -> float:
     """Evidence that the choice of an effect's shapes has to pay for, [nat]."""
-    return _SHAPE_PRICE.get(effect.id, _PRICE * len(effect.shapes))
+    return _SHAPE_PRICE.get(effect.id, _PRICE * (len(effect.shapes) + effect.steep))
 
 
 @dataclass(frozen=True)
@@ -154,6 +154,4 @@ def _near(shape: Quantity, value: float) -> Quantity:
     if shape.upper < _ENDLESS * shape.typical:
         return shape
     low, high = value - shape.typical, value + shape.typical
-    return replace(
-        shape, lower=max(low, shape.lower), upper=min(high, shape.upper)
-    )
+    return replace(shape, lower=max(low, shape.lower), upper=min(high, shape.upper))

@@ -24,6 +24,8 @@ class Thresholds:
         steady: Most that gains of their own on each fold may take from the gap, over
             what the term takes.
         crowded: Most terms at one joint that still make a cause.
+        undone: Least that remains of two like effects at one joint together, of the
+            squares of each.
         explained: Least part of the whole gap explained for the verdict ``explained``.
     """
 
@@ -36,6 +38,7 @@ class Thresholds:
     complete: float
     steady: float
     crowded: int
+    undone: float
     explained: float
 
 

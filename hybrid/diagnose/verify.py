@@ -11,6 +11,7 @@ from hybrid.diagnose.bayes import memory
 from hybrid.diagnose.ceiling import recoverable
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.thresholds import Thresholds
+from hybrid.effects.effect import Port
 from hybrid.robot.chain import Array
 
 
@@ -23,11 +24,14 @@ class Check:
         unsteady: Squares that its gains would still take from the gap if each fold had
             its own, over those that the term takes.
         crowd: Number of terms at its joint.
+        remains: Squares of its torque and of another's together, over those of each,
+            for the term of its kind at its joint that undoes it most.
     """
 
     complete: float
     unsteady: float
     crowd: int
+    remains: float
 
     def passes(self, limits: Thresholds) -> bool:
         """Whether the term may be named."""
@@ -35,6 +39,7 @@ class Check:
             self.complete >= limits.complete
             and self.unsteady <= limits.steady
             and self.crowd <= limits.crowded
+            and self.remains >= limits.undone
         )
 
 
@@ -108,7 +113,43 @@ def check(search: Search, term: Term, found: Account) -> Check:
     complete = explained / max(explained + found.missed[main].sum(), 1e-12)
     joint = term.place[1]
     crowd = sum(t.place[1] == joint for t in search.terms)
-    return Check(float(complete), _unsteady(search, term), crowd)
+    return Check(
+        float(complete), _unsteady(search, term), crowd, _remains(search, term)
+    )
+
+
+def _remains(search: Search, term: Term) -> float:
+    """What is left of a term beside the one that undoes it most.
+
+    Two effects on signals, or on bodies, of which each is large and little is left of
+    both, are a makeshift for something else. Laws of friction may well do so.
+    """
+    alike = [
+        t
+        for t in search.terms
+        if t is not term
+        and t.place[1][-1] == term.place[1][-1]
+        and _kind(t) == _kind(term)
+    ]
+    if not alike or not _kind(term):
+        return 1.0
+    evidence, terms = search.evidence, [term, *alike]
+    solution = evidence.solve(search.base())
+    A, _ = evidence.normal(solution.index)
+    # Gains of each term, zero elsewhere; their products are those of its torques.
+    gains = [
+        np.where(np.isin(solution.index, t.index), solution.gains, 0) for t in terms
+    ]
+    products = np.stack(gains) @ A @ np.stack(gains).T
+    each = products[0, 0] + np.diag(products)[1:]
+    return float(np.min(1.0 + 2 * products[0, 1:] / np.maximum(each, 1e-12)))
+
+
+def _kind(term: Term) -> str:
+    effect = term.candidate.effect
+    if effect.observes or effect.reports:
+        return "signal"
+    return "body" if effect.port is Port.BODY else ""
 
 
 def _unsteady(search: Search, term: Term) -> float:

@@ -74,6 +74,9 @@ class Effect(Instant, ABC):
     scope: ClassVar[Scope] = "joint"
     gains: ClassVar[tuple[Quantity, ...]]
     shapes: ClassVar[tuple[Quantity, ...]] = ()
+    # Whether its columns, made at the gain it has, change so fast with the gain that a
+    # fit has to scan it.
+    steep: ClassVar[bool] = False
     equation: ClassVar[str]
     source: ClassVar[str]
     sentence: ClassVar[str]
