@@ -7,36 +7,23 @@ logged is held against the torque that a servo law asks for.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.diagnose.diagnosis import Diagnosis, Finding, Region, Shrink, Verdict
+from hybrid.diagnose.diagnosis import Finding, Shrink
 from hybrid.diagnose.explanation import between, split
 from hybrid.diagnose.findings import listed, values
 from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.servo import (
-    FEWEST,
-    WORTH,
-    Fit,
-    Law,
-    ServoLog,
-    at_once,
-    evidence,
-    fit,
-    laws,
-    servo_logs,
-)
-from hybrid.diagnose.verify import Account
+from hybrid.diagnose.servo import FEWEST, Law, ServoLog, laws, servo_logs
+from hybrid.diagnose.servo_fit import WORTH, Fit, at_once, evidence, fit
 from hybrid.effects import Effect
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
 from hybrid.recording import Recording
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
-
-COMMAND_TO_TORQUE = "command to torque"
 
 _EXPLAINED = 0.95  # of the torque's squares, or the servo is of another kind
 # A controller holds its command for a period, and a log may be a period late.
@@ -77,6 +64,7 @@ class _Servo:
             whether gains may be off the declared ones.
         found: Effects found: ``CommandLatency`` and ``ControllerGain``.
         noise: Variance of the torque that no law explains, [(N·m)²].
+        scale: Whether a torque logged at another scale would look like other gains.
     """
 
     joint: int
@@ -85,6 +73,7 @@ class _Servo:
     fits: dict[tuple[bool, bool], Fit]
     found: tuple[type[Effect], ...]
     noise: float
+    scale: bool
 
     def without(self, kind: type[Effect]) -> Fit:
         """The best law without one effect."""
@@ -164,7 +153,9 @@ def _examined(
     whole = fit(own, free, prompt=False)
     tau = unseen.torque(unseen.t)
     left = whole.residual(unseen)
-    if left @ left > (1 - _EXPLAINED) * len(tau) * tau.var():
+    # A servo pulls towards its command.
+    stiffness = whole.gains[1 if whole.law.scaled else 0]
+    if left @ left > (1 - _EXPLAINED) * len(tau) * tau.var() or stiffness <= 0:
         return None
     fits = {(True, True): whole, (False, True): at_once(own, free, whole)}
     found: list[type[Effect]] = []
@@ -172,16 +163,21 @@ def _examined(
     late = whole.latency - _NORMAL * whole.latency_std > least
     if late and _better(own, unseen, fit(own, free, prompt=True), whole):
         found.append(CommandLatency)
+    same = False
     if stated:
-        fits[True, False] = fit(own, stated, prompt=False)
+        alike = [law for law in stated if law.scaled == whole.law.scaled]
+        fits[True, False] = fit(own, alike, prompt=False)
         off, std = _off(whole, gap, i)
         wrong = np.abs(off) - _NORMAL * std > _LEAST_GAIN
         if wrong.any() and _better(own, unseen, fits[True, False], whole):
             found.append(ControllerGain)
+            scaled = fit(own, stated, prompt=False)
+            same = evidence(own, scaled, whole) < WORTH
         if len(found) == 2:
             fits[False, False] = at_once(own, stated, whole)
     noise = float(whole.left @ whole.left) / len(own.row)
-    return _Servo(i, log, unseen, fits, tuple(k for k in found if k in kinds), noise)
+    named = tuple(k for k in found if k in kinds)
+    return _Servo(i, log, unseen, fits, named, noise, same)
 
 
 def _better(own: ServoLog, unseen: ServoLog, before: Fit, after: Fit) -> bool:
@@ -201,7 +197,8 @@ def _off(found: Fit, gap: Gap, i: int) -> tuple[Array, Array]:
     A free scale of the whole torque, where there is one, is taken out.
     """
     declared = gap.robot.kp[i], gap.robot.kd[i]
-    scale, *places = found.law.gains
+    scale = 0 if found.law.scaled else None
+    places = (1, 2) if found.law.scaled else (0, 1)
     off, std = np.zeros(2), np.zeros(2)
     for k, (place, gain) in enumerate(zip(places, declared, strict=True)):
         if not gain > 0:  # a servo without damping has none to be off
@@ -241,10 +238,11 @@ def _finding(
 ) -> Finding:
     names = tuple(gap.robot.joints[s.joint] for s in servos)
     own = [e for e in effects if isinstance(e, kind)]
+    alike = kind is ControllerGain and any(s.scale for s in servos)
     return Finding(
         effect=kind.id,
         joints=names,
-        alternatives=(kind.id,),
+        alternatives=(kind.id, *(["torque_gain"] if alike else [])),
         share=sum(s.share(kind) for s in servos) / max(total, 1e-300),
         parameters=tuple(v for e in own for v in values(gap, e)),
         shrink={"torque": _shrink(gap, servos, kind, rng)},
@@ -287,71 +285,3 @@ def _excess(gap: Gap, servos: Sequence[_Servo]) -> Array:
         weight = left**2 / s.noise - 1.0
         excess[:, s.joint] = np.bincount(block[s.log.row], weight, len(excess))
     return excess
-
-
-def joined(
-    diagnosis: Diagnosis,
-    account: Account,
-    gap: Gap,
-    link: Link,
-    rng: np.random.Generator,
-) -> Diagnosis:
-    """A diagnosis of torque and motion with what lies between command and torque.
-
-    Shares are of both links, in units of noise squares.
-
-    Args:
-        diagnosis: The diagnosis.
-        account: What it explains and misses.
-        gap: Its gap.
-        link: The link from command to torque.
-        rng: Draws of the bootstrap.
-    """
-    if not link.findings:
-        return diagnosis
-    noise = np.maximum(diagnosis.noise_floor, 1e-12)
-    above = np.where(gap.moving, (gap.left / noise) ** 2 - 1.0, 0.0).sum()
-    explained = float(account.explained.sum()) if diagnosis.findings else 0.0
-    part = link.squares / (link.squares + explained)
-    found = [replace(f, share=(1 - part) * f.share) for f in diagnosis.findings]
-    found += [replace(f, share=part * f.share) for f in link.findings]
-    whole = explained + float(account.missed.sum()) or max(float(above), 0.0)
-    verdict: Verdict = {
-        "no_gap": "explained", "unexplained": "partly_explained",
-    }.get(diagnosis.verdict, diagnosis.verdict)  # type: ignore[assignment]  # fmt: skip
-    return replace(
-        diagnosis,
-        findings=tuple(sorted(found, key=lambda f: -f.share)),
-        where=_where(diagnosis, max(float(above), 0.0), link.excess, rng),
-        verdict=verdict,
-        unexplained=diagnosis.unexplained * whole / (whole + link.squares),
-    )
-
-
-def _where(
-    diagnosis: Diagnosis, above: float, excess: Array, rng: np.random.Generator
-) -> tuple[Region, ...]:
-    """Regions with their shares of both links, largest first."""
-    total = excess.sum()
-    other = above if diagnosis.where else 0.0
-    size = len(excess)
-    times = rng.multinomial(size, np.full(size, 1 / size), _RESAMPLES)
-    drawn = times @ excess
-    shares = drawn / np.maximum(drawn.sum(axis=1) + other, 1e-300)[:, None]
-    scale = other / (other + total)
-    found = [
-        replace(
-            r,
-            share=scale * r.share,
-            interval=(scale * r.interval[0], scale * r.interval[1]),
-        )
-        for r in diagnosis.where
-    ]
-    for i in np.flatnonzero(excess.sum(axis=0) > 0):
-        low, high = np.quantile(shares[:, i], [0.025, 0.975])
-        region = Region(
-            diagnosis.joints[i], "link", 0.0, 1.0, COMMAND_TO_TORQUE,
-            float(excess[:, i].sum() / (total + other)), (float(low), float(high)),
-        )  # fmt: skip
-        found.append(region)
-    return tuple(sorted(found, key=lambda r: -r.share))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.diagnose.gap import Gap
 from hybrid.effects.contact import Contact
@@ -31,12 +32,20 @@ class Contacts:
         self._first = float(t.min())
         self._chunk = ((t - self._first) / _CHUNK).astype(int)
         always = {"start": self._first, "duration": float(np.ptp(t)) + 1.0}
-        self._columns = gap.columns(Contact(self._joints, always))
+        columns = gap.columns(Contact(self._joints, always))
+        self._grams: dict[int, Array] = {}
+        self._columns = [columns[j] for j in self._joints]
 
     def strongest(
-        self, left: Sequence[Array], rows: Sequence[Array], noise: Array, count: int
+        self,
+        left: Sequence[Array],
+        rows: Sequence[NDArray[np.intp]],
+        noise: Array,
+        count: int,
     ) -> list[Contact]:
         """Contacts that explain most of a residual, none of them overlapping.
+
+        The samples must be the same at each call.
 
         Args:
             left: Residual of each joint, shape (R_i,), [N·m].
@@ -47,10 +56,10 @@ class Contacts:
         size = int(self._chunk.max()) + 1
         gram, moment = np.zeros((size, 6, 6)), np.zeros((size, 6))
         for i, (x, r) in enumerate(zip(left, rows, strict=True)):
-            columns, chunk = self._columns[i][r], self._chunk[r]
-            squares = columns[:, :, None] * columns[:, None, :] / noise[i]
-            np.add.at(gram, chunk, squares)
-            np.add.at(moment, chunk, columns * (x / noise[i])[:, None])
+            gram += self._gram(i, r) / noise[i]
+            weighed = self._columns[i][r] * (x / noise[i])[:, None]
+            for k, column in enumerate(weighed.T):
+                moment[:, k] += np.bincount(self._chunk[r], column, size)
         windows = _windows(gram, moment)
         found: list[tuple[int, int]] = []
         for _, first, length in sorted(windows, reverse=True):
@@ -69,6 +78,17 @@ class Contacts:
             )
             for first, length in found
         ]
+
+    def _gram(self, i: int, rows: NDArray[np.intp]) -> Array:
+        """Products of a joint's columns on each chunk, shape (C, 6, 6)."""
+        if i not in self._grams:
+            columns, chunk = self._columns[i][rows], self._chunk[rows]
+            size = int(self._chunk.max()) + 1
+            sums = [
+                [np.bincount(chunk, a * b, size) for b in columns.T] for a in columns.T
+            ]
+            self._grams[i] = np.array(sums).transpose(2, 0, 1)
+        return self._grams[i]
 
 
 def _windows(gram: Array, moment: Array) -> list[tuple[float, int, int]]:

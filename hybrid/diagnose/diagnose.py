@@ -9,12 +9,13 @@ import numpy as np
 
 from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search, Term
-from hybrid.diagnose.command import Link, command_link, joined
+from hybrid.diagnose.command import Link, command_link
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, refit, shares, split
 from hybrid.diagnose.findings import alternatives, findings, torque_shrink
 from hybrid.diagnose.gap import Gap, measure_gap
 from hybrid.diagnose.grounds import another_arm, too_little, unlike
+from hybrid.diagnose.links import joined
 from hybrid.diagnose.locate import locate
 from hybrid.diagnose.motion import (
     Replay,
@@ -41,6 +42,11 @@ _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
     "on motions that no step has seen"
+)
+_ASTRAY = "replayed, the simulator leaves the motion with or without {}"
+_NO_REPLAY = (
+    "too few stretches of half a second, of those kept for scoring, to replay {}: its "
+    "shrinkage in motion is not known"
 )
 _IN_MOTION = {"elasticity", "backlash", "actuator_lag", "delay"}
 
@@ -246,7 +252,10 @@ def replayed(
         return result
     (progress or (lambda _: None))("replaying the simulator")
     diagnosis = result.diagnosis
-    replay, found, notes = Replay(result.scored), [], []
+    replay, found = Replay(result.scored), []
+    notes: list[str] = []
+    lost: list[str] = []
+    unseen: list[str] = []
     try:
         for f in diagnosis.findings:
             members = _members(f, result.scored)
@@ -254,10 +263,11 @@ def replayed(
             # A replay is driven by torque: what lies before it plays no part.
             apart = once or not members
             shrink = None if apart else motion_shrink(replay, members, rng)
-            if shrink is not None and shrink.after >= _LOST:
-                lost = "replayed, the simulator leaves the motion with or without {}"
-                notes.append(lost.format(f.effect))
-            elif shrink is not None:
+            if shrink is None:
+                unseen += [] if apart else [f.effect]
+            elif shrink.after >= _LOST:
+                lost.append(f.effect)
+            else:
                 f = replace(f, shrink={**f.shrink, "motion": shrink})
             found.append(f)
             if f.effect in _IN_MOTION and any(
@@ -271,6 +281,10 @@ def replayed(
     except EffectError as error:
         notes.append(f"no replay: {error}")
         found, halved = list(diagnosis.findings), None
+    if lost:
+        notes.append(_ASTRAY.format(", ".join(lost)))
+    if unseen:
+        notes.append(_NO_REPLAY.format(", ".join(unseen)))
     notes += [halved] if halved else []
     diagnosis = replace(
         diagnosis,

@@ -85,6 +85,7 @@ class Evidence:
         self.precision = np.zeros(0)
         self._size = np.zeros(0)
         self.noise = np.ones(n)
+        self._kept: tuple[bytes, dict[int, tuple[Index, Array]]] = b"", {}
         self._factored: tuple[bytes, tuple[Array, bool], Array]
         self._factored = b"", (np.zeros((0, 0)), False), np.zeros(0)
 
@@ -273,23 +274,31 @@ class Evidence:
         p = len(std)
         H, s = np.zeros((p, p)), np.zeros(p)
         across = np.zeros((len(base), p))
-        where = np.full(self.size, -1)
-        where[base] = np.arange(len(base))
         for i, x in columns.items():
             new = x[self.rows[i]]
             H += new.T @ new / self.noise[i]
             s += new.T @ self._left[i] / self.noise[i]
-            if self._columns[i]:
-                target = where[self._owner[i]]
-                here = np.flatnonzero(target >= 0)
-                across[target[here]] += (self._columns[i][0].T @ new)[
-                    here
-                ] / self.noise[i]
+            target, known = self._known(base, i)
+            across[target] += known.T @ new / self.noise[i]
         factor, b = self._factor(base)
         across /= np.sqrt(self.precision[base])[:, None]
         H -= across.T @ cho_solve(factor, across)
         s -= across.T @ cho_solve(factor, b)
         return log_bayes(H, s, 1.0 / np.maximum(std, 1e-12) ** 2, lower)
+
+    def _known(self, base: Index, i: int) -> tuple[Index, Array]:
+        """Columns of a joint that are in a base, with their place in it; kept."""
+        if self._kept[0] != base.tobytes():
+            self._kept = base.tobytes(), {}
+        if i not in self._kept[1]:
+            where = np.full(self.size, -1)
+            where[base] = np.arange(len(base))
+            target = where[self._owner[i]]
+            here = np.flatnonzero(target >= 0)
+            rows = len(self.rows[i])
+            all_ = self._columns[i][0] if self._columns[i] else np.zeros((rows, 0))
+            self._kept[1][i] = target[here], all_[:, here]
+        return self._kept[1][i]
 
     def _factor(self, base: Index) -> tuple[tuple[Array, bool], Array]:
         """Cholesky factor and right-hand side of some columns, kept for the next.

@@ -19,6 +19,7 @@ from hybrid.robot.chain import Array
 
 _BLOCK_SECONDS = 1.0
 _SHAPE_SPREAD = 0.3  # prior deviation of a shape, of its range
+_OPEN = 10.0  # times a gain's prior deviation
 _TAIL = 0.02  # of a term's squares: no more than a filter spreads
 _ORDERS = 24  # of terms, and as many reversed
 
@@ -204,20 +205,32 @@ def refit(gap: Gap, search: Search) -> Refit:
         found = evidence.add(blocks, spread) if blocks else []
         shapes.append([int(k[0]) for k in found])
         nudged += found
+    for i in own:
+        # Values lean on their priors; what the data leave open the intervals show.
+        evidence.spread(i, _OPEN)
     whole = evidence.solve(np.concatenate(nudged))
-    deviation = dict(
-        zip(whole.index.tolist(), np.sqrt(np.diag(whole.covariance)), strict=True)
-    )
+    place = {int(k): i for i, k in enumerate(whole.index)}
     certain = []
     for effect, i, s in zip(effects, own, shapes, strict=True):
-        std = {
-            g.name: float(deviation[k]) for g, k in zip(effect.gains, i, strict=True)
-        }
-        units = shape_units(gap, effect)
-        for shape, k, unit in zip(effect.shapes, s, units, strict=True):
-            std[shape.name] = float(deviation[k]) * unit
-        certain.append(effect.at({}, std))
+        here = [place[int(k)] for k in (*i, *s)]
+        unit = np.array([*np.ones(len(i)), *shape_units(gap, effect)])
+        covariance = whole.covariance[np.ix_(here, here)] * np.outer(unit, unit)
+        certain.append(_reported(effect, covariance))
     return Refit(solution, tuple(certain))
+
+
+def _reported(effect: Effect, covariance: Array) -> Effect:
+    """An effect's law of the torque reported, with standard deviations."""
+    names = [x.name for x in (*effect.gains, *effect.shapes)]
+    law = effect.as_reported()
+    slopes = []
+    for name, spread in zip(names, np.sqrt(np.diag(covariance)), strict=True):
+        step = 1e-4 * float(spread) or 1e-9
+        then = effect.at({name: effect.values[name] + step}).as_reported()
+        slopes.append([(then.values[x] - law.values[x]) / step for x in names])
+    J = np.array(slopes).T
+    std = np.sqrt(np.diag(J @ covariance @ J.T))
+    return law.at({}, dict(zip(names, map(float, std), strict=True)))
 
 
 def with_gains(effect: Effect, gains: Sequence[float] | Array) -> Effect:

@@ -37,7 +37,7 @@ def scored_effects(scored: Explanation) -> tuple[Effect, ...]:
     edges = np.cumsum([len(own) for own in scored.own])[:-1]
     parts = np.split(gains, edges) if scored.own else []
     pairs = zip(scored.terms, parts, strict=True)
-    return tuple(with_gains(term.candidate.effect, x) for term, x in pairs)
+    return tuple(with_gains(t.candidate.effect, x).as_reported() for t, x in pairs)
 
 
 def corrected(

@@ -37,6 +37,7 @@ class Backlash(Effect):
 
     id = "backlash"
     port = Port.TRANSMISSION
+    not_in_loop = "it needs the load that comes next, to know when the gap is crossed"
     steep = True
     gains = (Quantity("half_width", "rad", 0.001, 0.0, 0.01),)
     equation = "τ = rigid(θ + d); d = −b sgn(τ_load) at a stop, d̈ = −τ_load/M between"

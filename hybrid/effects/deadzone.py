@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.effects.effect import Array, Body, Effect, JointState, Port, Quantity
+from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
+
+# Least share of torque that is taken to get through: a true dead zone is then crossed
+# within this share of its width, and not by jumps of the commanded torque.
+_LEAST = 0.05
 
 
 class Deadzone(Effect):
@@ -28,9 +35,28 @@ class Deadzone(Effect):
         """Torque within the zone, where it is measured; see :meth:`Effect.columns`."""
         return np.nan_to_num(self._within(motion.tau[:, self.joints]))[:, :, None]
 
+    def as_reported(self) -> Deadzone:
+        """Up to (1 − p)·w delivered, p/(1 − p) of it is lost."""
+        gain, width = self.values["loss"], self.values["width"]
+        return self.at({"loss": gain / (1.0 + gain), "width": width * (1.0 + gain)})
+
     def deliver(self, torque: Array) -> Array:
         """Torque delivered for one asked for."""
         return torque - self.values["loss"] * self._within(torque)
+
+    def at_instant(
+        self, joints: Sequence[JointState], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """Nothing by itself; see :meth:`Instant.at_instant`."""
+        return [0.0], ()
+
+    def report_at_instant(
+        self, torque: Sequence[Scalar], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """What to ask for so that a torque is delivered: the inverse of ``deliver``."""
+        (needed,), loss, width = torque, self.values["loss"], self.values["width"]
+        through = max(1.0 - loss, _LEAST)
+        return [needed + loss * np.clip(needed / through, -width, width)], ()
 
     def _within(self, torque: Array) -> Array:
         width = self.values["width"]

@@ -244,6 +244,13 @@ class Effect(Instant, ABC):
         """Torque the drive delivers for a torque it believes to deliver; shape (B,)."""
         return torque
 
+    def as_reported(self) -> Self:
+        """The same with a law of the torque reported, for one of the torque delivered.
+
+        A fit has only the latter to make columns of: what is measured holds the gap.
+        """
+        return self
+
     def follow(self, torque: Array, before: Array, step: float) -> Array:
         """The same for a drive with memory.
 

@@ -68,6 +68,11 @@ class Instant:
         """
         raise self._not_exportable("it states no torque at one instant")
 
+    @property
+    def asks(self) -> bool:
+        """Whether the drive is asked for another torque than the arm needs."""
+        return type(self).report_at_instant is not Instant.report_at_instant
+
     def report_at_instant(
         self, torque: Sequence[Scalar], memory: Memory, step: Scalar
     ) -> tuple[Sequence[Scalar], Memory]:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.effects.effect import Array, Body, Effect, JointState, Port, Quantity
+from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
+
+_CLIPS = 0.9  # loss from which a drive gives no more, whatever it is asked for
 
 
 class Saturation(Effect):
@@ -28,9 +33,32 @@ class Saturation(Effect):
         """Torque beyond the limit, where it is measured; see :meth:`Effect.columns`."""
         return np.nan_to_num(self._beyond(motion.tau[:, self.joints]))[:, :, None]
 
+    def as_reported(self) -> Saturation:
+        """Beyond the limit p/(1 − p) of what is delivered is lost."""
+        gain = self.values["loss"]
+        return self.at({"loss": gain / (1.0 + gain)})
+
     def deliver(self, torque: Array) -> Array:
         """Torque delivered for one asked for."""
         return torque - self.values["loss"] * self._beyond(torque)
+
+    def at_instant(
+        self, joints: Sequence[JointState], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """Nothing by itself; see :meth:`Instant.at_instant`."""
+        return [0.0], ()
+
+    def report_at_instant(
+        self, torque: Sequence[Scalar], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """What to ask for so that a torque is delivered: the inverse of ``deliver``.
+
+        A drive that clips is asked for no more than is needed.
+        """
+        (needed,), loss, limit = torque, self.values["loss"], self.values["limit"]
+        share = loss / (1.0 - loss) if loss < _CLIPS else 0.0
+        beyond = needed - np.clip(needed, -limit, limit)
+        return [needed + share * beyond], ()
 
     def _beyond(self, torque: Array) -> Array:
         limit = self.values["limit"]

@@ -51,6 +51,7 @@ def read_mjcf(path: Path, joints: tuple[str, ...] | None) -> dict[str, Any]:
     low, high = model.jnt_range[index].T
     limited = model.jnt_limited[index].astype(bool)
     dofs = model.jnt_dofadr[index]
+    kp, kd = _servo_gains(model)
     return {
         "name": path.stem,
         "chain": chain,
@@ -61,6 +62,8 @@ def read_mjcf(path: Path, joints: tuple[str, ...] | None) -> dict[str, Any]:
         "tau_max": _torque_limit(model, index),
         "damping": model.dof_damping[dofs].copy(),
         "frictionloss": model.dof_frictionloss[dofs].copy(),
+        "kp": kp[index],
+        "kd": kd[index],
     }
 
 
@@ -192,3 +195,34 @@ def _torque_limit(model: Any, index: list[int]) -> np.ndarray:
             limit[joint] = min(limit[joint], gear * force)
     limit[limit <= 0] = np.inf
     return limit[index]
+
+
+def _servo_gains(model: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness and damping of position servos at the joint; NaN without one.
+
+    A servo pulls back by as much as its control pulls: ``position`` by position,
+    ``velocity`` by speed. Both at one joint, as PD control is often put, add up.
+    """
+    import mujoco
+
+    kp, kd = np.zeros((2, model.njnt))
+    for a in range(model.nu):
+        gain, (constant, stiffness, damping) = (
+            model.actuator_gainprm[a, 0],
+            model.actuator_biasprm[a, :3],
+        )
+        servo = (
+            model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
+            and model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
+            and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
+            and gain > 0
+            and constant == 0
+        )
+        position = servo and np.isclose(gain, -stiffness)
+        velocity = servo and stiffness == 0 and np.isclose(gain, -damping)
+        if position or velocity:
+            joint, gear = int(model.actuator_trnid[a, 0]), model.actuator_gear[a, 0]
+            kp[joint] -= gear**2 * stiffness
+            kd[joint] -= gear**2 * damping
+    there = kp > 0
+    return np.where(there, kp, np.nan), np.where(there, kd, np.nan)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _READERS = {".urdf": read_urdf, ".xml": read_mjcf, ".mjcf": read_mjcf}
 _VECTORS = ("q_min", "q_max", "v_max", "a_max", "tau_max", "damping", "frictionloss")
+_SERVO = ("kp", "kd")
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,9 @@ class Robot:
         damping: Declared viscous friction, shape (n,), [N·m·s/rad].
         frictionloss: Declared dry friction, shape (n,), [N·m].
         path: File it was read from.
+        kp: Declared stiffness of position servos, shape (n,), [N·m/rad]; NaN where
+            there is none.
+        kd: Their declared damping, shape (n,), [N·m·s/rad]; NaN where there is none.
     """
 
     name: str
@@ -49,14 +53,24 @@ class Robot:
     frictionloss: Array
     a_max: Array = field(default_factory=lambda: np.zeros(0))
     path: str = ""
+    kp: Array = field(default_factory=lambda: np.zeros(0))
+    kd: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        if self.a_max.size == 0:
-            object.__setattr__(self, "a_max", np.full(self.chain.size, np.inf))
+        for name, none in (("a_max", np.inf), *((x, np.nan) for x in _SERVO)):
+            if getattr(self, name).size == 0:
+                object.__setattr__(self, name, np.full(self.chain.size, none))
         for name in _VECTORS:
             x = getattr(self, name)
             if x.shape != (self.chain.size,) or np.isnan(x).any():
                 raise RobotError(f"{name} needs one value for each of {self.joints}")
+        for name in _SERVO:
+            x = getattr(self, name)
+            if x.shape != (self.chain.size,) or (x < 0).any():
+                raise RobotError(
+                    f"{name} needs one value, 0 or above or none, for each of "
+                    f"{self.joints}"
+                )
 
     @classmethod
     def load(cls, path: str | Path, *, joints: tuple[str, ...] | None = None) -> Robot:
@@ -130,12 +144,13 @@ class Robot:
         return mujoco_spec(self)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-ready content; infinite limits become ``None``."""
+        """JSON-ready content; infinite limits and gains not declared are ``None``."""
         content: dict[str, Any] = {"name": self.name, "path": Path(self.path).name}
         content["chain"] = {
             f.name: _plain(getattr(self.chain, f.name)) for f in fields(Chain)
         }
-        return content | {name: _plain(getattr(self, name)) for name in _VECTORS}
+        names = (*_VECTORS, *_SERVO)
+        return content | {name: _plain(getattr(self, name)) for name in names}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Robot:
@@ -157,11 +172,17 @@ class Robot:
                 )
                 for name in _VECTORS
             }
+            gains = {  # older files have none; None becomes NaN
+                name: np.array(content[name], dtype=float)
+                for name in _SERVO
+                if name in content
+            }
             return cls(
                 name=str(content["name"]),
                 path=str(content["path"]),
                 chain=Chain(joints=tuple(chain["joints"]), **arrays),
                 **limits,
+                **gains,
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise RobotError(f"not a saved robot: {error!r}") from error
