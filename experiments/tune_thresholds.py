@@ -32,6 +32,7 @@ GRID = {
     "complete": (0.5, 0.6, 0.7, 0.8, 0.9, 0.95),
     "steady": (0.05, 0.1, 0.25, 0.5, 1.0),
     "crowded": (3, 5, 9, 40),
+    "undone": (0.0, 0.1, 0.2, 0.3, 0.4),
 }
 STRATA = ("single", "withheld", "none", "pair", "unknown")
 WRONG = 2.0  # a false cause costs this, a right answer gives one

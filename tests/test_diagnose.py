@@ -4,18 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import MODELS
 from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from simulated import arm
 
+from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.explanation import between, split
 from hybrid.diagnose.gap import measure_gap
+from hybrid.effects.backlash import Backlash
+from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.plant import Noise, Plant, simulate
+from hybrid.robot import Robot
 
 
 def logs(effects, *, seed=1, duration=6.0, count=4, quiet=False):
@@ -177,3 +182,50 @@ class TestSilence:
             result = examine(robot, spoilt)
         assert named(result) == {("stribeck", ("elbow",))}
         assert any("frozen" in w for w in result.diagnosis.warnings)
+
+
+class TestEvents:
+    def test_a_contact_is_found_by_its_time(self):
+        push = {"force_x": 12.0, "force_z": -9.0, "start": 2.2, "duration": 0.7}
+        robot, recordings = logs([Contact((0, 1), push)])
+        (finding,) = examine(robot, recordings).diagnosis.findings
+        assert finding.effect == "contact" and finding.joints == robot.joints
+        values = {p.name: p for p in finding.parameters}
+        assert values["start"].value == pytest.approx(2.2, abs=0.02)
+        assert values["duration"].value == pytest.approx(0.7, abs=0.03)
+        assert finding.shrink["torque"].interval[0] > 0
+
+    def test_a_contact_that_happened_once_is_said_to_be_unchecked(self):
+        push = {"force_x": 20.0, "force_z": -20.0, "start": 1.6, "duration": 0.3}
+        robot, recordings = logs([Contact((0, 1), push)], count=1, duration=12.0)
+        diagnosis = examine(robot, recordings).diagnosis
+        assert [f.effect for f in diagnosis.findings] == ["contact"]
+        assert any("only in what was learnt from" in w for w in diagnosis.warnings)
+
+    def test_no_contact_is_seen_where_there_is_none(self):
+        gap = faultless().gap
+        found = Contacts(gap).strongest(
+            [gap.left[:, i] for i in range(2)],
+            [np.arange(len(gap.left))] * 2,
+            np.array(faultless().diagnosis.noise_floor) ** 2 * 4,
+            2,
+        )
+        first, second = (c.values for c in found)
+        apart = second["start"] - first["start"]
+        assert apart >= first["duration"] or -apart >= second["duration"]
+        assert faultless().diagnosis.findings == ()
+
+
+class TestMakeshifts:
+    def test_two_effects_that_undo_one_another_are_not_named(self):
+        """A delay and a lag make up for play if nothing else may."""
+        robot = Robot.load(MODELS / "scara.xml")
+        play = Backlash((0,), {"half_width": 0.0007})
+        recordings = simulate(
+            Plant(robot, [play], nominal=robot), trajectories=4, duration=8.0, seed=3
+        )
+        (finding,) = examine(robot, recordings).diagnosis.findings
+        assert (finding.effect, finding.joints) == ("backlash", robot.joints[:1])
+        assert finding.parameters[0].value == pytest.approx(0.0007, rel=0.15)
+        blind = examine(robot, recordings, without=["backlash"]).diagnosis
+        assert blind.verdict == "unexplained" and blind.findings == ()

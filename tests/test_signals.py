@@ -90,7 +90,9 @@ def test_time_may_lie_along_any_axis(axis):
 def test_decimation_keeps_every_factor_th_sample_of_signal_and_mask():
     x = np.random.default_rng(0).standard_normal(1001)
     sampler = Sampler(RATE, 20.0, 4)
-    assert np.array_equal(sampler(x), butterworth(x, rate=RATE, cutoff=20.0)[::4])
+    smooth = butterworth(x, rate=RATE, cutoff=20.0)
+    # Samples are dropped in the frequency domain, with what folds over.
+    np.testing.assert_allclose(sampler(x), smooth[::4], atol=1e-8)
     assert np.array_equal(sampler.keep(x > 0), (x > 0)[::4])
     assert len(sampler.keep(x > 0)) == len(sampler(x)) == 251
 

@@ -118,7 +118,10 @@ def generate(case: Case, visible: Path, sealed: Path) -> None:
         step=recipe.step, integrator=recipe.integrator, log_rate=RATE,
     )  # fmt: skip
     recordings = plant.run(references, rng=rng)
-    write_json(visible / "robot.json", robot.as_dict())
+    # Whoever runs a controller knows its gains, or what they are meant to be.
+    assert plant.servo is not None
+    shown = replace(robot, kp=plant.servo.kp, kd=plant.servo.kd)
+    write_json(visible / "robot.json", shown.as_dict())
     for k, recording in enumerate(recordings):
         folder = visible if k < recipe.recordings else sealed
         write(recording, folder / f"recording_{k}.npz")

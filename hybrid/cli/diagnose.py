@@ -94,7 +94,7 @@ def run(args: Namespace, screen: Screen) -> None:
     for line in verdict_lines(diagnosis):
         screen.say(line)
     screen.say(f"Report: {args.out / PAGE}")
-    if notes is not None and result.effects:
+    if notes is not None and (result.effects or result.command):
         lacks = f"; only in {MODEL}, or better: {', '.join(notes)}" if notes else ""
         screen.say(f"Simulator with what was found: {args.out / SIMULATOR}{lacks}")
 

@@ -19,7 +19,7 @@ _COMPOSITE = {"threshold_friction", "improved_stribeck"}
 _SEARCHED = {"torque_ripple", "contact"}  # their shapes come from the residual
 _GRID = 7
 _COARSE = 4
-_GAINS = 14  # of an effect that is scanned over its gain
+_GAINS = 12  # of an effect that is scanned over its gain
 _LINK_OFF = 0.15  # a link that is wrong is so by this much
 
 # Of the mass of a middling link: what an arm usually carries, within a hand's breadth.
@@ -100,8 +100,11 @@ def _grid(cls: type[Effect], joints: tuple[int, ...], gap: Gap) -> Iterator[Effe
     count = _GRID if len(shapes) == 1 else _COARSE
     axes = [grid(s, count) for s in shapes]
     if cls.steep:
+        # Its shapes are fitted once it is on the shortlist.
         (gain,) = (g.scaled(scale) for g in cls.gains)
-        shapes, axes = [gain], [np.geomspace(gain.typical / 10, gain.upper, _GAINS)]
+        axes = [np.array([s.typical]) for s in shapes]
+        axes += [np.geomspace(gain.typical / 10, gain.upper, _GAINS)]
+        shapes.append(gain)
     for values in product(*axes):
         named = {s.name: float(x) for s, x in zip(shapes, values, strict=True)}
         yield cls(joints, named)
@@ -119,3 +122,11 @@ def grid(shape: Quantity, count: int) -> Array:
 def scale_of(gap: Gap, effect: Effect) -> Scale:
     """Size of the joint by which an effect's parameters are measured."""
     return gap.scales[effect.joints[-1]]
+
+
+def with_gains(effect: Effect, gains: Sequence[float] | Array) -> Effect:
+    """An effect with its gains in order, shape (p,); a steep one has them already."""
+    if effect.steep:
+        return effect
+    names = [g.name for g in effect.gains]
+    return effect.at(dict(zip(names, map(float, gains), strict=True)))

@@ -116,7 +116,12 @@ def _groups(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
             yield f"position with that of {other}", both
             far = _products(_hats(q, 4), _hats(m.q[:, k], 4))
             yield f"posture with {other}", far
-    for name, x in (("speed", v), ("acceleration", a), ("load", load), ("sign", sign)):
+    side = np.tanh(load / (0.02 * np.abs(load).max() + 1e-12))
+    with_past = {
+        "speed": v, "acceleration": a, "load": load, "direction": sign,
+        "side of the load": side,
+    }  # fmt: skip
+    for name, x in with_past.items():
         past = [np.roll(x, s) - x for s in (1, 2, 4, 8, 16, 32)]
         yield f"past of {name}", np.stack(past, axis=1)
 

@@ -126,7 +126,10 @@ def command_link(
         servo = None if log is None else _examined(gap, i, log, learn, test, kinds)
         if servo is not None and servo.found:
             servos.append(servo)
-    effects = tuple(e for s in servos for e in _fitted(gap, s))
+    fitted = {s.joint: _fitted(gap, s) for s in servos}
+    # No servo has gains beyond all bounds: one that seems to follows another law.
+    servos = [s for s in servos if all(map(_plausible, fitted[s.joint]))]
+    effects = tuple(e for s in servos for e in fitted[s.joint])
     total = sum(s.share(k) for s in servos for k in s.found)
     found = [
         _finding(gap, [s for s in servos if k in s.found], k, effects, total, rng)
@@ -169,7 +172,15 @@ def _examined(
         fits[True, False] = fit(own, alike, prompt=False)
         off, std = _off(whole, gap, i)
         wrong = np.abs(off) - _NORMAL * std > _LEAST_GAIN
-        if wrong.any() and _better(own, unseen, fits[True, False], whole):
+        bounds = [
+            (g.lower < x < g.upper)
+            for g, x in zip(ControllerGain.gains, off, strict=True)
+        ]
+        if (
+            wrong.any()
+            and all(bounds)
+            and _better(own, unseen, fits[True, False], whole)
+        ):
             found.append(ControllerGain)
             scaled = fit(own, stated, prompt=False)
             same = evidence(own, scaled, whole) < WORTH
@@ -211,6 +222,11 @@ def _off(found: Fit, gap: Gap, i: int) -> tuple[Array, Array]:
             slope[scale] = -(off[k] + 1.0) / found.gains[scale]
         std[k] = np.sqrt(slope @ found.covariance[2:, 2:] @ slope)
     return off, std
+
+
+def _plausible(effect: Effect) -> bool:
+    pairs = zip(effect.gains, effect.gain_values, strict=True)
+    return all(g.lower < x < g.upper for g, x in pairs)
 
 
 def _fitted(gap: Gap, servo: _Servo) -> list[Effect]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hybrid.diagnose.attribute import Search, Term
 from hybrid.diagnose.background import background
+from hybrid.diagnose.candidates import with_gains
 from hybrid.diagnose.evidence import Evidence, Index, Solution
 from hybrid.diagnose.gap import Gap, block_seconds
 from hybrid.diagnose.shapes import nudges, shape_units
@@ -231,14 +232,6 @@ def _reported(effect: Effect, covariance: Array) -> Effect:
     J = np.array(slopes).T
     std = np.sqrt(np.diag(J @ covariance @ J.T))
     return law.at({}, dict(zip(names, map(float, std), strict=True)))
-
-
-def with_gains(effect: Effect, gains: Sequence[float] | Array) -> Effect:
-    """An effect with its gains in order, shape (p,); a steep one has them already."""
-    if effect.steep:
-        return effect
-    names = [g.name for g in effect.gains]
-    return effect.at(dict(zip(names, map(float, gains), strict=True)))
 
 
 def _fresh(

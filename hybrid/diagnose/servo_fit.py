@@ -14,6 +14,7 @@ from hybrid.robot.chain import Array
 WORTH = 14.0  # nat, with the price of a shape
 _ROUNDS, _LONGEST, _CONVERGED = 12, 0.004, 1e-6  # s
 _RIDGE = 1e-10
+_MOST_SCALE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +80,8 @@ def fit(servo: ServoLog, choice: Sequence[Law], *, prompt: bool) -> Fit:
         return _refined(servo, found.law, np.array([found.late, found.shift]), basis)
 
     at_scale, scaled = best(False, False), best(True, False)
+    if at_scale and scaled and abs(scaled.gains[0] - 1.0) > _MOST_SCALE:
+        scaled = None  # no log is off by so much: the law does not fit
     found = _likelier(servo, at_scale, scaled)
     return _likelier(servo, found, best(found.law.scaled, True))
 
@@ -167,7 +170,7 @@ def _refined(servo: ServoLog, law: Law, x: Array, basis: Array) -> Fit:
         x = x + np.clip(step, -_LONGEST, _LONGEST)
         if at_once and (x[0] < 0 or x.sum() < 0):
             x = np.zeros(2)
-    d = 1 / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+    d = _inverse(np.linalg.norm(J, axis=0))
     spread = np.linalg.pinv((J * d).T @ (J * d), rcond=1e-12) * d * d[:, None]
     spread *= left @ left / len(left) * memory(left, servo.row)
     wide = np.eye(2 + len(gains))[:, 2:]
@@ -176,5 +179,10 @@ def _refined(servo: ServoLog, law: Law, x: Array, basis: Array) -> Fit:
 
 
 def _least(X: Array, y: Array) -> Array:
-    d = 1 / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+    d = _inverse(np.linalg.norm(X, axis=0))
     return np.asarray(d * np.linalg.lstsq(X * d, y, rcond=1e-10)[0])
+
+
+def _inverse(size: Array) -> Array:
+    """1/size, and nothing for a signal that is zero throughout."""
+    return np.divide(1.0, size, out=np.zeros_like(size), where=size > 1e-200)

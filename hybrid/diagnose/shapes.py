@@ -19,7 +19,7 @@ _SHAPE_PRICE = {"torque_ripple": 6.0, "contact": 8.0}  # of hundreds, of thousan
 _REACH = 0.2  # of a shape's range, to either side
 _WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
 _MOST_TRIALS = 40
-_ENDLESS = 1e4  # times the usual value
+_ENDLESS = 1e4  # s
 _NUDGE = 0.01  # of a range, for a derivative
 
 
@@ -151,7 +151,7 @@ def _ranges(gap: Gap, effect: Effect) -> list[_Range]:
 
 def _near(shape: Quantity, value: float) -> Quantity:
     """A shape within reach: of a time on a clock without end, what is around it."""
-    if shape.upper < _ENDLESS * shape.typical:
+    if shape.upper < _ENDLESS:
         return shape
     low, high = value - shape.typical, value + shape.typical
     return replace(shape, lower=max(low, shape.lower), upper=min(high, shape.upper))

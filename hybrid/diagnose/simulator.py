@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from hybrid.diagnose.explanation import Explanation, with_gains
+from hybrid.diagnose.candidates import with_gains
+from hybrid.diagnose.explanation import Explanation
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature

@@ -8,11 +8,14 @@ import numpy as np
 
 from hybrid.diagnose.attribute import Search, Term
 from hybrid.diagnose.bayes import memory
+from hybrid.diagnose.candidates import scale_of, with_gains
 from hybrid.diagnose.ceiling import recoverable
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.thresholds import Thresholds
 from hybrid.effects.effect import Port
 from hybrid.robot.chain import Array
+
+_SLACK = 0.02  # of the range of a gain
 
 
 @dataclass(frozen=True)
@@ -26,12 +29,14 @@ class Check:
         crowd: Number of terms at its joint.
         remains: Squares of its torque and of another's together, over those of each,
             for the term of its kind at its joint that undoes it most.
+        physical: Whether its gains are what such an effect may have.
     """
 
     complete: float
     unsteady: float
     crowd: int
     remains: float
+    physical: bool
 
     def passes(self, limits: Thresholds) -> bool:
         """Whether the term may be named."""
@@ -40,6 +45,7 @@ class Check:
             and self.unsteady <= limits.steady
             and self.crowd <= limits.crowded
             and self.remains >= limits.undone
+            and self.physical
         )
 
 
@@ -114,8 +120,33 @@ def check(search: Search, term: Term, found: Account) -> Check:
     joint = term.place[1]
     crowd = sum(t.place[1] == joint for t in search.terms)
     return Check(
-        float(complete), _unsteady(search, term), crowd, _remains(search, term)
+        float(complete),
+        _unsteady(search, term),
+        crowd,
+        _remains(search, term),
+        _physical(search, term),
     )
+
+
+def _physical(search: Search, term: Term) -> bool:
+    """Whether gains are within their bounds; a scanned one not at the end of its scan.
+
+    Those of bodies have no bounds of their own: their priors hold them.
+    """
+    effect = term.candidate.effect
+    if effect.port is Port.BODY:
+        return True
+    solution = search.evidence.solve(search.base())
+    gains = solution.gains[np.isin(solution.index, term.index)]
+    law = with_gains(effect, gains).as_reported()
+    for gain in law.gains:
+        bound = gain.scaled(scale_of(search.gap, law))
+        slack = _SLACK * (bound.upper - bound.lower) * (-1 if effect.steep else 1)
+        if law.values[gain.name] > bound.upper + slack:
+            return False
+        if not effect.steep and law.values[gain.name] < bound.lower - slack:
+            return False
+    return True
 
 
 def _remains(search: Search, term: Term) -> float:

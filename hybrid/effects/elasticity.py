@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
 from hybrid.errors import EffectError
@@ -16,18 +17,19 @@ if TYPE_CHECKING:
     import mujoco
 
 
+_REACH = 2.0  # s; by then it has rung out
 _LEAST_DAMPING = 0.05  # of the critical one; no gear rings for longer
 
 
 class Elasticity(Effect):
     """Spring and damper between motor and link: τ = K(θ − q) + D(θ̇ − q̇).
 
-    The encoder sits on the motor. The gain is the compliance 1/K, in which the torque
-    is linear to first order.
+    The encoder sits on the motor. The gain is the compliance 1/K.
     """
 
     id = "elasticity"
     port = Port.TRANSMISSION
+    steep = True
     not_in_loop = "its link swings by the load that comes next"
     gains = (Quantity("compliance", "rad/(N·m)", 0.01, 0.0, 0.2, per=(-1, 0)),)
     shapes = (Quantity("damping", "N·m·s/rad", 0.02, 0.0, 1.0, per=(1, -1)),)
@@ -41,45 +43,49 @@ class Elasticity(Effect):
         return tuple(range(size))
 
     def columns(self, motion: Motion, body: Body) -> Array:
-        """First order: rigid torque along the deflection −τ_load of unit compliance."""
-        (j,) = self.joints
-        twist = np.zeros_like(motion.q)
-        twist[:, j] = -body.load[:, j]
-        speed = np.gradient(twist, motion.t, axis=0)
-        rush = np.gradient(speed, motion.t, axis=0)
-        return body.response(twist, speed, rush)[:, :, None]
+        """Change of torque over the compliance, at its value.
+
+        See :meth:`Effect.columns`; shape (N, n, 1). A softer spring swings more slowly:
+        without a compliance this is the first order, of a link that does not swing.
+        """
+        return body.response(*self._twist(motion, body))[:, :, None]
 
     def observe(self, motion: Motion, body: Body) -> Motion:
-        """The motion of the link, which swings on its spring behind the motor.
+        """The motion of the link, which swings on its spring behind the motor."""
+        soft = self.values["compliance"]
+        if soft <= 0:
+            return motion
+        dq, dv, da = (soft * x for x in self._twist(motion, body))
+        return replace(motion, q=motion.q + dq, v=motion.v + dv, a=motion.a + da)
+
+    def _twist(self, motion: Motion, body: Body) -> tuple[Array, ...]:
+        """Position, speed and acceleration of link over motor per compliance, (N, n).
 
         The spring carries the load of a link that follows by τ_load = K d + D ḋ + M d̈,
         if M, the inertia about the joint, is taken at its mean along the motion.
         """
         (j,) = self.joints
         soft, damping = self.values["compliance"], self.values["damping"]
-        if soft <= 0:
-            return motion
-        push = np.zeros_like(motion.q)
+        push, none = np.zeros_like(motion.q), np.zeros_like(motion.q)
         push[:, j] = 1.0
-        none = np.zeros_like(push)
         inertia = float(np.mean(body.response(none, none, push)[:, j]))
         step = float(np.median(np.diff(motion.t)))
-        damping = max(damping, 2 * _LEAST_DAMPING * np.sqrt(inertia / soft))
+        drag = max(damping * soft, 2 * _LEAST_DAMPING * np.sqrt(inertia * soft))
         load = body.load[:, j]
         # Continued by its point reflection, which keeps value and slope at the ends.
-        whole = np.concatenate(
-            [2 * load[0] - load[:0:-1], load, 2 * load[-1] - load[-2::-1]]
-        )
-        omega = 2 * np.pi * np.fft.rfftfreq(len(whole), step)
+        N, reach = len(load), min(len(load) - 1, round(_REACH / step))
+        size = int(next_fast_len(N + 2 * reach, real=True))
+        after = size - N - reach
+        whole = np.pad(load, (reach, after), mode="reflect", reflect_type="odd")
+        omega = 2 * np.pi * np.fft.rfftfreq(size, step)
         spectrum = np.fft.rfft(whole) / (
-            1 / soft + 1j * omega * damping - inertia * omega**2
+            1.0 + 1j * omega * drag - inertia * soft * omega**2
         )
-        first, last = len(load) - 1, 2 * len(load) - 1
-        q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
-        for x, power in ((q, 0), (v, 1), (a, 2)):
+        out = np.zeros((3, *motion.q.shape))
+        for power in range(3):
             turn = spectrum * (1j * omega) ** power
-            x[:, j] -= np.fft.irfft(turn, len(whole))[first:last]
-        return replace(motion, q=q, v=v, a=a)
+            out[power, :, j] = -np.fft.irfft(turn, size)[reach : reach + N]
+        return tuple(out)
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Add a deflection joint behind the motor joint, on the same axis.

@@ -150,11 +150,26 @@ def passes_all(rate: float, cutoff: float) -> bool:
     return cutoff >= 0.98 * rate / 2
 
 
+@lru_cache(maxsize=64)
 def _gain(relative_cutoff: float, order: int, size: int) -> Array:
     """Squared Butterworth gain at the frequencies of ``rfft``, shape (size//2 + 1,)."""
     with np.errstate(over="ignore"):
         warped = np.tan(np.pi * np.fft.rfftfreq(size)) / np.tan(np.pi * relative_cutoff)
         return np.asarray(1.0 / (1.0 + warped ** (2 * order)))
+
+
+@lru_cache(maxsize=64)
+def _folds(size: int, factor: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Which frequencies of ``rfft`` fall onto each one once samples are dropped.
+
+    Returns:
+        Their indices, shape (factor, size//factor//2 + 1), and where they fall there
+        mirrored.
+    """
+    few = size // factor
+    index = np.arange(few // 2 + 1) + few * np.arange(factor)[:, None]
+    mirrored = index > size // 2
+    return np.where(mirrored, size - index, index), mirrored
 
 
 @lru_cache(maxsize=64)
@@ -175,13 +190,26 @@ def _filtered(
 
     samples = x.shape[-1]
     pad = filter_reach(cutoff / rate, order=order, tolerance=1e-9)
-    size = next_fast_len(samples + 2 * pad, real=True)
-    gain = _gain(cutoff / rate, order, size)
+    pad = -(-pad // factor) * factor
+    few = next_fast_len(-(-(samples + 2 * pad) // factor), real=True)
+    size = factor * few
+    gain = _gain(cutoff / rate, order, size) / factor
+    index, mirrored = _folds(size, factor)
     kept = -(-samples // factor)
     out = np.empty(np.moveaxis(x[..., :kept], -1, axis).shape)
     target = np.moveaxis(out, axis, -1)
-    for index in np.ndindex(x.shape[:-1]):
-        padded = np.pad(x[index], pad, mode="reflect", reflect_type="odd")
-        smooth = irfft(rfft(padded, size) * gain, size)
-        target[index] = smooth[pad : pad + samples : factor]
+    for i in np.ndindex(x.shape[:-1]):
+        spectrum = rfft(_continued(x[i], pad), size) * gain
+        if factor > 1:
+            parts = spectrum[index]
+            spectrum = np.where(mirrored, parts.conj(), parts).sum(axis=0)
+        target[i] = irfft(spectrum, few)[pad // factor :][:kept]
     return out
+
+
+def _continued(x: Array, pad: int) -> Array:
+    """A signal and ``pad`` samples of its point reflection at either end."""
+    if pad >= len(x):
+        return np.pad(x, pad, mode="reflect", reflect_type="odd")
+    ends = 2 * x[0] - x[pad:0:-1], 2 * x[-1] - x[-2 : -pad - 2 : -1]
+    return np.concatenate([ends[0], x, ends[1]])
