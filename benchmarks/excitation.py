@@ -4,9 +4,11 @@ Robots come from the example-robot-data wheel. 24 s starting and ending at rest,
 design grid, 0.8 of the file's position, speed and torque limits, no other acceleration
 limit. Columns are in SI units and not scaled (raw), or brought to unit length
 (normalised). "rigid" are the base inertial parameters; "full" adds viscous, Coulomb,
-armature and offset columns for each joint. Limits are verified at 200 Hz.
+armature and offset columns for each joint. Limits are verified at 200 Hz. Collision
+pairs are any two links that are not neighbours and can be apart, and every link that
+can reach the floor and the floor, at the height of the arm's foot.
 
-    python benchmarks/excitation.py --seeds 20 --out reports/excitation_benchmark
+    python benchmarks/excitation.py --seeds 20 --tasks 0 1
 """
 
 from __future__ import annotations
@@ -30,7 +32,16 @@ import numpy as np
 
 from hybrid.effects import effect_class
 from hybrid.errors import HybridWarning
-from hybrid.excitation import Clearance, Condition, Fourier, Limits, design, observe
+from hybrid.excitation import (
+    Clearance,
+    Condition,
+    Fourier,
+    Limits,
+    Workspace,
+    design,
+    observe,
+)
+from hybrid.excitation.constraints import Constraint
 from hybrid.files import atomic_path
 from hybrid.report import Table, markdown_table, provenance, write_results
 from hybrid.robot import Robot
@@ -46,13 +57,16 @@ starting and ending at rest, 20 Hz design grid, 0.8 × position, speed and torqu
 of the robot file, kept on a grid ten times finer; no limit of acceleration. Columns in
 SI units (raw) or brought to unit length (normalised). The peer's figures are of the
 same robot, limits and grid on a machine like this one, measured beforehand."""
-# Robot, columns, collision, harmonics, starts, and what a peer reached there.
+# Robot, columns, what to keep clear of, harmonics, starts, what a peer reached there.
 TASKS = (
-    ("ur10", "rigid", False, 12, 2, "FIGAROH 13.3–17.4 in 234–250 s"),
-    ("ur10", "full", False, 16, 4, "FIGAROH 141–164 or failed in 106–339 s"),
-    ("ur10", "rigid", True, 12, 2, "FIGAROH: rejected after 60 s"),
-    ("panda", "rigid", False, 12, 2, ""),
+    ("ur10", "rigid", "", 12, 2, "FIGAROH 13.3–17.4 in 234–250 s"),
+    ("ur10", "full", "", 16, 4, "FIGAROH 141–164 or failed in 106–339 s"),
+    ("ur10", "rigid", "links", 12, 2, "FIGAROH: rejected after 60 s"),
+    ("ur10", "rigid", "links and floor", 12, 2, ""),
+    ("panda", "rigid", "", 12, 2, ""),
+    ("panda", "rigid", "links", 12, 2, ""),
 )
+FLOOR = np.array([-np.inf, -np.inf, 0.0])
 
 
 def arm(name: str) -> Robot:
@@ -65,22 +79,33 @@ def arm(name: str) -> Robot:
     raise SystemExit("the example-robot-data wheel is needed")
 
 
+def obstacles(robot: Robot, kind: str) -> tuple[tuple[Constraint, ...], str]:
+    """What a motion keeps clear of, and how many pairs these are, in words."""
+    if not kind:
+        return (), ""
+    links = Clearance.of(robot, Limits.of(robot))
+    text = f", {len(links.pairs)} link pairs"
+    if "floor" not in kind:
+        return (links,), text
+    floor = Workspace(robot, links.capsules, FLOOR, np.full(3, np.inf))
+    return (links, floor), f"{text} and floor ({len(set(floor.names))} links)"
+
+
 def run(task: tuple[Any, ...], seeds: int) -> Iterator[dict[str, Any]]:
     """Figures of one task so far, one entry a seed, after every seed."""
-    name, columns, collision, order, starts, peer = task
+    name, columns, kind, order, starts, peer = task
     robot = arm(name)
     names = FRICTION if columns == "full" else ()
     effects = [effect_class(e)((j,)) for j in range(robot.size) for e in names]
     observation = observe(robot.chain, effects)
     family = Fourier(order, 1 / 24)
     title = f"{name}, {columns}, {observation.size} parameters"
-    if collision:
-        title += f", {len(Clearance.of(robot, Limits.of(robot)).pairs)} link pairs"
+    title += obstacles(robot, kind)[1]
     keys = ("seconds", "raw", "normalised", "log_det", "excess")
     found: dict[str, list[float]] = {key: [] for key in keys}
     for seed in range(seeds):
         start = time.process_time()
-        kept = [Clearance.of(robot, Limits.of(robot))] if collision else []
+        kept, _ = obstacles(robot, kind)
         result = design(
             robot, observation, family, rng=np.random.default_rng(seed),
             criterion=Condition(), starts=starts, constraints=kept,
@@ -90,7 +115,7 @@ def run(task: tuple[Any, ...], seeds: int) -> Iterator[dict[str, Any]]:
         found["normalised"].append(result.normalised_condition)
         found["log_det"].append(result.log_det)
         found["excess"].append(max(result.excess.values()))
-        print(name, columns, collision, seed, [round(x[-1], 3) for x in found.values()])
+        print(title, seed, [round(x[-1], 3) for x in found.values()], flush=True)
         yield {
             "task": title, "harmonics": order, "starts": starts, "peer": peer, **found
         }  # fmt: skip

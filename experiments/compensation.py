@@ -8,12 +8,14 @@ coupled wrist, and a base that is not level.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from coman import TRUTH
 
-from hybrid import DynamicModel, Effect, Robot
+from hybrid import DynamicModel, Effect, Recording, Robot, simulate
 from hybrid.effects import effect_class, effect_from_dict
+from hybrid.effects.payload import Payload
 from hybrid.identify.problem import build_problem
 from hybrid.plant import Plant, load_truth
 from hybrid.robot.chain import Array
@@ -25,6 +27,8 @@ ADDED = (
     ("transmission_coupling", ["wrist_2", "wrist_3"], {"viscous": 0.3, "coulomb": 0.4}),
     ("gravity_tilt", None, {"roll": 0.03, "pitch": -0.02}),
 )
+
+LOAD = {"mass": 3.0, "mz": 0.3, "Ixx": 0.04, "Iyy": 0.04, "Izz": 0.01}
 
 
 def load_arm() -> tuple[Robot, Plant]:
@@ -38,6 +42,21 @@ def load_arm() -> tuple[Robot, Plant]:
         for name, joints, values in ADDED
     ]
     return robot, replace(plant, effects=(*plant.effects, *added), servo=None)
+
+
+def kinds_of_motion(
+    plant: Plant, seed: int
+) -> tuple[dict[str, list[Recording]], Payload]:
+    """Motions like those learned from, with a payload, at higher speed; the payload."""
+    payload = Payload(tuple(range(6)), LOAD)
+    loaded = replace(plant, effects=(*plant.effects, payload), servo=None)
+    run = partial(simulate, trajectories=2, duration=8.0, seed=seed + 500)
+    kinds = {
+        "seen before": run(plant, fill=0.6),
+        "payload": run(loaded, fill=0.6),
+        "faster": run(plant, fill=0.95),
+    }
+    return kinds, payload
 
 
 def nominal_model(robot: Robot) -> DynamicModel:

@@ -18,13 +18,12 @@ from typing import Any
 
 import numpy as np
 from coman import ROOT
-from compensation import load_arm
+from compensation import kinds_of_motion, load_arm
 from compensation_learned import learned
 from compensation_models import diagnosed_effects
 from rich.console import Console
 
 from hybrid import identify, simulate, validate
-from hybrid.effects.payload import Payload
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.report import markdown_table, numbers_table, provenance, save_figure
@@ -34,21 +33,13 @@ from hybrid.signals import motion_from_recording
 
 REPORT = ROOT / "reports" / "compensation_transfer"
 MEASURES = dict.fromkeys(("seen before", "payload", "faster", "learned"), "N·m")
-LOAD = {"mass": 3.0, "mz": 0.3, "Ixx": 0.04, "Iyy": 0.04, "Izz": 0.01}
 
 
 def measure(seed: int) -> dict[str, Any]:
     """Errors of all three on the three kinds of motions."""
     robot, plant = load_arm()
-    options: dict[str, Any] = {"duration": 8.0, "seed": seed}
-    logs = simulate(plant, trajectories=4, fill=0.6, **options)
-    payload, options["seed"] = Payload(tuple(range(6)), LOAD), seed + 500
-    loaded = replace(plant, effects=(*plant.effects, payload), servo=None)
-    kinds = {
-        "seen before": simulate(plant, trajectories=2, fill=0.6, **options),
-        "payload": simulate(loaded, trajectories=2, fill=0.6, **options),
-        "faster": simulate(plant, trajectories=2, fill=0.95, **options),
-    }
+    logs = simulate(plant, trajectories=4, fill=0.6, duration=8.0, seed=seed)
+    kinds, payload = kinds_of_motion(plant, seed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
         stages = ("rigid", "friction", "ripple")

@@ -1,6 +1,6 @@
 """Learners of what physics leaves at a joint, and one protocol to score them.
 
-Shared by the experiment ``compensators.py``; it prints nothing.
+Shared by the experiments ``compensators*.py``; it prints nothing.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LEARNERS: dict[str, tuple[Callable[..., Any], int]] = {
     "temporal convolution": (partial(NetworkRegression.fit, history=HISTORY), HISTORY),
     "random features": (RandomFeatureRegression.fit, 1),
 }
-COLUMNS = ("error", "90 %", "train s", "µs alone", "µs batch", "numbers")
+COLUMNS = ("error", "nat", "90 %", "train s", "µs alone", "µs batch", "numbers")
 
 
 def samples(
@@ -54,6 +54,18 @@ def samples(
     return np.concatenate(x), np.concatenate(y)
 
 
+def left(model: DynamicModel, logs: Any) -> tuple[Any, Any, Any]:
+    """Position, speed and torque that a model leaves, of samples of all logs."""
+    parts = []
+    for log in logs:
+        m = motion_from_recording(log, cutoff=model.cutoff)
+        sampler = Sampler.for_rate(m.rate, model.cutoff)
+        keep, step = sampler.keep(m.mask), sampler.factor
+        rest = sampler(m.tau - model.predict(m))
+        parts.append([x[keep] for x in (m.q[::step], m.v[::step], rest)])
+    return tuple(np.concatenate(x) for x in zip(*parts, strict=True))
+
+
 def score(learn: Callable[..., Any], train: Any, test: Any) -> list[float]:
     """The columns of the table, one learner at one joint."""
     start = time.process_time()
@@ -65,6 +77,10 @@ def score(learn: Callable[..., Any], train: Any, test: Any) -> list[float]:
         for _ in range(repeats):
             mean, variance = model.predict_distribution(rows)
         spent.append(1e6 * (time.process_time() - start) / repeats / len(rows))
+    plain = np.mean(train[1] ** 2)
+    nats = 0.5 * np.mean(
+        np.log(plain) + y**2 / plain - np.log(variance) - (y - mean) ** 2 / variance
+    )
     inside = np.mean(np.abs(y - mean) < 1.645 * np.sqrt(variance))
     error = np.sqrt(np.mean((y - mean) ** 2) / np.mean(y**2))
-    return [error, inside, *spent, sum(a.size for a in model.arrays().values())]
+    return [error, nats, inside, *spent, sum(a.size for a in model.arrays().values())]

@@ -53,13 +53,22 @@ def write(folder, joints, runs):
     rms, seconds, conditions, ratio = (np.array(x) for x in zip(*runs, strict=True))
     lead = "standard errors against those of the random motion, geometric mean: "
     lead += ", ".join(
-        f"{name} {np.median(x):.2f} ({x.min():.2f}…{x.max():.2f})"
+        f"{name} {relative(x)}"
         for name, x in zip(DESIGNS[1:], ratio[:, 1:].T, strict=True)
     )
     rms = np.concatenate([rms, rms.mean(axis=2, keepdims=True)], axis=2)
     names = (*joints, "mean")
     comparison = Comparison(names, DESIGNS, rms[:, None], seconds, conditions)
     comparison.write(folder, "excitation_gain", ("COMAN-like",), lead)
+
+
+def relative(x):
+    """Median and range; seeds without an unknown that all fits found are left out."""
+    known = x[np.isfinite(x)]
+    if not len(known):
+        return "not known, as no seed has an unknown inside its bounds in all fits"
+    text = f"{np.median(known):.2f} ({known.min():.2f}…{known.max():.2f})"
+    return text if len(known) == len(x) else f"{text} over {len(known)} seeds"
 
 
 def run(robot, plant, observation, seed):
@@ -87,6 +96,8 @@ def run(robot, plant, observation, seed):
         errors.append(dict(zip(fit.names, fit.covariance.diagonal(), strict=True)))
     # An unknown that a fit put at its bound has no variance there.
     same = [x for x in errors[0] if all(0 < e.get(x, 0) < np.inf for e in errors)]
+    if not same:
+        return rms, seconds, conditions, np.full(len(errors), np.nan)
     logs = np.log([[x[name] for name in same] for x in errors]).mean(axis=1)
     return rms, seconds, conditions, np.exp((logs - logs[0]) / 2)
 

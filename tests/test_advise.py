@@ -2,16 +2,21 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import diagnosed
 import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnose.advise import advise, rivals
+from hybrid.diagnose.advise import advise, choose, rivals
+from hybrid.diagnose.along import Along, coarse
+from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.menu import Experiment, gap_along, joined, menu
-from hybrid.diagnose.separation import contrast, fit_rival, separation
+from hybrid.diagnose.diagnosis import Advice
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.menu import Experiment, Menu, gap_along, joined
+from hybrid.diagnose.separation import Outlook, fit_rival, needed, shapes_of
 from hybrid.effects import effect_classes
 from hybrid.plant import Plant, random_fourier
 from hybrid.plant.reference import Reference
@@ -69,11 +74,12 @@ def test_the_advised_experiment_splits_the_class(tmp_path):
     assert not after & promised
 
 
-def test_a_law_that_another_one_has_as_a_limit_is_not_promised_to_be_split():
+def test_friction_that_may_fall_when_warm_is_measured_again_when_warm():
     result, _ = poorly_recorded("viscous", 0, 0.5)
     assert "thermal_friction" in class_at(result, 0)  # warming up for ever
     advised = advise(result, np.random.default_rng(0))
-    assert not any("thermal_friction" in x.splits for x in advised)
+    (advice,) = [x for x in advised if "thermal_friction" in x.splits]
+    assert "when the drives are warm" in advice.experiment
 
 
 def pair():
@@ -92,22 +98,70 @@ def fast(result, seed=0):
     return path, gap_along(result.gap, Experiment("a fast motion", path))
 
 
+def outlook(result, ahead, scale=1.0):
+    """What the recordings of a result and a motion would say together."""
+    search, noise = result.search, scale * result.search.evidence.noise
+    recorded = Along(result.gap, noise, search.evidence.rows)
+    return Outlook(shapes_of(search), recorded, Along(ahead, noise))
+
+
 def test_separation_knows_no_order_and_none_from_itself():
     result, first, second = pair()
-    noise, (_, ahead) = result.search.evidence.noise, fast(result)
-    there = separation(ahead, noise, first, second)
-    assert there == pytest.approx(separation(ahead, noise, second, first))
-    assert separation(ahead, noise, first, first) == pytest.approx(0.0, abs=1e-6)
-    assert contrast(result.search, ahead, first, first) == pytest.approx(0.0, abs=1e-6)
+    view = outlook(result, fast(result)[1])
+    there = view.separation(first, second)
+    assert there == pytest.approx(view.separation(second, first))
+    assert view.separation(first, first) == pytest.approx(0.0, abs=1e-6)
+    assert max(view.contrast(first, first)) <= 1e-6
+    told = view.contrast(first, second)
+    assert view.contrast(second, first) == pytest.approx(told[::-1])
 
 
 def test_separation_is_in_units_of_noise_and_grows_with_time():
     result, first, second = pair()
-    noise, (path, ahead) = result.search.evidence.noise, fast(result)
-    once = separation(ahead, noise, first, second)
-    assert separation(ahead, 4 * noise, first, second) < once
+    path, ahead = fast(result)
+    once = outlook(result, ahead).separation(first, second)
+    assert outlook(result, ahead, scale=4.0).separation(first, second) < once
     twice = gap_along(result.gap, Experiment("twice", joined([path, path])))
-    assert once < separation(twice, noise, first, second) < 1.5 * once
+    assert once < outlook(result, twice).separation(first, second) < 1.5 * once
+
+
+def test_what_is_told_is_what_a_search_on_all_data_would_find():
+    """The recordings with one explanation's torque appended, fitted from scratch."""
+    result, first, second = pair()
+    search, ahead = result.search, replace(fast(result)[1], cutoff=result.gap.cutoff)
+    told = outlook(result, ahead).contrast(first, second)
+    moved, new = Along(ahead, search.evidence.noise), np.zeros_like(ahead.left)
+    stacked = first.stack(moved)
+    for i, rows in enumerate(moved.rows):
+        new[rows, i] = stacked[i] @ first.gains * np.sqrt(search.evidence.noise[i])
+    gap, old = result.gap, np.zeros(len(result.gap.fold), dtype=bool)
+    for rows in search.evidence.rows:
+        old[rows] = True
+    both = Gap(
+        gap.robot, (*gap.motions, *ahead.motions), (*gap.bodies, *ahead.bodies),
+        gap.cutoff, np.concatenate([gap.left, new]),
+        np.concatenate([gap.moving, ahead.moving]),
+        np.concatenate([gap.fold, ahead.fold]),
+        np.concatenate([gap.trajectory, ahead.trajectory + gap.trajectory.max() + 1]),
+    )  # fmt: skip
+    fresh = Search(both, np.append(old, np.ones(len(new), dtype=bool)))
+    fresh.evidence.noise = search.evidence.noise
+    fresh.evidence.spread(fresh.background, search.off)
+    best = fresh.gain(fresh.base(), first.candidate)
+    _, other = fresh.refine(fresh.base(), second.candidate)
+    assert told[0] == pytest.approx((best - other) / needed(best), rel=0.02, abs=0.02)
+
+
+def test_decimated_motions_give_the_columns_of_all_samples():
+    result = diagnosed.planar()
+    gap = replace(result.gap, cutoff=RATE / 25)
+    few, effect = coarse(gap), effect_of("viscous", 1, 1.0)
+    assert len(few.motions[0].t) < len(gap.motions[0].t) / 3
+    there, here = gap.columns(effect)[1], few.columns(effect)[1]
+    inside = gap.sampled.mask
+    np.testing.assert_allclose(
+        here[inside], there[inside], atol=0.01 * np.abs(there).max()
+    )
 
 
 def test_laws_that_are_one_while_moving_are_never_apart():
@@ -135,19 +189,22 @@ def test_a_simulator_without_fault_needs_no_experiment():
     assert advise(bare, np.random.default_rng(0)) == ()
 
 
-def test_what_is_unexplained_gets_an_experiment_about_its_joint():
+def unexplained(depends):
+    """The advice for a planar arm whose elbow has something that no effect explains."""
     result = diagnosed.planar()
-    account = replace(
-        result.account,
-        missed=np.array([0.0, 400.0]),
-        depends=("", "direction and position"),
-    )
+    missed, seen = np.array([0.0, 400.0]), ("", depends)
+    account = replace(result.account, missed=missed, depends=seen)
     diagnosis = replace(result.diagnosis, verdict="unexplained", findings=())
     strange = replace(result, diagnosis=diagnosis, account=account)
     (advice,) = advise(strange, np.random.default_rng(0))
-    assert arm("planar").joints[1] in advice.experiment
-    assert advice.separation == pytest.approx(20.0)
+    return advice
+
+
+def test_what_is_unexplained_gets_an_experiment_about_its_joint():
+    advice = unexplained("direction and position")
     assert advice.splits == ()
+    assert arm("planar").joints[1] in unexplained("speed").experiment
+    assert advice.separation == pytest.approx(20.0)
 
 
 def test_a_joint_that_did_not_move_shall_climb_a_ladder_of_speeds(tmp_path):
@@ -165,31 +222,104 @@ def test_a_joint_that_did_not_move_shall_climb_a_ladder_of_speeds(tmp_path):
     assert speed.max() > 0.5 * arm("planar").v_max[0]
 
 
-@pytest.mark.parametrize("name", ["planar", "coman_like", "scara"])
-def test_every_experiment_keeps_the_limits_and_ends_where_it_began_at_rest(name):
-    robot = arm(name)
-    found = list(menu(robot, 1, np.random.default_rng(0), rate=100.0))
-    assert len(found) >= 5
-    for experiment in found:
-        r = experiment.reference
-        assert np.all(r.q >= robot.q_min - 1e-9)
-        assert np.all(r.q <= robot.q_max + 1e-9)
-        assert np.all(np.abs(r.v) <= robot.v_max + 1e-9)
-        np.testing.assert_allclose(r.v[[0, -1]], 0.0, atol=1e-6)
-        np.testing.assert_allclose(r.q[0], r.q[-1], atol=1e-6)
+def test_a_tone_at_one_frequency_is_held_against_other_gains_of_the_servo():
+    assert "gains of the servo at half" in unexplained("lines in time").experiment
 
 
-def test_a_gap_along_an_experiment_is_of_the_simulator_and_empty():
+def test_a_lag_is_held_against_a_multisine():
+    assert "multisine" in unexplained("past of speed").experiment
+
+
+def test_what_depends_on_acceleration_is_held_against_one_path_at_three_speeds():
+    assert "0.5, 1 and 2 times" in unexplained("acceleration").experiment
+
+
+def test_what_depends_on_time_is_run_again_when_warm():
+    assert "warm" in unexplained("speed and time").experiment
+
+
+def test_what_depends_on_load_is_held_against_many_poses():
+    assert "poses" in unexplained("direction and load").experiment
+
+
+class Foreseen:
+    """What experiments tell, as stated: separation and contrast by their names."""
+
+    def __init__(self, **told):
+        self.told = told
+        found = diagnosed.planar().gap.robot
+        self.menu = Menu(found, np.random.default_rng(0), rate=100.0)
+
+    def about(self, joint, *, warm):
+        return [x for x in self.menu.about(joint) if warm or not x.start]
+
+    def __getitem__(self, experiment):
+        told = [x for k, x in self.told.items() if k in experiment.name] or [(0, 0)]
+        return SimpleNamespace(
+            separation=lambda *_: 100.0 if any(told[0]) else 0.0,
+            contrast=lambda *_: told[0],
+        )
+
+
+def rivals_named(*ids):
+    named = [SimpleNamespace(id=x) for x in ids]
+    return tuple(SimpleNamespace(effect=x, evidence=100.0) for x in named)
+
+
+KINDS = ("times", "ladder", "reversals", "poses", "multisine", "fast", "mass", "warm")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_one_experiment_that_tells_is_advised(kind):
+    pair = rivals_named("viscous", "thermal_friction")
+    plan = choose(Foreseen(**{kind: (3.0, 3.0)}), 0, pair, [])
+    assert kind in plan.advice.experiment
+    assert plan.advice.splits == ("viscous", "thermal_friction")
+
+
+def test_no_one_has_to_fetch_a_weight_if_a_motion_does():
+    pair = rivals_named("torque_gain", "payload")
+    both = Foreseen(mass=(30.0, 30.0), multisine=(2.0, 2.0))
+    assert "multisine" in choose(both, 0, pair, []).advice.experiment
+
+
+def test_an_experiment_that_is_run_anyway_is_taken_again():
+    pair, chosen = rivals_named("coulomb", "stribeck"), []
+    first = choose(Foreseen(ladder=(2.0, 2.0)), 0, pair, chosen)
+    both = Foreseen(ladder=(2.0, 2.0), multisine=(9.0, 9.0))
+    both.menu = SimpleNamespace(about=lambda _: chosen)
+    again = choose(both, 0, rivals_named("coulomb", "deadzone"), chosen)
+    assert again.experiment is first.experiment
+    assert len(chosen) == 1
+
+
+def test_what_can_only_be_shown_if_it_is_there_is_said_so():
+    pair = rivals_named("viscous", "thermal_friction")
+    plan = choose(Foreseen(warm=(0.1, 9.0)), 0, pair, [])
+    assert "settles whether it is thermal friction" in plan.advice.experiment
+    assert choose(Foreseen(warm=(0.9, 0.9)), 0, pair, []) is None
+
+
+def test_late_commands_are_told_from_wrong_gains_by_other_gains():
     result = diagnosed.planar()
-    path, ahead = fast(result)
-    assert not ahead.left.any()
-    assert ahead.rate == pytest.approx(RATE / round(RATE / ahead.rate))
-    np.testing.assert_array_equal(ahead.motions[0].q, path.q)
-    assert ahead.moving.any(axis=0).all()
+    ids = ("controller_gain", "command_latency")
+    finding = replace(result.diagnosis.findings[0], effect=ids[0], alternatives=ids)
+    diagnosis = replace(result.diagnosis, verdict="explained", findings=(finding,))
+    unsure = replace(result, diagnosis=replace(diagnosis, not_excited=()))
+    (advice,) = advise(unsure, np.random.default_rng(0))
+    assert advice.splits == ids
+    assert "gains of the servo at half" in advice.experiment
 
 
-def test_a_warm_drive_is_as_old_as_it_is_said_to_be():
-    found = list(menu(arm("planar"), 0, np.random.default_rng(0), rate=100.0))
-    (warm,) = [x for x in found if x.start > 0]
-    ahead = gap_along(diagnosed.planar().gap, warm)
-    assert ahead.motions[0].t[0] == warm.start
+def test_what_tells_the_same_effects_at_two_joints_is_said_once(monkeypatch):
+    import sys
+
+    module, result = sys.modules["hybrid.diagnose.advise"], diagnosed.planar()
+    menu = Menu(result.gap.robot, np.random.default_rng(0), rate=100.0)
+    (warm,) = [x for x in menu.of_all_joints if x.start]
+    splits = ("viscous", "thermal_friction")
+    plans = [module.Plan(Advice("run it", splits, x), warm) for x in (3.0, 9.0)]
+    monkeypatch.setattr(module, "_between_rivals", lambda *_: iter(plans))
+    sound = replace(result.diagnosis, verdict="explained", not_excited=(), findings=())
+    advised = advise(replace(result, diagnosis=sound), np.random.default_rng(0))
+    assert [x.separation for x in advised] == [9.0]

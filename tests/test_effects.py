@@ -182,6 +182,8 @@ class TestEveryEffect:
         assert columns.shape == (200, len(reached(effect)), len(effect.gains))
         assert np.isfinite(columns).all()
         assert (np.abs(columns).max(axis=(0, 1)) > 0).all() == (name in IN_TORQUE)
+        if effect.steep:  # its columns are made at the gain it has
+            return
         other = effect.at({g.name: 3.0 + k for k, g in enumerate(effect.gains)})
         np.testing.assert_array_equal(other.columns(motion, body), columns)
         torque = effect.torque(motion, body)

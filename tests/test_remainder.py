@@ -14,9 +14,11 @@ from simulated import (
     with_torque,
 )
 
+from hybrid.compensator import NetworkRegression
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.identify import identify, validate
 from hybrid.identify.data import Rest
+from hybrid.identify.identification import MOST_LEARNED
 from hybrid.identify.remainder import fit_remainder
 
 OPTIONS = {"stages": ("rigid", "remainder"), "cutoff": 15.0}
@@ -124,12 +126,36 @@ def test_it_fades_to_zero_outside_its_data_and_stays_bounded(data, learned):
     assert np.abs(np.diff(remainder.predict(line, 0 * line)[:, 1])).max() < 0.1
 
 
+def test_a_remainder_never_exceeds_its_bound(data, learned):
+    bound = np.array([9.0, 0.4, 9.0])
+    found = fit_remainder(data, bound=bound).remainder
+    tau = found.predict(data.q, data.v)
+    assert np.abs(tau[:, 1]).max() == 0.4
+    assert np.abs(learned.remainder.predict(data.q, data.v)[:, 1]).max() > 0.8
+    rng = np.random.default_rng(0)
+    states = rng.normal(size=(2, 100_000, 3)) * 10 ** rng.uniform(
+        -2, 4, (2, 100_000, 1)
+    )
+    assert (np.abs(found.predict(*states)) <= bound).all()
+
+
+def test_a_perceptron_learns_through_the_same_door(data, learned):
+    def perceptron(x, y, *, like, validation, **options):
+        return NetworkRegression.fit(x, y, epochs=20, **options)
+
+    found = fit_remainder(data, among=learned.remainder, learn=perceptron)
+    (part,) = found.remainder.parts
+    assert isinstance(part.regression, NetworkRegression)
+    assert found.rms[1] < 0.4 * data.rms()[1]
+
+
 def test_variance_is_that_of_the_noise_and_unknown_where_nothing_was_learned(
     data, learned
 ):
     remainder = learned.remainder
     mean, variance = remainder.predict_distribution(data.q, data.v)
-    np.testing.assert_array_equal(mean, remainder.predict(data.q, data.v))
+    found = remainder.predict(data.q, data.v)  # all joints together
+    np.testing.assert_allclose(mean, found, rtol=0, atol=1e-13)
     assert np.isnan(variance[:, [0, 2]]).all()
     error = (mean - data.tau)[:, 1]
     inside = np.mean(np.abs(error) < 2 * np.sqrt(variance[:, 1]))
@@ -177,7 +203,9 @@ def test_a_remainder_lowers_the_error_on_motion_it_has_not_seen():
     recordings = logs(0.8)
     fit, said = quiet(identify, arm("planar"), recordings[:4], **OPTIONS)
     assert fit.left_out == () and said == []
-    assert [p.joint for p in fit.model.remainder.parts] == [1]
+    (part,) = fit.model.remainder.parts
+    assert part.joint == 1
+    assert part.regression.bound[0] <= MOST_LEARNED * arm("planar").tau_max[1]
     assert fit.held_out["+ remainder"][1] < 0.7 * fit.held_out["IRLS"][1]
     rows = {row.name: row.rms for row in validate(fit.model, recordings[4:]).rows}
     assert rows["+ remainder"][1] < 0.8 * rows["IRLS"][1]

@@ -275,7 +275,7 @@ def test_effects_that_couple_joints_are_fitted_together():
 def test_an_effect_that_the_whole_arm_feels_is_fitted_at_all_of_its_joints():
     _, motion, body, _ = arm_log()
     scales = [Scale(50.0, 2.0)] * 2
-    twist = Elasticity((1,), {"compliance": 2e-3, "damping": 0.3})
+    twist = Elasticity((1,), {"damping": 0.3})  # to first order
     rub = Coulomb((0,), {"level": 2.0})
     tau = 2e-3 * twist.columns(motion, body)[:, :, 0]  # felt at both joints
     tau[:, [0]] += rub.torque(motion, body)

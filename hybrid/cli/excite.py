@@ -64,6 +64,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--family", choices=_FAMILIES, default="fourier")
     parser.add_argument("--trajectories", type=count, default=1, metavar="N")
+    parser.add_argument(
+        "--together",
+        action="store_true",
+        help="choose the N motions as a set, not one after the other: better, slower",
+    )
     parser.add_argument("--starts", type=count, default=3, metavar="N")
     parser.add_argument(
         "--duration", type=positive, default=20.0, metavar="S", help="of each, s"
@@ -123,6 +128,7 @@ def run(args: Namespace, screen: Screen) -> None:
             constraints=_constraints(args, robot, limits),
             trajectories=args.trajectories,
             starts=args.starts,
+            together=args.together,
             rate=max(20.0, 8.0 * args.order / args.duration),
         )
     how = record(args, [args.robot])
@@ -172,6 +178,10 @@ def _tell(args: Namespace, screen: Screen, found: Design) -> None:
         screen.say(f"each further motion shortens the mean standard error by {parts}")
     name, worst = max(found.excess.items(), key=lambda item: item[1])
     screen.say(f"nearest limit: {name}, {-100 * worst:.2g} % away")
+    options = {"links that meet (--clearance)": args.clearance}
+    options["a floor (--floor)"] = args.floor
+    if left_out := [what for what, given in options.items() if given is None]:
+        screen.say(f"not looked at: {', '.join(left_out)}")
 
 
 def _family(args: Namespace) -> Any:

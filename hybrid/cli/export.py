@@ -12,17 +12,17 @@ from hybrid.errors import HybridError
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
 
-_FORMATS = ("onnx", "c", "mjcf", "urdf", "json")
+_FORMATS = ("onnx", "torchscript", "c", "mjcf", "urdf", "json")
 
-HELP = """export a model to C, ONNX, MJCF, URDF or JSON
-c     one C99 header with an example and CMakeLists.txt; torque from q, v and a
-onnx  the same with a free batch axis, in double precision
-mjcf  the simulator with identified links, rotors and friction
-urdf  the same without what URDF has no place for
-json  the model itself
+HELP = """export a model to C, ONNX, TorchScript, MJCF, URDF or JSON
+c            one C99 header with an example and CMakeLists.txt; torque from q, v and a
+onnx         the same with a free batch axis, in double precision
+torchscript  the same for libtorch; read it with torch.jit.load, never torch.load
+mjcf         the simulator with identified links, rotors and friction
+urdf         the same without what URDF has no place for
+json         the model itself
 Every folder holds a manifest.json: model hash, joint order, units, limits, training
-range, version, and what the format cannot express. (TorchScript is not offered: its
-files are pickles.)
+range, version, and what the format cannot express.
 
 --json: provenance, robot, joints, format, left_out.
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.compensator.gmr import GaussianMixtureRegression
+from hybrid.compensator.mixtures import FARTHEST_FADE, Mixtures
 from hybrid.errors import ModelFileError
 
 if TYPE_CHECKING:
@@ -58,9 +61,32 @@ class ArmRemainder:
             v: Speeds, shape (N, n), [rad/s].
         """
         tau = np.zeros((len(q), self.size))
-        for part in self.parts:
+        mixtures, joints, others = self._together
+        if mixtures is not None:
+            tau[:, joints] = mixtures.predict(q, v)
+        for part in others:
             tau[:, part.joint] = part.regression.predict(part.inputs(q, v))[:, 0]
         return tau
+
+    @cached_property
+    def _together(
+        self,
+    ) -> tuple[Mixtures | None, NDArray[np.intp], tuple[JointRemainder, ...]]:
+        """Mixtures, the joints they belong to, and parts that are none."""
+        mixtures, joints, inputs, others = [], [], [], []
+        for part in self.parts:
+            regression = part.regression
+            if (
+                isinstance(regression, GaussianMixtureRegression)
+                and regression.fade[1] <= FARTHEST_FADE
+            ):
+                mixtures.append(regression)
+                joints.append(part.joint)
+                inputs.append([*part.positions, *(self.size + j for j in part.speeds)])
+            else:
+                others.append(part)
+        stacked = Mixtures.of(mixtures, inputs, 2 * self.size) if mixtures else None
+        return stacked, np.array(joints, dtype=np.intp), tuple(others)
 
     def predict_distribution(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Mean [N·m] and variance [(N·m)²] of the torque, shapes (N, n).

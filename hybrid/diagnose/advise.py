@@ -9,27 +9,28 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybrid.diagnose.along import Along, coarse
 from hybrid.diagnose.attribute import Search, Term
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.diagnosis import Advice
-from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.menu import Experiment, gap_along, joint_number, menu
-from hybrid.diagnose.separation import Rival, contrast, fit_rival, separation
+from hybrid.diagnose.menu import Experiment, Menu, gap_along
+from hybrid.diagnose.separation import Outlook, Rival, fit_rival, needed, shapes_of
 from hybrid.diagnose.thresholds import thresholds
-from hybrid.errors import HybridError
-from hybrid.excitation.experiments import speed_ladder
+from hybrid.effects import effect_class
+from hybrid.effects.effect import Port
 from hybrid.excitation.folder import write_reference
 
 if TYPE_CHECKING:
     from hybrid.diagnose.diagnose import Result
 
-_CLEARLY = 2.0  # times the evidence that is needed
+_CLEARLY = 1.2  # times the evidence that is needed
 _MOST_PAIRS = 6
 _SHORTLIST = 4  # experiments for which all is fitted anew
 _THERMAL = "thermal_friction"  # the one to which it matters when a motion is run
 _MOST_JOINTS = 3
 _SLOW_ENOUGH = 4.0  # s at one speed
 _RATE = 500.0  # Hz, of references at most
+_IF_ANY = "; it settles whether it is {}, or else bounds it"
 # Pairs that have the same torque on every motion, and what differs without one.
 _ALIKE = {
     frozenset({"torque_offset", "asymmetric_friction"}): (
@@ -43,6 +44,7 @@ _ALIKE = {
 # What a residual depends on (see `ceiling`), and which experiment isolates that.
 _SHOWS = (
     ("past", "a multisine"),
+    ("lines in time", "a random motion of all joints twice"),
     ("time", "a random motion of all joints again"),
     ("wave", "a ladder of speeds"),
     ("load", "moves between poses"),
@@ -54,7 +56,7 @@ _SHOWS = (
 
 
 @dataclass(frozen=True, eq=False)
-class _Plan:
+class Plan:
     """Advice with its experiment, before anything is written."""
 
     advice: Advice
@@ -82,14 +84,20 @@ def advise(
         Advice; none where all is explained and told apart.
     """
     rate = min(_RATE, result.gap.motions[0].rate)
+    menu = Menu(result.gap.robot, rng, rate=rate)
     plans = [
-        *sorted(_between_rivals(result, rng, rate), key=lambda p: -p.advice.separation),
-        *_for_unexplained(result, rng, rate),
-        *_for_not_excited(result, rate),
+        *sorted(_between_rivals(result, menu), key=lambda p: -p.advice.separation),
+        *_for_unexplained(result, menu),
+        *_for_servos(result, menu),
+        *_for_not_excited(result, menu),
     ]
-    advice, files = [], dict[int, str]()
+    advice, files, said = [], dict[int, str](), set[tuple[object, frozenset[str]]]()
     for plan in plans:
         ask, file = plan.experiment, ""
+        key = ask or plan.advice.experiment, frozenset(plan.advice.splits)
+        if key in said:
+            continue  # the same effects at another joint
+        said.add(key)
         if ask is not None and directory is not None:
             # One experiment may tell several pairs apart.
             file = files.setdefault(id(ask), f"advice_{len(files) + 1}.csv")
@@ -120,13 +128,49 @@ def rivals(search: Search, term: Term, ids: Sequence[str]) -> list[Candidate]:
     return [c for c, _ in found.values()]
 
 
-def _between_rivals(
-    result: Result, rng: np.random.Generator, rate: float
-) -> Iterator[_Plan]:
+class Prospects:
+    """Outlooks on every experiment of a menu, made when they are asked for.
+
+    Args:
+        result: The diagnosis that they are about.
+        menu: The experiments.
+    """
+
+    def __init__(self, result: Result, menu: Menu) -> None:
+        self._gap, self._menu = result.gap, menu
+        self._tried = shapes_of(result.search)
+        self._noise = result.search.evidence.noise
+        rows = result.search.evidence.rows
+        self._recorded = Along(coarse(result.gap), self._noise, rows)
+        self._known: dict[Experiment, Outlook] = {}
+
+    def about(self, joint: int, *, warm: bool) -> list[Experiment]:
+        """Experiments that may tell something about a joint.
+
+        Args:
+            joint: The joint.
+            warm: Whether it matters how warm the drives are.
+        """
+        found = self._menu.about(joint)
+        return [x for x in found if not x.gains and (warm or x.start == 0)]
+
+    def __getitem__(self, experiment: Experiment) -> Outlook:
+        if experiment not in self._known:
+            gap = gap_along(self._gap, experiment)
+            # What a sample says goes with the time that it stands for.
+            noise = self._noise * gap.rate / self._gap.rate
+            ahead = Along(gap, noise)
+            alone = experiment.mass > 0
+            outlook = Outlook(self._tried, self._recorded, ahead, alone=alone)
+            self._known[experiment] = outlook
+        return self._known[experiment]
+
+
+def _between_rivals(result: Result, menu: Menu) -> Iterator[Plan]:
     """One experiment for each pair of a term and an effect that explains as much."""
     search, joints = result.search, result.gap.robot.joints
     named = {f.effect: f.alternatives[1:] for f in result.diagnosis.findings}
-    dishes: dict[int, list[tuple[Experiment, Gap]]] = {}
+    prospects = Prospects(result, menu)
     seen: set[tuple[int, frozenset[str]]] = set()
     for term in search.terms:
         effect_id, joint = term.place[0], term.place[1][-1]
@@ -134,6 +178,7 @@ def _between_rivals(
         if not ids:
             continue
         own = fit_rival(search, term, term.candidate)
+        chosen: list[Experiment] = []
         for other in rivals(search, term, ids):
             pair = frozenset({effect_id, other.place[0]})
             if (joint, pair) in seen or len(seen) >= _MOST_PAIRS:
@@ -141,39 +186,69 @@ def _between_rivals(
             seen.add((joint, pair))
             if pair in _ALIKE:
                 text = _ALIKE[pair].format(joint=joints[joint])
-                yield _Plan(Advice(text, tuple(sorted(pair)), 0.0))
+                yield Plan(Advice(text, tuple(sorted(pair)), 0.0))
                 continue
-            if joint not in dishes:
-                found = menu(result.gap.robot, joint, rng, rate=rate)
-                dishes[joint] = [(e, gap_along(result.gap, e)) for e in found]
-            plan = _best(search, own, fit_rival(search, term, other), dishes[joint])
+            rival = fit_rival(search, term, other)
+            plan = choose(prospects, joint, (own, rival), chosen)
             if plan is not None:
                 yield plan
 
 
-def _best(
-    search: Search,
-    first: Rival,
-    second: Rival,
-    dishes: Sequence[tuple[Experiment, Gap]],
-) -> _Plan | None:
-    """The experiment that tells two explanations apart best, if any does."""
-    noise, splits = search.evidence.noise, (first.effect.id, second.effect.id)
-    fit = [d for d in dishes if d[0].start == 0 or _THERMAL in splits]
-    sizes = [separation(gap, noise, first, second) for _, gap in fit]
-    judged = [
-        (contrast(search, fit[k][1], first, second), sizes[k], fit[k][0])
-        for k in np.argsort(sizes)[: -_SHORTLIST - 1 : -1]
-    ]
-    told, size, experiment = max(judged, key=lambda x: x[0], default=(0.0, 0.0, None))
-    if experiment is None or told < _CLEARLY:
-        return None
-    return _Plan(Advice(_run(experiment), splits, size), experiment)
+def choose(
+    prospects: Prospects,
+    joint: int,
+    rivals: tuple[Rival, Rival],
+    chosen: list[Experiment],
+) -> Plan | None:
+    """The experiment that tells two explanations apart best, if any does.
+
+    One that is advised already is taken if it does, and then one that takes no more
+    than to run a motion. If all that can be told is that one of them is the true one,
+    as the other law becomes it at a limit, that is better than nothing.
+
+    Args:
+        prospects: What experiments would tell.
+        joint: The joint that the explanations are about.
+        rivals: Two explanations.
+        chosen: Experiments that are advised already; what is chosen is added.
+
+    Returns:
+        The advice; nothing if no experiment tells enough.
+    """
+    splits = rivals[0].effect.id, rivals[1].effect.id
+    menu = prospects.about(joint, warm=_THERMAL in splits)
+    known = [x for x in chosen if x.plain]
+    plain = [x for x in menu if x.plain and x not in known]
+    half: tuple[float, Plan | None] = _CLEARLY, None
+    for dishes in (known, plain, [x for x in menu if not x.plain]):
+        sizes = [prospects[x].separation(*rivals) for x in dishes]
+        best: tuple[float, Plan | None] = _CLEARLY, None
+        for k in np.argsort(sizes)[: -_SHORTLIST - 1 : -1]:
+            # Half the square bounds what it adds; the recordings tell too little.
+            if sizes[k] ** 2 / 2 < (_CLEARLY - 1) * needed(rivals[0].evidence):
+                break
+            told = prospects[dishes[k]].contrast(*rivals)
+            text = _run(dishes[k])
+            if min(told) > best[0]:
+                plan = Plan(Advice(text, splits, sizes[k]), dishes[k])
+                best = min(told), plan
+            if max(told) > half[0]:
+                text += _IF_ANY.format(splits[int(np.argmax(told))].replace("_", " "))
+                half = max(told), Plan(Advice(text, splits, sizes[k]), dishes[k])
+        if best[1] is not None:
+            return _chosen(best[1], chosen)
+    return _chosen(half[1], chosen)
 
 
-def _for_unexplained(
-    result: Result, rng: np.random.Generator, rate: float
-) -> Iterator[_Plan]:
+def _chosen(plan: Plan | None, chosen: list[Experiment]) -> Plan | None:
+    """A plan, whose experiment is taken down."""
+    experiment = None if plan is None else plan.experiment
+    if experiment is not None and experiment not in chosen:
+        chosen.append(experiment)
+    return plan
+
+
+def _for_unexplained(result: Result, menu: Menu) -> Iterator[Plan]:
     """What isolates the variable that the unexplained part depends on."""
     if result.diagnosis.verdict not in ("unexplained", "partly_explained"):
         return
@@ -182,17 +257,17 @@ def _for_unexplained(
     if missed <= 0:
         return
     wanted = next(begin for word, begin in _SHOWS if word in depends)
-    for experiment in menu(result.gap.robot, joint, rng, rate=rate):
+    for experiment in menu.about(joint):
         if experiment.name.startswith(wanted):
             advice = Advice(_run(experiment), (), float(np.sqrt(missed)))
-            yield _Plan(advice, experiment)
+            yield Plan(advice, experiment)
             return
 
 
-def _for_not_excited(result: Result, rate: float) -> Iterator[_Plan]:
+def _for_not_excited(result: Result, menu: Menu) -> Iterator[Plan]:
     """A ladder of speeds for joints that did not move, or in one direction only."""
-    robot, count = result.gap.robot, 0
-    for j, name in enumerate(robot.joints):
+    count = 0
+    for j, name in enumerate(result.gap.robot.joints):
         wanting = [
             text
             for text in result.diagnosis.not_excited
@@ -200,15 +275,20 @@ def _for_not_excited(result: Result, rate: float) -> Iterator[_Plan]:
         ]
         if not wanting or count >= _MOST_JOINTS:
             continue
-        try:
-            ladder = speed_ladder(
-                robot, joint_number(j), longest=_SLOW_ENOUGH, rate=rate
-            )
-        except HybridError:
-            continue  # no room for it; nothing safe can be said
-        count += 1
-        experiment = Experiment(f"a ladder of speeds of {name}, up and down", ladder)
-        yield _Plan(Advice(_run(experiment), (), 0.0), experiment)
+        for experiment in menu.ladder(j, longest=_SLOW_ENOUGH):
+            count += 1
+            yield Plan(Advice(_run(experiment), (), 0.0), experiment)
+
+
+def _for_servos(result: Result, menu: Menu) -> Iterator[Plan]:
+    """Other gains, where it is not settled what of a servo is not as it should be."""
+    for finding in result.diagnosis.findings:
+        ids = finding.alternatives
+        if len(ids) < 2 or effect_class(ids[0]).port is not Port.COMMAND:
+            continue
+        for experiment in menu.of_all_joints:
+            if experiment.gains:
+                yield Plan(Advice(_run(experiment), ids, 0.0), experiment)
 
 
 def _run(experiment: Experiment) -> str:

@@ -224,6 +224,9 @@ def _reported(effect: Effect, covariance: Array) -> Effect:
     """An effect's law of the torque reported, with standard deviations."""
     names = [x.name for x in (*effect.gains, *effect.shapes)]
     law = effect.as_reported()
+    if law is effect:
+        std = np.sqrt(np.diag(covariance))
+        return law.at({}, dict(zip(names, map(float, std), strict=True)))
     slopes = []
     for name, spread in zip(names, np.sqrt(np.diag(covariance)), strict=True):
         step = 1e-4 * float(spread) or 1e-9

@@ -14,15 +14,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
+from hybrid.diagnose.along import Along
 from hybrid.diagnose.attribute import Search, Term
-from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import Candidate
-from hybrid.diagnose.gap import Columns, Gap
-from hybrid.diagnose.shapes import nudges
+from hybrid.diagnose.bayes import log_bayes
+from hybrid.diagnose.candidates import Candidate, scale_of, with_gains
+from hybrid.diagnose.gap import Columns
+from hybrid.diagnose.shapes import fit_shapes, nudges, price
 from hybrid.diagnose.thresholds import thresholds
-from hybrid.effects import Effect, effect_classes
+from hybrid.effects import Effect
+from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
+
+_EXACT_PASSES = 4
+_LONG_WAVES = 6  # per turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,17 +40,29 @@ class Rival:
         others: What all explanations share.
         gains: Background, others, effect and small changes of its shapes, shape (k,).
         precision: What is known of them: inverse covariance, shape (k, k).
+        prior: Inverse variance of what is shared before any recording, shape (s,).
+        evidence: What it adds to what is shared, on the recordings, [nat].
     """
 
     candidate: Candidate
     others: tuple[Candidate, ...]
     gains: Array
     precision: Array
+    prior: Array
+    evidence: float
 
     @property
     def effect(self) -> Effect:
         """What is special in it, with its fitted gains."""
         return self.candidate.effect
+
+    def stack(self, along: Along) -> list[Array]:
+        """Columns of all its gains along motions, shape (R, k) at each joint."""
+        return along.stack([*self.shared(along), *along.own(self.effect)])
+
+    def shared(self, along: Along) -> list[Columns]:
+        """Columns of what all explanations share."""
+        return [*along.background, *(along.kept(c) for c in self.others)]
 
 
 def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
@@ -58,124 +76,189 @@ def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
     gap, evidence, base = search.gap, search.evidence, search.base(term)
     (own,) = evidence.add([gap.columns(candidate.effect)], [candidate.std])
     solution = evidence.solve(np.concatenate([base, own]))
-    fitted = dict(
-        zip(
-            [g.name for g in candidate.effect.gains],
-            map(float, solution.gains[len(base) :]),
-            strict=True,
-        )
-    )
-    effect = candidate.effect.at(fitted)
+    effect = with_gains(candidate.effect, solution.gains[len(base) :])
     blocks = nudges(gap, effect)
     bends = evidence.add(blocks, [np.ones(1)] * len(blocks)) if blocks else []
     index = np.concatenate([base, own, *bends])
     A, _ = evidence.normal(index)
-    gains = np.concatenate([solution.gains, np.zeros(len(bends))])
-    others = tuple(t.candidate for t in search.terms if t is not term)
-    known = A + np.diag(evidence.precision[index])
-    return Rival(replace(candidate, effect=effect), others, gains, known)
+    prior = evidence.precision[index]
+    return Rival(
+        replace(candidate, effect=effect),
+        tuple(t.candidate for t in search.terms if t is not term),
+        np.concatenate([solution.gains, np.zeros(len(bends))]),
+        A + np.diag(prior),
+        prior[: len(base)],
+        solution.evidence - evidence.solve(base).evidence - price(effect),
+    )
 
 
-def separation(ahead: Gap, noise: Array, first: Rival, second: Rival) -> float:
-    """How far a motion sets two explanations apart, whichever of them is true.
-
-    Args:
-        ahead: The motion, see :func:`~hybrid.diagnose.menu.gap_along`.
-        noise: Variance of each joint's noise for independent samples, shape (n,).
-        first: One explanation.
-        second: Another one.
-    """
-    sides = [_stacked(ahead, noise, _blocks(ahead, r)) for r in (first, second)]
-    torques = [X @ r.gains for X, r in zip(sides, (first, second), strict=True)]
-    off = torques[0] - torques[1]
-    found = []
-    for X, rival in zip(sides, (first, second), strict=True):
-        b = X.T @ off
-        followed = b @ np.linalg.solve(X.T @ X + rival.precision, b)
-        found.append(max(float(off @ off - followed), 0.0))
-    return float(np.sqrt(min(found)))
+def shapes_of(search: Search) -> list[Candidate]:
+    """All shapes that a search has tried, and long waves, which other data may show."""
+    tried = [t.candidate for t in search.tried]
+    ripples = {c.place: c for c in tried if c.place[0] == TorqueRipple.id}
+    for c in ripples.values():
+        long = (c.effect.at({"periods": float(k)}) for k in range(1, _LONG_WAVES + 1))
+        tried += [replace(c, effect=effect) for effect in long]
+    return tried
 
 
-def contrast(search: Search, ahead: Gap, first: Rival, second: Rival) -> float:
-    """How well the recordings and a motion would tell two explanations apart.
-
-    One explanation's torque is appended to the recordings, and both are fitted to all
-    of it, shapes too, however far that takes them. A law that another one has as a
-    limit cannot be told from it if it is the true one.
+class Outlook:
+    """What recordings and a motion to come would say together of explanations.
 
     Args:
-        search: The search that both explanations come from.
-        ahead: The motion.
-        first: One explanation.
-        second: Another one.
-
-    Returns:
-        By how much the evidence differs, whichever of them is true, over what it must
-        differ for them to be no more alike; 1 or more if they are told apart.
+        tried: Shapes from which an explanation's own are fitted; see :func:`shapes_of`.
+        recorded: The recordings that the explanations were fitted to.
+        ahead: The motion to come.
+        alone: Whether the motion will be judged without the recordings.
     """
-    limits, found = thresholds(), []
-    for true, other in ((first, second), (second, first)):
-        both = _refit_search(search, ahead, true)
-        gains = [_gain(search, both, rival.candidate) for rival in (true, other)]
-        needed = max(limits.alike, limits.alike_share * gains[0])
-        found.append((gains[0] - gains[1]) / needed)
-    return max(min(found), 0.0)
+
+    def __init__(
+        self,
+        tried: Sequence[Candidate],
+        recorded: Along,
+        ahead: Along,
+        *,
+        alone: bool = False,
+    ) -> None:
+        self._tried = tried
+        self._ahead = ahead
+        self._parts = [ahead] if alone else [recorded, ahead]
+        self._known: dict[tuple[Candidate, ...], _Known] = {}
+
+    def separation(self, first: Rival, second: Rival) -> float:
+        """How far the motion sets two explanations apart, whichever is true."""
+        rivals = first, second
+        sides = [r.stack(self._ahead) for r in rivals]
+        torques = [
+            np.concatenate([x @ r.gains for x in X])
+            for X, r in zip(sides, rivals, strict=True)
+        ]
+        off, found = torques[0] - torques[1], []
+        for parts, rival in zip(sides, rivals, strict=True):
+            X = np.concatenate(parts)
+            b = X.T @ off
+            followed = b @ np.linalg.solve(X.T @ X + rival.precision, b)
+            found.append(max(float(off @ off - followed), 0.0))
+        return float(np.sqrt(min(found)))
+
+    def contrast(self, first: Rival, second: Rival) -> tuple[float, float]:
+        """How well the recordings and the motion would tell two explanations apart.
+
+        One explanation's torque is appended to the recordings, and both are fitted to
+        all of it, shapes too, however far that takes them. A law that another one has
+        as a limit cannot be told from it if it is the true one.
+
+        Returns:
+            By how much the evidence differs if the first is true, and if the second
+            is, over what it must differ for them to be no more alike; 1 or more if
+            they are told apart.
+        """
+
+        def told(true: Rival, other: Rival) -> float:
+            data = self._believe(true)
+            # Its own law cannot do better than at the shapes that made the torque.
+            best = self._trial(data, true.candidate)[0]
+            return (best - self._gain(data, other.candidate)) / needed(best)
+
+        return told(first, second), told(second, first)
+
+    def _believe(self, true: Rival) -> _Told:
+        """All the data there would be if an explanation were true."""
+        if true.others not in self._known:
+            stacks = [p.stack(true.shared(p)) for p in self._parts]
+            self._known = {true.others: _Known(_joined(stacks), true.prior)}
+        new = [X @ true.gains for X in true.stack(self._ahead)]
+        old = [p.left for p in self._parts[:-1]]
+        return _Told(self._known[true.others], _joined([*old, new]))
+
+    def _gain(self, told: _Told, candidate: Candidate) -> float:
+        """Evidence of an effect on all data, from the best of all shapes tried, [nat].
+
+        The shapes are fitted as :meth:`Search.refine` does.
+        """
+
+        def gain(effect: Effect) -> float:
+            return self._trial(told, replace(candidate, effect=effect))[0]
+
+        same = [c for c in self._tried if c.place == candidate.place]
+        grid = [(told.trial(self._columns(c), c)[0], c.effect) for c in same]
+        start = max([(gain(candidate.effect), candidate.effect), *grid], key=_first)
+        effect, best = fit_shapes(start[1], gain, self._ahead.gap)
+        if best < start[0]:
+            best, effect = start
+        single = len(effect.gains) == 1 and not effect.steep
+        if (effect.observes or effect.reports) and single:
+            bounds = effect.gains[0].scaled(scale_of(self._ahead.gap, effect))
+            for _ in range(_EXACT_PASSES):
+                best, gains = self._trial(told, replace(candidate, effect=effect))
+                value = float(np.clip(gains[0], bounds.lower, bounds.upper))
+                effect = effect.at({bounds.name: value})
+        return best
+
+    def _trial(self, told: _Told, c: Candidate) -> tuple[float, Array]:
+        columns = [p.columns(c.effect) for p in self._parts]
+        return told.trial(_appended(columns), c)
+
+    def _columns(self, c: Candidate) -> Columns:
+        return _appended([p.kept(c) for p in self._parts])
 
 
-def _gain(search: Search, both: Search, candidate: Candidate) -> float:
-    """Evidence of an effect on all data, from the best of all shapes tried, [nat]."""
-    same = [t.candidate for t in search.tried if t.place == candidate.place]
-    base = both.base()
-    start = max([candidate, *same], key=lambda c: both.gain(base, c))
-    return both.refine(base, start)[1]
+class _Known:
+    """What all explanations share, along all motions.
+
+    Args:
+        X: Its columns at each joint, shape (R, s).
+        prior: Inverse variance of its gains, shape (s,).
+    """
+
+    def __init__(self, X: Sequence[Array], prior: Array) -> None:
+        # In units of the prior, which differ by many orders of magnitude.
+        self.X, self.size = [x / np.sqrt(prior) for x in X], len(prior)
+        gram = np.sum([x.T @ x for x in self.X], axis=0)
+        self.factor = cho_factor(np.eye(len(prior)) + gram)
 
 
-def _refit_search(search: Search, ahead: Gap, true: Rival) -> Search:
-    """A search on the recordings and a motion on which one explanation is true."""
-    gap, new = search.gap, np.zeros_like(ahead.left)
-    start = 0
-    for block in _blocks(ahead, true):
-        width = next(iter(block.values())).shape[1]
-        for i, x in block.items():
-            new[:, i] += x @ true.gains[start : start + width]
-        start += width
-    both = Gap(
-        gap.robot, (*gap.motions, *ahead.motions), (*gap.bodies, *ahead.bodies),
-        gap.cutoff, np.concatenate([gap.left, new]),
-        np.concatenate([gap.moving, ahead.moving]),
-        np.concatenate([gap.fold, ahead.fold]),
-        np.concatenate([gap.trajectory, ahead.trajectory + gap.trajectory.max() + 1]),
-    )  # fmt: skip
-    use = np.zeros(len(gap.fold), dtype=bool)
-    for rows in search.evidence.rows:
-        use[rows] = True
-    use = np.concatenate([use, np.ones(len(new), dtype=bool)])
-    fresh = Search(both, use, without=[*effect_classes()])
-    fresh.evidence.noise = search.evidence.noise
-    fresh.evidence.spread(fresh.background, search.off)
-    for other in true.others:
-        (index,) = fresh.evidence.add([both.columns(other.effect)], [other.std])
-        fresh.terms.append(Term(other, index))
-    return fresh
+class _Told:
+    """Data to be explained, beside what all explanations share.
+
+    Args:
+        known: What they share.
+        y: Torque at each joint, in units of noise, shape (R,).
+    """
+
+    def __init__(self, known: _Known, y: Sequence[Array]) -> None:
+        self._known, self._y = known, y
+        moment = np.sum([x.T @ t for x, t in zip(known.X, y, strict=True)], axis=0)
+        self._explained = cho_solve(known.factor, moment)
+
+    def trial(self, columns: Columns, c: Candidate) -> tuple[float, Array]:
+        """Evidence that a candidate's columns add, [nat], and their gains (p,)."""
+        p = len(c.std)
+        across, H, s = np.zeros((self._known.size, p)), np.zeros((p, p)), np.zeros(p)
+        for i, x in columns.items():
+            across += self._known.X[i].T @ x
+            H += x.T @ x
+            s += x.T @ self._y[i]
+        H -= across.T @ cho_solve(self._known.factor, across)
+        s -= across.T @ self._explained
+        gain, gains = log_bayes(H, s, np.maximum(c.std, 1e-12) ** -2.0, c.lower)
+        return gain - price(c.effect), gains
 
 
-def _blocks(gap: Gap, rival: Rival) -> list[Columns]:
-    """Columns of background, others, effect and nudges along a motion."""
-    others = [gap.columns(c.effect) for c in rival.others]
-    own = rival.effect
-    return [*background(gap)[0], *others, gap.columns(own), *nudges(gap, own)]
+def needed(evidence: float) -> float:
+    """By how much another explanation's evidence must differ not to be alike, [nat]."""
+    limits = thresholds()
+    return max(limits.alike, limits.alike_share * evidence)
 
 
-def _stacked(gap: Gap, noise: Array, blocks: Sequence[Columns]) -> Array:
-    """Columns of all joints on the samples where they move, in units of noise."""
-    widths = [next(iter(b.values())).shape[1] for b in blocks]
-    starts = np.concatenate([[0], np.cumsum(widths)])
-    parts = []
-    for i in range(gap.robot.size):
-        rows = gap.moving[:, i]
-        X = np.zeros((int(rows.sum()), starts[-1]))
-        for block, start, width in zip(blocks, starts[:-1], widths, strict=True):
-            if i in block:
-                X[:, start : start + width] = block[i][rows]
-        parts.append(X / np.sqrt(noise[i]))
-    return np.concatenate(parts)
+def _joined(parts: Sequence[Sequence[Array]]) -> list[Array]:
+    """Samples of all motions, joint by joint."""
+    return [np.concatenate(x) for x in zip(*parts, strict=True)]
+
+
+def _appended(parts: Sequence[Columns]) -> Columns:
+    return {i: np.concatenate([p[i] for p in parts]) for i in parts[0]}
+
+
+def _first(x: tuple[float, Effect]) -> float:
+    return x[0]

@@ -151,7 +151,7 @@ def _ranges(gap: Gap, effect: Effect) -> list[_Range]:
 
 def _near(shape: Quantity, value: float) -> Quantity:
     """A shape within reach: of a time on a clock without end, what is around it."""
-    if shape.upper < _ENDLESS:
+    if shape.upper <= _ENDLESS:
         return shape
     low, high = value - shape.typical, value + shape.typical
     return replace(shape, lower=max(low, shape.lower), upper=min(high, shape.upper))

@@ -3,6 +3,7 @@
 from hybrid.dynamics.adjoint import regressor_gradient, torque_gradient
 from hybrid.dynamics.base import BaseParameters, base_parameters, inertial_labels
 from hybrid.dynamics.body import RigidBody
+from hybrid.dynamics.law import Law
 from hybrid.dynamics.regressor import inverse_dynamics, regressor
 from hybrid.dynamics.stacked import (
     effect_gains,
@@ -10,10 +11,13 @@ from hybrid.dynamics.stacked import (
     stacked_base,
     stacked_columns,
 )
+from hybrid.dynamics.tape import Tape
 
 __all__ = [
     "BaseParameters",
+    "Law",
     "RigidBody",
+    "Tape",
     "base_parameters",
     "effect_gains",
     "inertial_labels",

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid.dynamics.kinematics import LinkMotion, cross, link_motions
+from hybrid.dynamics.kinematics import LinkMotion, link_motions
+from hybrid.dynamics.newton_euler import rigid_law
 from hybrid.robot.chain import Array, Chain
 
 # Samples worked on at a time: the intermediate arrays then stay in the cache.
@@ -52,29 +53,9 @@ def inverse_dynamics(
     Returns:
         Torque, shape (N, n), [N·m].
     """
-    samples, n = q.shape
-    tau = np.zeros((n, samples))
-    for start in range(0, samples, _CHUNK):
-        part = slice(start, min(start + _CHUNK, samples))
-        states = (np.ascontiguousarray(x[part].T) for x in (q, v, a))
-        for k, link in enumerate(link_motions(chain, *states)):
-            force, moment = _wrench(link, inertial[k])
-            for c in range(3):
-                tau[: k + 1, part] += link.linear[c] * force[c]
-                tau[: k + 1, part] += link.angular[c] * moment[c]
-    return np.ascontiguousarray(tau.T)
-
-
-def _wrench(link: LinkMotion, inertial: Array) -> tuple[Array, Array]:
-    """Force and moment about the frame origin that move the link, shape (3, N)."""
-    m, mc = inertial[0], inertial[1:4, None]
-    xx, xy, yy, xz, yz, zz = inertial[4:]
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    lever = cross(link.omega, np.broadcast_to(mc, link.omega.shape))
-    force = m * link.accel + cross(link.alpha, np.broadcast_to(mc, lever.shape))
-    force += cross(link.omega, lever)
-    moment = inertia @ link.alpha + cross(link.omega, inertia @ link.omega)
-    return force, moment + cross(np.broadcast_to(mc, lever.shape), link.accel)
+    law = rigid_law(chain)
+    constants = [*inertial.ravel().tolist(), *chain.gravity.tolist()]
+    return law.along((q, v, a), constants)
 
 
 def _link_block(link: LinkMotion, out: Array) -> None:

@@ -66,6 +66,11 @@ class Elasticity(Effect):
         """
         (j,) = self.joints
         soft, damping = self.values["compliance"], self.values["damping"]
+        if soft == 0:
+            place = np.zeros_like(motion.q)
+            place[:, j] = -body.load[:, j]
+            speed = np.gradient(place, motion.t, axis=0)
+            return place, speed, np.gradient(speed, motion.t, axis=0)
         push, none = np.zeros_like(motion.q), np.zeros_like(motion.q)
         push[:, j] = 1.0
         inertia = float(np.mean(body.response(none, none, push)[:, j]))

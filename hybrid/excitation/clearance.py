@@ -134,7 +134,7 @@ class Clearance:
         ends = ends_in_world(self.robot.chain, self.capsules, q)
         x, y = closest_points(ends[:, first], ends[:, second])
         radius = self.capsules.radius[first] + self.capsules.radius[second]
-        return np.asarray(np.linalg.norm(x - y, axis=2) - radius)
+        return np.asarray(np.sqrt(_dot(x - y, x - y)) - radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,12 +239,15 @@ def ends_in_world(chain: Chain, capsules: Capsules, q: Array) -> Array:
     """End points of all capsules in the base frame, shape (N, C, 2, 3), [m]."""
     R, p, _ = frames(chain, q)
     out = np.empty((len(q), len(capsules.link), 2, 3))
-    for c, link in enumerate(capsules.link):
+    for link in np.unique(capsules.link):
+        own = capsules.link == link
+        ends = capsules.ends[own]
         if link < 0:
-            out[:, c] = capsules.ends[c]
+            out[:, own] = ends
         else:
-            turned = np.matmul(capsules.ends[c], R[link].transpose(0, 2, 1))
-            out[:, c] = turned + p[link][:, None]
+            turned = np.matmul(ends.reshape(-1, 3), R[link].transpose(0, 2, 1))
+            moved = turned + p[link][:, None]
+            out[:, own] = moved.reshape(len(q), *ends.shape)
     return out
 
 
@@ -285,9 +288,9 @@ def closest_points(first: Array, second: Array) -> tuple[Array, Array]:
     """
     p, d = first[..., 0, :], first[..., 1, :] - first[..., 0, :]
     r, e = second[..., 0, :], second[..., 1, :] - second[..., 0, :]
-    dd, ee, de = (d * d).sum(-1), (e * e).sum(-1), (d * e).sum(-1)
+    dd, ee, de = _dot(d, d), _dot(e, e), _dot(d, e)
     between = p - r
-    dp, ep = (d * between).sum(-1), (e * between).sum(-1)
+    dp, ep = _dot(d, between), _dot(e, between)
     tiny = 1e-12
     determinant = dd * ee - de * de
     s = np.where(
@@ -301,3 +304,7 @@ def closest_points(first: Array, second: Array) -> tuple[Array, Array]:
     s = np.where(dd > tiny, again, 0.0)
     x = p + s[..., None] * d
     return x, r + clipped[..., None] * e
+
+
+def _dot(x: Array, y: Array) -> Array:
+    return np.asarray(np.einsum("...i,...i->...", x, y))

@@ -21,6 +21,7 @@ from hybrid.excitation.observation import Observation
 from hybrid.excitation.path import Family, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import PENALTY, Solution, solve
+from hybrid.excitation.stack import StackProgram
 from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
@@ -143,12 +144,9 @@ def design(
     starts: int = 4,
     rate: float = 20.0,
     known: Array | None = None,
+    together: bool = False,
 ) -> Design:
-    """Design motions that reveal the parameters, one after the other.
-
-    Each motion is chosen for what it adds to those before it. Of several random starts,
-    and of the motion before, the most promising one is followed to the end. Should that
-    bring less than to run the motion before again, it is run again.
+    """Design motions that reveal the parameters.
 
     Args:
         robot: The arm, whose nominal torque shall stay within the limits.
@@ -160,15 +158,17 @@ def design(
         limits: Limits of the joints; 80 % of the robot file's by default.
         constraints: What is to be kept besides, e.g. a distance between links.
         trajectories: Number of motions.
-        starts: Random starts for each.
+        starts: Random starts, for each motion or the set; the best one is followed.
         rate: Samples of the design grid per second, [Hz].
         known: Information of recordings that are there already, shape (b, b).
+        together: Choose the motions as a set; by default one after the other, each for
+            what it adds. A set is better, and takes longer; its first motions are not.
 
     Raises:
         ExcitationError: No motion within the limits was found; the message says which
             limit of which joint is in the way.
     """
-    if trajectories < 1 or starts < 1:
+    if min(trajectories, starts) < 1:
         raise ExcitationError("trajectories and starts need to be 1 or more")
     bounds = Limits.of(robot) if limits is None else limits
     kept: tuple[Constraint, ...] = (
@@ -179,60 +179,81 @@ def design(
     b = observation.size
     total = np.zeros((b, b)) if known is None else np.asarray(known, dtype=float)
     measure = DOptimal() if criterion is None else criterion
+    program = MotionProgram(
+        observation, measure, family, kept, bounds, total, rate, 1.0, _MARGIN
+    )
+    if impossible := program.impossible():
+        raise ExcitationError(
+            f"no posture keeps the {', '.join(impossible[:4])}; valid are wider limits"
+        )
+    choose = _together if together else _in_turn
+    found, worst = choose(program, trajectories, starts, rng)
+    grams = tuple(_gram(program, x) for x in found)
+    return Design(robot, observation, measure, found, grams, rate, worst)
+
+
+def _in_turn(
+    program: MotionProgram, count: int, starts: int, rng: np.random.Generator
+) -> tuple[tuple[Trajectory, ...], dict[str, float]]:
+    """Motions one after the other, and the largest excess of each limit.
+
+    Each also starts from the one before. Should it bring less than to run the one
+    before again, that is run again.
+    """
     found: list[Trajectory] = []
-    grams: list[Array] = []
+    last = program.known
     worst: dict[str, float] = {}
-    for child in rng.spawn(trajectories):
-        program = MotionProgram(
-            observation, measure, family, kept, bounds, total, rate, 1.0, _MARGIN
-        )
-        impossible = program.impossible()
-        if impossible:
-            raise ExcitationError(
-                f"no posture keeps the {', '.join(impossible[:4])}; valid are wider "
-                "limits"
-            )
-        trajectory, excess = best_motion(
-            program, starts=starts, rng=child, other=found[-1] if found else None
-        )
-        t = uniform(family.duration, rate)
-        gram = observation.gram(trajectory.path(t), turning_speed=0.0)
-        if found and measure.value(total + gram) > measure.value(total + grams[-1]):
-            trajectory, gram, excess = found[-1], grams[-1], worst
-        total = total + gram
+    excess: dict[str, float] = {}
+    value = program.criterion.value
+    for child in rng.spawn(count):
+        points = [program.random(child) for _ in range(starts)]
+        if found:
+            points.append(program.point(found[-1]))
+        x, new_excess = best_point(program, points)
+        trajectory = program.trajectory(x)
+        gram = _gram(program, trajectory)
+        if found and value(program.known + gram) > value(program.known + last):
+            trajectory, gram, new_excess = found[-1], last, excess
         found.append(trajectory)
-        grams.append(gram)
+        last, excess = gram, new_excess
+        program = replace(program, known=program.known + gram)
         worst = {k: max(x, worst.get(k, -np.inf)) for k, x in excess.items()}
-    return Design(robot, observation, measure, tuple(found), tuple(grams), rate, worst)
+    return tuple(found), worst
 
 
-def best_motion(
-    program: MotionProgram,
-    *,
-    starts: int,
-    rng: np.random.Generator,
-    other: Trajectory | None = None,
-) -> tuple[Trajectory, dict[str, float]]:
-    """The best motion of several starts, and how far it stays from every limit.
+def _together(
+    program: MotionProgram, count: int, starts: int, rng: np.random.Generator
+) -> tuple[tuple[Trajectory, ...], dict[str, float]]:
+    """Motions chosen as a set, and the largest excess of each limit."""
+    stack = StackProgram(program, count)
+    x, excess = best_point(stack, [stack.random(rng) for _ in range(starts)])
+    return stack.trajectories(x), excess
+
+
+def _gram(program: MotionProgram, trajectory: Trajectory) -> Array:
+    """Information of one motion on the design grid."""
+    t = uniform(program.family.duration, program.rate)
+    return program.observation.gram(trajectory.path(t), turning_speed=0.0)
+
+
+def best_point(
+    program: MotionProgram | StackProgram, points: Sequence[Array]
+) -> tuple[Array, dict[str, float]]:
+    """The best point reached from several, and how far it stays from every limit.
 
     Args:
         program: What is to be minimised.
-        starts: Number of random starts.
-        rng: Their source.
-        other: A motion of the family to start from as well.
+        points: Where to start.
 
     Raises:
         ExcitationError: No motion within the limits was found.
     """
     power, iterations = _EXPLORE
-    rough = replace(program, power=power)
-    points = [rough.random(rng) for _ in range(starts)]
-    if other is not None:
-        points.append(rough.point(other))
+    rough = program.changed(power=power)
     tries = [solve(rough, x, iterations=iterations) for x in points]
     solution = min(tries, key=_merit)
     for power, iterations in _POLISH:
-        solution = _continued(replace(program, power=power), solution, iterations)
+        solution = _continued(program.changed(power=power), solution, iterations)
     margin, penalty = program.margin, PENALTY
     left = _RETRIES
     while (worst := max((excess := program.verified(solution.x)).values())) > 0:
@@ -244,9 +265,9 @@ def best_motion(
         # Between the samples of the design grid the torque may be a little higher, and
         # where another link becomes the closest one the distance has a kink.
         margin += 1.2 * worst
-        sharp = replace(program, power=_POLISH[-1][0], margin=margin)
+        sharp = program.changed(power=_POLISH[-1][0], margin=margin)
         solution = _continued(sharp, solution, _REPAIR, penalty)
-    return program.trajectory(solution.x), excess
+    return solution.x, excess
 
 
 def _merit(solution: Solution) -> tuple[bool, float]:
@@ -254,7 +275,7 @@ def _merit(solution: Solution) -> tuple[bool, float]:
 
 
 def _continued(
-    program: MotionProgram,
+    program: MotionProgram | StackProgram,
     last: Solution,
     iterations: int,
     penalty: float = PENALTY,

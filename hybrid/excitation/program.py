@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,7 @@ _NEAR = 0.5  # conditions within this part of their limit enter a step
 _CLOSE = 0.1  # ... and within this one with the samples beside them
 _NEARLY, _SHRINKS = 0.1, 8  # a start may exceed a limit by so much, or is made smaller
 _POSTURES = 300
+_REMEMBERED = 16  # points
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +76,16 @@ class MotionProgram:
         ratios = zip(sizes, reach, strict=True)
         return np.asarray(
             np.min([s / np.maximum(r[:, None], 1e-9) for s, r in ratios], 0)
+        )
+
+    def changed(
+        self, *, power: float | None = None, margin: float | None = None
+    ) -> MotionProgram:
+        """The same program, sharper or farther away from the limits."""
+        return replace(
+            self,
+            power=self.power if power is None else power,
+            margin=self.margin if margin is None else margin,
         )
 
     def coefficients(self, x: Array) -> Array:
@@ -148,16 +159,27 @@ class MotionProgram:
         W = self.observation.matrix(path)
         rows = W.reshape(-1, self.observation.size)
         value, slope = self.criterion.smooth(self.known + rows.T @ rows, self.power)
-        by = self.observation.gradient(path, 2.0 * (W @ slope))
-        return value, (self.grid.gradient(*by) * self.scale).ravel()
+        return value, self.slope(path, W, slope)
+
+    def slope(self, path: Path, W: Array, by: Array) -> Array:
+        """Derivative of a function of the information Wᵀ W by a point, shape (m·n,).
+
+        Args:
+            path: The motion on the design grid, N samples.
+            W: Its observation matrix, shape (N, n, b).
+            by: Derivative of the function by the information, shape (b, b).
+        """
+        parts = self.observation.gradient(path, 2.0 * (W @ by))
+        return np.asarray((self.grid.gradient(*parts) * self.scale).ravel())
 
     def conditions(self, x: Array) -> tuple[Array, Array]:
         """See :class:`~hybrid.excitation.solver.Program`."""
         values, slopes = [np.zeros(0)], [np.zeros((0, x.size))]
-        for constraint in self.constraints:
+        for constraint, (path, found) in zip(
+            self.constraints, self._excesses(x), strict=True
+        ):
             grid = self.fine if constraint.is_linear else self.grid
-            path = grid.path(self.coefficients(x))
-            excess = constraint.excess(path) + self.margin
+            excess = found + self.margin
             peaks = _peaks(excess)
             if not constraint.is_linear:
                 # A step may move a sharp peak to the next sample of a coarse grid.
@@ -174,12 +196,31 @@ class MotionProgram:
 
     def excess(self, x: Array) -> float:
         """See :class:`~hybrid.excitation.solver.Program`."""
-        worst = -np.inf
-        for constraint in self.constraints:
-            grid = self.fine if constraint.is_linear else self.grid
-            found = constraint.excess(grid.path(self.coefficients(x)))
-            worst = max(worst, float(found.max(initial=-np.inf)))
-        return worst + self.margin
+        every = [found.max(initial=-np.inf) for _, found in self._excesses(x)]
+        return float(max(every, default=-np.inf)) + self.margin
+
+    def _excesses(self, x: Array) -> list[tuple[Path, Array]]:
+        """The motion, and the excess of each constraint in each of its samples.
+
+        A solver asks for the largest excess of a step, and if it takes the step for
+        the slopes: the last points are remembered.
+        """
+        key = x.tobytes()
+        if key not in self._memory:
+            if len(self._memory) >= _REMEMBERED:
+                self._memory.clear()
+            coefficients = self.coefficients(x)
+            grids = [self.fine if c.is_linear else self.grid for c in self.constraints]
+            paths = [grid.path(coefficients) for grid in grids]
+            self._memory[key] = [
+                (path, constraint.excess(path))
+                for constraint, path in zip(self.constraints, paths, strict=True)
+            ]
+        return self._memory[key]
+
+    @cached_property
+    def _memory(self) -> dict[bytes, list[tuple[Path, Array]]]:
+        return {}
 
     def impossible(self) -> tuple[str, ...]:
         """Conditions that no posture keeps, out of some hundred random ones."""

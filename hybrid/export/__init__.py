@@ -1,4 +1,4 @@
-"""Models for other programs: C, ONNX, MJCF, URDF, JSON."""
+"""Models for other programs: C, ONNX, TorchScript, MJCF, URDF, JSON."""
 
 from hybrid.export.compiled import CompiledModel
 from hybrid.export.export import FORMATS, export

@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from hybrid.export.c_remainder import remainder_function, remainder_tables
+from hybrid.dynamics.tape import Operation, Symbol
+from hybrid.export.c_remainder import function_name, remainder_code
 from hybrid.export.program import Program
-from hybrid.export.tape import Operation, Symbol
 
 _INFIX = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/"}
 _COMPARED = {"less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">="}
@@ -126,8 +126,7 @@ def c_header(
     )
     remainder = ""
     if program.remainder is not None and program.remainder.parts:
-        remainder = remainder_function(program.remainder, marks)
-        remainder += remainder_tables(program.remainder, marks)
+        remainder = remainder_code(program.remainder, marks)
     body = _TORQUE.format(
         **marks,
         lines="\n".join(_lines(program, marks)),
@@ -190,7 +189,8 @@ def _outputs(program: Program, marks: dict[str, Any]) -> Iterator[str]:
         yield "    {"
         yield f"        const {p}_real x[{len(seen)}] = {{{inputs}}};"
         yield f"        {p}_real spread;"
-        yield f"        tau[{part.joint}] += {p}_gmr_at(&{p}_part_{k}, x, &spread);"
+        law = function_name(part.regression)
+        yield f"        tau[{part.joint}] += {p}_{law}(&{p}_part_{k}, x, &spread);"
         yield "        if (variance != NULL)"
         yield f"            variance[{part.joint}] = spread;"
         yield "    }"

@@ -1,133 +1,49 @@
-"""Gaussian-mixture regressions in C: tables, and one function that reads them."""
+"""The learned part of a model in C: a function for each kind, tables for each joint."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
+from hybrid.compensator import GaussianMixtureRegression, NetworkRegression
 from hybrid.compensator.arm_remainder import ArmRemainder
-from hybrid.compensator.gmr import FARTHEST, GaussianMixtureRegression
 from hybrid.errors import HybridError
-from hybrid.robot.chain import Array
-
-_FUNCTION = """
-/* A Gaussian mixture conditioned on its inputs; matrices row by row, the whitening of
- * each component as its lower triangle. */
-typedef struct {{
-    int components, inputs;
-    const {p}_real *offset, *scale, *whitening, *centre, *gain;
-    const {p}_real *mean, *variance, *weight;
-    {p}_real prior, bound, fade_start, fade_end;
-}} {p}_gmr;
-
-static inline {p}_real {p}_gmr_at(const {p}_gmr *g, const {p}_real *x,
-    {p}_real *variance)
-{{
-    {p}_real z[{inputs}], distance[{components}], output[{components}];
-    {p}_real nearest = 0, near = 0, total = 0, mean = 0, spread = 0, trust, doubt;
-    const {p}_real *L = g->whitening, *c = g->centre, *b = g->gain;
-    int k, r, i;
-    for (i = 0; i < g->inputs; i++) {{
-        z[i] = (x[i] - g->offset[i]) / g->scale[i];
-        z[i] = {P}_M(fmax)(-{reach}, {P}_M(fmin)(z[i], {reach}));
-    }}
-    for (k = 0; k < g->components; k++, c += g->inputs, b += g->inputs) {{
-        distance[k] = 0;
-        output[k] = g->mean[k];
-        for (r = 0; r < g->inputs; L += ++r) {{
-            {p}_real w = -c[r];
-            for (i = 0; i <= r; i++)
-                w += L[i] * z[i];
-            distance[k] += w * w;
-            output[k] += b[r] * w;
-        }}
-        if (k == 0 || distance[k] < nearest)
-            nearest = distance[k];
-    }}
-    for (k = 0; k < g->components; k++) {{
-        const {p}_real closeness = {P}_M(exp)({half} * (nearest - distance[k]));
-        near += closeness;
-        distance[k] = g->weight[k] * closeness;  /* from here on: its share */
-        total += distance[k];
-        mean += distance[k] * output[k];
-    }}
-    mean = {P}_M(fmax)(-g->bound, {P}_M(fmin)(mean / total, g->bound));
-    for (k = 0; k < g->components; k++) {{
-        const {p}_real off = output[k] - mean;
-        spread += distance[k] * (g->variance[k] + off * off);
-    }}
-    nearest -= {P}_R(2) * {P}_M(log)(near);
-    trust = (g->fade_end - nearest) / (g->fade_end - g->fade_start);
-    trust = {P}_M(fmax)(0, {P}_M(fmin)(trust, 1));
-    trust *= trust * ({P}_R(3) - {P}_R(2) * trust);
-    doubt = {P}_R(1) - trust;
-    *variance = trust * (spread / total + doubt * mean * mean) + doubt * g->prior;
-    return trust * mean;
-}}
-"""
+from hybrid.export.c_mixture import mixture_function, mixture_tables
+from hybrid.export.c_network import network_function, network_tables
 
 
-def remainder_function(remainder: ArmRemainder, marks: Mapping[str, Any]) -> str:
-    """The function, with room for the largest mixture of an arm.
+def remainder_code(remainder: ArmRemainder, marks: Mapping[str, Any]) -> str:
+    """Functions, with room for the largest of each kind, and tables of every joint.
 
     Raises:
         HybridError: A joint's remainder is of a kind that has no C.
     """
-    mixtures = [_mixture(part.regression) for part in remainder.parts]
-    P = marks["P"]
-    return _FUNCTION.format(
-        **marks,
-        inputs=max(m.inputs for m in mixtures),
-        components=max(m.components for m in mixtures),
-        half=f"{P}_R(0.5)",
-        reach=f"{P}_R({FARTHEST!r})",
+    regressions = [part.regression for part in remainder.parts]
+    mixtures = [r for r in regressions if isinstance(r, GaussianMixtureRegression)]
+    networks = [r for r in regressions if isinstance(r, NetworkRegression)]
+    text = mixture_function(mixtures, marks) if mixtures else ""
+    text += network_function(networks, marks) if networks else ""
+    for k, regression in enumerate(regressions):
+        function_name(regression)
+        if isinstance(regression, GaussianMixtureRegression):
+            text += "".join(mixture_tables(k, regression, marks))
+        elif isinstance(regression, NetworkRegression):
+            text += "".join(network_tables(k, regression, marks))
+    return text
+
+
+def function_name(regression: object) -> str:
+    """Name, without the arm's, of the function that works a regression out.
+
+    Raises:
+        HybridError: It has none.
+    """
+    if isinstance(regression, GaussianMixtureRegression):
+        return "gmr_at"
+    if isinstance(regression, NetworkRegression) and regression.history == 1:
+        return "network_at"
+    kind = getattr(regression, "kind", type(regression).__name__)
+    raise HybridError(
+        f"a remainder of kind {kind} has no C; valid are gmr and network without a "
+        "history, and the format torchscript takes every kind"
     )
-
-
-def remainder_tables(remainder: ArmRemainder, marks: Mapping[str, Any]) -> str:
-    """The numbers of every joint's mixture."""
-    return "".join(
-        line
-        for k, part in enumerate(remainder.parts)
-        for line in _tables(k, _mixture(part.regression), marks)
-    )
-
-
-def _tables(
-    k: int, mixture: GaussianMixtureRegression, marks: Mapping[str, Any]
-) -> Iterator[str]:
-    p, P, c = marks["p"], marks["P"], mixture.conditional
-    d = mixture.inputs
-    rows, columns = zip(*((r, i) for r in range(d) for i in range(r + 1)), strict=True)
-    tables: dict[str, Array] = {
-        "offset": mixture.input_offset,
-        "scale": mixture.input_scale,
-        "whitening": c.whitening[:, rows, columns],
-        "centre": c.centre,
-        "gain": c.gain[:, 0],
-        "mean": c.output_mean[:, 0],
-        "variance": c.output_variance[:, 0],
-        "weight": np.exp(c.log_weight - c.log_weight.max()),
-    }
-    yield "\n"
-    for name, values in tables.items():
-        numbers = [f"{P}_R({x!r})" for x in values.ravel().tolist()]
-        text = ",\n    ".join(
-            ", ".join(numbers[i : i + 3]) for i in range(0, len(numbers), 3)
-        )
-        yield f"static const {p}_real {p}_part_{k}_{name}[{values.size}] = {{\n"
-        yield f"    {text}}};\n"
-    single = (mixture.prior_variance[0], mixture.bound[0], *mixture.fade)
-    fields = [f"{mixture.components}, {d}", *(f"{p}_part_{k}_{x}" for x in tables)]
-    fields += [f"{P}_R({float(x)!r})" for x in single]
-    yield f"static const {p}_gmr {p}_part_{k} = {{\n    "
-    yield ",\n    ".join(fields) + "};\n"
-
-
-def _mixture(regression: object) -> GaussianMixtureRegression:
-    if not isinstance(regression, GaussianMixtureRegression):
-        kind = getattr(regression, "kind", type(regression).__name__)
-        raise HybridError(f"a remainder of kind {kind} has no C; valid is gmr")
-    return regression

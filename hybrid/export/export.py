@@ -14,16 +14,15 @@ from hybrid.export.simulator import mjcf_text, urdf_text
 from hybrid.files import atomic_folder
 from hybrid.identify.model import DynamicModel
 
-FORMATS = ("onnx", "c", "mjcf", "urdf", "json")
+FORMATS = ("onnx", "torchscript", "c", "mjcf", "urdf", "json")
 
 
 def export(model: DynamicModel, folder: str | Path, *, format: str) -> tuple[str, ...]:
     """Write a model for other programs, with a manifest that says what it is.
 
-    ``c`` is one C99 header with an example and a build file; ``onnx`` the inverse
-    dynamics with a free batch axis; ``mjcf`` and ``urdf`` the simulator with identified
-    links, rotors and friction; ``json`` the model itself. (TorchScript is not among
-    them: its files are pickles. ``remainder.to_torch()`` gives torch modules.)
+    ``c`` is one C99 header with an example and a build file; ``onnx`` and
+    ``torchscript`` the inverse dynamics with a free batch axis; ``mjcf`` and ``urdf``
+    the simulator with identified links, rotors and friction; ``json`` the model itself.
 
     Args:
         model: An identified model.
@@ -63,5 +62,9 @@ def export(model: DynamicModel, folder: str | Path, *, format: str) -> tuple[str
         elif format == "onnx":
             content = onnx_model(program, manifest).SerializeToString()
             (hidden / f"{model.robot.name}.onnx").write_bytes(content)
+        elif format == "torchscript":
+            from hybrid.export.torch_module import write_torchscript  # loads torch
+
+            write_torchscript(program, manifest, hidden / f"{model.robot.name}.pt")
         seal(manifest, hidden)
     return tuple(left_out)

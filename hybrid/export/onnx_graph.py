@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.compensator.arm_remainder import JointRemainder
-from hybrid.compensator.gmr import FARTHEST, GaussianMixtureRegression
+from hybrid.dynamics.tape import Symbol
 from hybrid.errors import HybridError
+from hybrid.export.onnx_remainder import regression_nodes
 from hybrid.export.program import Program
-from hybrid.export.tape import Symbol
 
 _OPSET, _FORMAT = 18, 9  # operators and file format, of 2023: old runtimes read them
 _NAMES = {
@@ -111,7 +110,8 @@ def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
     if program.remainder is not None:
         for part in program.remainder.parts:
             seen = [*part.positions, *(n + j for j in part.speeds)]
-            mean, spread = _mixture(graph, part, [state[i] for i in seen])
+            x = graph.node("Concat", *(state[i] for i in seen), axis=1)
+            mean, spread = regression_nodes(graph, part.regression, x)
             torque[part.joint] = graph.node("Add", torque[part.joint], mean)
             variance[part.joint] = spread
     outputs = {"tau": (torque, n), "variance": (variance, n)}
@@ -161,50 +161,3 @@ def _column(graph: Graph, names: Mapping[int, str], x: Any) -> str:
     first = graph.node("Gather", "q", graph.constant([0], np.int64), axis=1)
     zero = graph.node("Mul", first, graph.constant([0.0]))
     return graph.node("Add", zero, graph.constant([float(x)]))
-
-
-def _mixture(graph: Graph, part: JointRemainder, inputs: list[str]) -> tuple[str, str]:
-    """Mean and variance of one joint's mixture, shape (N, 1) each."""
-    mixture = part.regression
-    if not isinstance(mixture, GaussianMixtureRegression):
-        raise HybridError(f"a remainder of kind {mixture.kind} has no ONNX; gmr has")
-    node, constant, c = graph.node, graph.constant, mixture.conditional
-    k, d = mixture.components, mixture.inputs
-    x = node("Concat", *inputs, axis=1)
-    z = node("Div", node("Sub", x, constant(mixture.input_offset)),
-             constant(mixture.input_scale))  # fmt: skip
-    z = _within(graph, z, FARTHEST)
-    whitening = constant(c.whitening.reshape(k * d, d).T)
-    w = node("Sub", node("MatMul", z, whitening), constant(c.centre.reshape(1, k * d)))
-    w = node("Reshape", w, constant([-1, k, d], np.int64))
-    distance = graph.sum(node("Mul", w, w), 2, keepdims=0)  # (N, K)
-    reply = graph.sum(node("Mul", w, constant(c.gain[:, 0])), 2, keepdims=0)
-    reply = node("Add", reply, constant(c.output_mean[:, 0]))
-    nearest = node("ReduceMin", distance, constant([1], np.int64), keepdims=1)
-    half = constant([0.5])
-    closeness = node("Exp", node("Mul", node("Sub", nearest, distance), half))
-    weight = constant(np.exp(c.log_weight - c.log_weight.max()))
-    share = node("Mul", closeness, weight)
-    share = node("Div", share, graph.sum(share, 1))
-    bound = float(mixture.bound[0])
-    mean = _within(graph, graph.sum(node("Mul", share, reply), 1), bound)
-    off = node("Sub", reply, mean)
-    spread = node("Add", node("Mul", off, off), constant(c.output_variance[:, 0]))
-    spread = graph.sum(node("Mul", share, spread), 1)
-    log = node("Log", graph.sum(closeness, 1))
-    soft = node("Sub", nearest, node("Mul", log, constant([2.0])))
-    start, end = (float(f) for f in mixture.fade)
-    u = node("Div", node("Sub", constant([end]), soft), constant([end - start]))
-    u = node("Max", node("Min", u, constant([1.0])), constant([0.0]))
-    rise = node("Sub", constant([3.0]), node("Mul", u, constant([2.0])))
-    trust = node("Mul", node("Mul", u, u), rise)
-    doubt = node("Sub", constant([1.0]), trust)
-    square = node("Mul", doubt, node("Mul", mean, mean))
-    known = node("Mul", trust, node("Add", spread, square))
-    prior = node("Mul", doubt, constant(mixture.prior_variance))
-    return node("Mul", trust, mean), node("Add", known, prior)
-
-
-def _within(graph: Graph, x: str, bound: float) -> str:
-    low, high = graph.constant([-bound]), graph.constant([bound])
-    return graph.node("Max", graph.node("Min", x, high), low)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from hybrid.compensator.arm_remainder import ArmRemainder
+from hybrid.dynamics.newton_euler import newton_euler
+from hybrid.dynamics.tape import Tape
 from hybrid.effects import Effect, JointState
 from hybrid.errors import EffectError, HybridError
-from hybrid.export.rigid import newton_euler
-from hybrid.export.tape import Tape
 from hybrid.identify.model import DynamicModel
 from hybrid.robot.chain import Array
 
@@ -118,8 +118,9 @@ def program_from_model(model: DynamicModel) -> Program:
     for effect in effects:
         for j in effect.joints if effect.observes else ():
             q[j], v[j], a[j] = _traced(effect.true_state, effect, q[j], v[j], a[j])
-    chain, inertial = robot.chain, model.link_parameters
-    load = newton_euler(chain, inertial, chain.gravity, q=q, v=v, a=a)
+    chain, inertial = robot.chain, model.link_parameters.tolist()
+    down = chain.gravity.tolist()
+    load = newton_euler(chain, inertial, down, q=q, v=v, a=a)
     torque = list(load)
     t = tape.input("t")
     states = [JointState(t, q[j], v[j], a[j], np.sign(v[j]), load[j]) for j in range(n)]
@@ -128,10 +129,10 @@ def program_from_model(model: DynamicModel) -> Program:
         change = effect.rigid_change(n, chain.gravity)
         added: Mapping[int, Any]
         if change is not None:
-            links, gravity = change
+            links, gravity = (x.tolist() for x in change)
             still = [0.0] * n
             terms = [
-                newton_euler(chain, links, chain.gravity, q=q, v=v, a=a),
+                newton_euler(chain, links, down, q=q, v=v, a=a),
                 newton_euler(chain, inertial, gravity, q=q, v=still, a=still),
             ]
             added = {j: terms[0][j] + terms[1][j] for j in range(n)}
@@ -146,7 +147,7 @@ def program_from_model(model: DynamicModel) -> Program:
         for j, x in added.items():
             torque[j] = torque[j] + x
     for effect in effects:
-        if effect.reports:
+        if effect.reports or effect.asks:
             asked = [torque[j] for j in effect.joints]
             step = memory.step(effect, [states[j] for j in effect.joints])
             values, now = _traced(effect.report_at_instant, effect, asked, *step)
@@ -161,8 +162,13 @@ def program_from_model(model: DynamicModel) -> Program:
         memory=tuple(memory.now),
         memory_names=tuple(memory.names),
         remainder=model.remainder,
-        left_out=tuple(f"{e.id}: {e.not_in_loop}" for e in out),
+        left_out=tuple(_why_not(robot.joints, e) for e in out),
     )
+
+
+def _why_not(names: Sequence[str], effect: Effect) -> str:
+    where = ", ".join(names[j] for j in effect.joints)
+    return f"{effect.id} of {where}: {effect.not_in_loop}"
 
 
 class _Memory:

@@ -51,7 +51,8 @@ def robot_from_model(model: DynamicModel, fields: Sequence[str] = FIELDS) -> Exp
     """
     if model.inertial is None:
         raise HybridError(
-            "a simulator needs links that could be built; identify with consistent=True"
+            "a simulator needs links that could be built; identify with "
+            "consistent=True, on the command line --consistent"
         )
     robot, n = model.robot, model.robot.size
     inertial, gravity = model.inertial.copy(), robot.chain.gravity.copy()

@@ -17,7 +17,7 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.identify.consistency import physically_consistent
-from hybrid.identify.data import Data, helps
+from hybrid.identify.data import Data, Rest, helps
 from hybrid.identify.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identify.friction import fit_friction
 from hybrid.identify.least_squares import (
@@ -28,7 +28,7 @@ from hybrid.identify.least_squares import (
 )
 from hybrid.identify.model import DynamicModel
 from hybrid.identify.problem import Problem, build_problem
-from hybrid.identify.remainder import fit_remainder
+from hybrid.identify.remainder import Learned, fit_remainder
 from hybrid.identify.ripple import find_ripples
 from hybrid.identify.solution import Solution, to_be_found
 from hybrid.robot import Robot
@@ -40,6 +40,9 @@ _MOST_ROUNDS = 4
 _SETTLED = 0.005  # relative change of the held-out error that ends the iteration
 _MOST_RIPPLE_ROUNDS = 3
 _MOST_LINEARISATIONS = 8
+# Largest share of the rated torque that a learned remainder may ever give: it is a
+# correction; should it go wrong, the arm's own brakes and limits must master it.
+MOST_LEARNED = 0.3
 _COSTLY = 0.01  # relative rise of the held-out error that is warned of
 
 
@@ -131,7 +134,7 @@ class Identification:
         physical = self.best
         for self.rounds in range(1, _MOST_ROUNDS + 1):
             rest = self.data.rest_of_folds(physical.problem, physical.cross.theta)
-            learned = fit_remainder(rest, among=self.remainder, seed=self.seed)
+            learned = self._learned(rest)
             if not learned.remainder.parts:
                 break
             gain = self._mean(self.error) - self._mean(learned.rms)
@@ -151,6 +154,10 @@ class Identification:
             self._leave_out("remainder: no regression lowers the error")
         else:
             self._keep(self._model(self.best))
+
+    def _learned(self, rest: Rest) -> Learned:
+        bound = MOST_LEARNED * self.robot.tau_max
+        return fit_remainder(rest, among=self.remainder, bound=bound, seed=self.seed)
 
     def constrain(self) -> None:
         """Links that could be built; what was learned is learned anew around them."""
@@ -173,7 +180,7 @@ class Identification:
         self.error = self.best.error
         if self.remainder is not None:
             rest = self.data.rest_of_folds(free.problem, cross.theta)
-            learned = fit_remainder(rest, among=self.remainder, seed=self.seed)
+            learned = self._learned(rest)
             self.remainder = learned.remainder if learned.remainder.parts else None
             self.error = learned.rms
         cost = self._mean(self.error) / self._mean(before) - 1.0

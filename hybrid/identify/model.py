@@ -13,6 +13,7 @@ from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics import BaseParameters, RigidBody
 from hybrid.effects import Effect
 from hybrid.errors import ModelFileError
+from hybrid.identify.effect_torque import EffectTorque, effect_torque
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
@@ -84,19 +85,28 @@ class DynamicModel:
         Returns:
             Torque, shape (N, n), [N·m].
         """
-        for effect in self.effects:
+        for effect in self._observing:
             motion = effect.observe(motion, self.body(motion))
         body = self.body(motion)
-        tau = body.load.copy()
-        for effect in self.effects:
-            tau[:, effect.reaches(tau.shape[1])] += effect.torque(motion, body)
-        for effect in self.effects:
-            if effect.reports:
-                joints = list(effect.joints)
-                tau[:, joints] = effect.report(motion.t, tau[:, joints])
+        tau = body.load + self._effect_torque(motion, body)
+        for effect in self._reporting:
+            joints = list(effect.joints)
+            tau[:, joints] = effect.report(motion.t, tau[:, joints])
         if self.remainder is not None:
             tau += self.remainder.predict(motion.q, motion.v)
         return tau
+
+    @cached_property
+    def _effect_torque(self) -> EffectTorque:
+        return effect_torque(self.robot.chain, self.effects)
+
+    @cached_property
+    def _observing(self) -> tuple[Effect, ...]:
+        return tuple(effect for effect in self.effects if effect.observes)
+
+    @cached_property
+    def _reporting(self) -> tuple[Effect, ...]:
+        return tuple(effect for effect in self.effects if effect.reports)
 
     def without_remainder(self) -> DynamicModel:
         """The physical terms alone."""

@@ -1,8 +1,8 @@
-"""A tape of scalar operations: what C and ONNX are made of.
+"""A tape of scalar operations: what fast Python, C and ONNX are made of.
 
 Arithmetic and NumPy functions on a :class:`Symbol` write down what they do instead of
-doing it. So the laws that simulate and fit an arm are also the ones that are exported.
-Constants are folded, and what was written down once is used again.
+doing it. So the laws that simulate and fit an arm are also the ones that run fast and
+are exported. Constants are folded, and what was written down once is used again.
 """
 
 from __future__ import annotations

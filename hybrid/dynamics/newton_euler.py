@@ -7,21 +7,25 @@ frame origin as in Atkeson et al. 1986, doi 10.1177/027836498600500306.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from hybrid.robot.chain import Array, Chain
+from hybrid.dynamics.law import Law
+from hybrid.dynamics.tape import Tape
+from hybrid.robot.chain import INERTIAL_NAMES, Array, Chain
 from hybrid.robot.spatial import skew
 
 Vector = list[Any]
+_MOST_ARMS = 64  # whose laws are kept
 _ROUNDING = 1e-15  # entries of a rotation below are zero but for a file's angles
 
 
 def newton_euler(
     chain: Chain,
-    inertial: Array,
-    gravity: Array,
+    inertial: Sequence[Sequence[Any]],
+    gravity: Sequence[Any],
     *,
     q: Sequence[Any],
     v: Sequence[Any],
@@ -30,14 +34,14 @@ def newton_euler(
     """Rigid-body joint torque, length n, [N·m].
 
     Args:
-        chain: The arm.
-        inertial: Link parameters, shape (n, 10).
-        gravity: Acceleration of gravity in the base frame, shape (3,), [m/s²].
+        chain: The arm; of it only the kinematics count.
+        inertial: Ten parameters of each link, length n.
+        gravity: Acceleration of gravity in the base frame, length 3, [m/s²].
         q: Position of each joint, length n, [rad].
         v: Speed of each joint, length n, [rad/s].
         a: Acceleration of each joint, length n, [rad/s²].
     """
-    omega, alpha, accel = [0.0] * 3, [0.0] * 3, [float(-g) for g in gravity]
+    omega, alpha, accel = [0.0] * 3, [0.0] * 3, [-g for g in gravity]
     frames, wrenches = [], []
     for k in range(chain.size):
         turn, arm = _placement(chain, k, q[k])
@@ -63,6 +67,43 @@ def newton_euler(
     return torque[::-1]
 
 
+def rigid_law(chain: Chain) -> Law:
+    """Torque of an arm's joints as a function, written down once for each arm.
+
+    Its inputs are positions, speeds and accelerations, then ten parameters of each
+    link, then gravity.
+    """
+    return _written(_Kinematics(chain))
+
+
+class _Kinematics:
+    """What Newton–Euler takes for constant of a chain; equal ones have equal laws."""
+
+    def __init__(self, chain: Chain) -> None:
+        self.chain = chain
+        arrays = (chain.rotation, chain.translation, chain.axis, chain.revolute)
+        self.content = b"".join(x.tobytes() for x in arrays)
+
+    def __hash__(self) -> int:
+        return hash(self.content)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Kinematics) and self.content == other.content
+
+
+@lru_cache(maxsize=_MOST_ARMS)
+def _written(arm: _Kinematics) -> Law:
+    tape, n = Tape(), arm.chain.size
+    names = [f"{x}[{j}]" for x in "qva" for j in range(n)]
+    names += [f"{x}_{k + 1}" for k in range(n) for x in INERTIAL_NAMES]
+    names += [f"gravity[{c}]" for c in range(3)]
+    given = [tape.input(name) for name in names]
+    q, v, a = (given[k * n : k * n + n] for k in range(3))
+    links = [given[3 * n + 10 * k : 3 * n + 10 * k + 10] for k in range(n)]
+    torque = newton_euler(arm.chain, links, given[-3:], q=q, v=v, a=a)
+    return Law(tape, tuple(torque), tuple(names))
+
+
 def _placement(chain: Chain, k: int, q: Any) -> tuple[list[Vector], Vector]:
     """Rotation and offset of frame k in its parent."""
     fixed, offset = chain.rotation[k], chain.translation[k]
@@ -84,10 +125,10 @@ def _placement(chain: Chain, k: int, q: Any) -> tuple[list[Vector], Vector]:
 
 
 def _wrench(
-    inertial: Array, omega: Vector, alpha: Vector, accel: Vector
+    inertial: Sequence[Any], omega: Vector, alpha: Vector, accel: Vector
 ) -> tuple[Vector, Vector]:
     """Force and moment about the frame origin that move a link."""
-    m, *rest = (float(x) for x in inertial)
+    m, *rest = inertial
     mc, (xx, xy, yy, xz, yz, zz) = rest[:3], rest[3:]
     inertia = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
     force = _add(_times(accel, m), _cross(alpha, mc), _cross(omega, _cross(omega, mc)))

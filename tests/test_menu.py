@@ -1,0 +1,130 @@
+"""The safe menu: every experiment is there, within limits, and clear of the links."""
+
+from dataclasses import replace
+from functools import cache
+
+import diagnosed
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from simulated import arm
+
+from hybrid.diagnose.menu import Experiment, Menu, gap_along, loaded
+from hybrid.dynamics import RigidBody, inverse_dynamics
+from hybrid.errors import ExcitationError
+from hybrid.plant import random_fourier
+
+
+@cache
+def menu_of(name, seed=0):
+    return Menu(arm(name), np.random.default_rng(seed), rate=100.0)
+
+
+def keeps_the_limits(robot, reference, carrying):
+    """Whether a motion is within the file's limits, from rest to rest."""
+    r = reference
+    tau = inverse_dynamics(carrying.chain, carrying.chain.inertial, r.q, r.v, r.a)
+    tau += robot.chain.armature * r.a + robot.damping * r.v
+    tau = np.abs(tau) + robot.frictionloss
+    still = np.abs(np.stack([r.v[0], r.v[-1]])).max() < 1e-6
+    return still and all(
+        (
+            (r.q >= robot.q_min - 1e-9).all(),
+            (r.q <= robot.q_max + 1e-9).all(),
+            (np.abs(r.v) <= robot.v_max + 1e-9).all(),
+            (np.abs(r.a) <= robot.a_max + 1e-9).all(),
+            (tau <= robot.tau_max + 1e-9).all(),
+        )
+    )
+
+
+@pytest.mark.parametrize("name", ["planar", "coman_like", "scara"])
+def test_every_experiment_of_the_menu_is_there_and_safe(name):
+    robot, menu = arm(name), menu_of(name)
+    found = menu.about(1)
+    begins = (
+        "one path of all joints at 0.5, 1 and 2", "a ladder of speeds",
+        "small reversals", "moves between poses", "a multisine", "a fast random",
+        "a random motion of all joints again when the drives are warm",
+        "a random motion of all joints twice, the second time with the gains",
+        "a random motion of all joints with a known mass",
+    )  # fmt: skip
+    for begin in begins:
+        assert sum(x.name.startswith(begin) for x in found) == 1, begin
+    for experiment in found:
+        r = experiment.reference
+        assert keeps_the_limits(robot, r, experiment.arm(robot)), experiment.name
+        np.testing.assert_allclose(r.q[0], r.q[-1], atol=1e-6)
+        every = menu.envelope.clearance.distance(r.q[::20])
+        assert every.min() > 0.005, experiment.name
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    part=st.floats(0.2, 1.0),
+    weak=st.floats(0.3, 2.0),
+)
+def test_a_menu_is_safe_on_whatever_arm(seed, part, weak):
+    whole = arm("planar")
+    middle, half = (whole.q_min + whole.q_max) / 2, (whole.q_max - whole.q_min) / 2
+    robot = replace(
+        whole,
+        q_min=middle - part * half,
+        q_max=middle + part * half,
+        v_max=part * whole.v_max,
+        tau_max=weak * whole.tau_max,
+    )
+    menu = Menu(robot, np.random.default_rng(seed), rate=50.0)
+    for experiment in menu.about(seed % 2):
+        carrying = experiment.arm(robot)
+        assert keeps_the_limits(robot, experiment.reference, carrying), experiment.name
+
+
+def test_links_that_come_too_close_are_refused():
+    envelope = menu_of("coman_like").envelope
+    (move, *_) = [x for x in menu_of("coman_like").about(1) if "poses" in x.name]
+    least = envelope.clearance.distance(move.reference.q).min()
+    assert envelope.checked(move.reference) is move.reference
+    wide = replace(envelope.clearance, margin=1.05 * least)
+    with pytest.raises(ExcitationError, match="closeness"):
+        replace(envelope, clearance=wide).checked(move.reference)
+
+
+def test_a_carried_mass_weighs_at_the_centre_of_the_last_link():
+    robot = arm("planar")
+    heavy = loaded(robot, 2.0)
+    q, rest = np.array([[0.3, -0.4]]), np.zeros((1, 2))
+    holding, before = (
+        inverse_dynamics(x.chain, x.chain.inertial, q, rest, rest)
+        for x in (heavy, robot)
+    )
+    own = robot.chain.inertial.copy()
+    own[:-1] = 0.0
+    alone = inverse_dynamics(robot.chain, own, q, rest, rest)
+    np.testing.assert_allclose(holding - before, alone * 2.0 / own[-1, 0])
+
+
+def test_a_gap_along_an_experiment_is_of_the_simulator_and_empty():
+    rng = np.random.default_rng(0)
+    path = random_fourier(arm("planar"), duration=5.0, rate=250.0, rng=rng)
+    ahead = gap_along(diagnosed.planar().gap, Experiment("a motion", path))
+    assert not ahead.left.any()
+    (motion,) = ahead.motions
+    np.testing.assert_allclose(path.at(motion.t)[0], motion.q, atol=1e-9)
+    assert motion.rate >= 5 * ahead.cutoff * (1 - 1e-9)
+    assert ahead.moving.any(axis=0).all()
+
+
+def test_a_warm_drive_is_as_old_as_it_is_said_to_be():
+    (warm,) = [x for x in menu_of("planar").of_all_joints if x.start > 0]
+    ahead = gap_along(diagnosed.planar().gap, warm)
+    assert ahead.motions[0].t[0] == warm.start
+
+
+def test_along_an_experiment_with_a_mass_the_simulator_carries_it():
+    (carry,) = [x for x in menu_of("planar").of_all_joints if x.mass > 0]
+    ahead = gap_along(diagnosed.planar().gap, carry)
+    bare = RigidBody(arm("planar").chain, ahead.motions[0]).load
+    assert np.abs(ahead.bodies[0].load - bare).max() > 0.1
