@@ -6,7 +6,7 @@ logged is held against the torque that a servo law asks for.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -107,6 +107,7 @@ def command_link(
     rng: np.random.Generator,
     *,
     without: Sequence[str] = (),
+    distorted: Collection[int] = (),
 ) -> Link:
     """What lies between the command and the torque of each joint.
 
@@ -117,13 +118,17 @@ def command_link(
         recordings: What it was measured from; those with a command are used.
         rng: Draws of the bootstrap.
         without: Ids of effects to leave out.
+        distorted: Joints whose logged torque is not what their servo gave: a law of
+            it would be of something else.
     """
     learn = split(gap)
     test = ~learn & between(gap, learn)
     kinds = [k for k in (CommandLatency, ControllerGain) if k.id not in without]
     servos = []
     for i, log in enumerate(servo_logs(gap, recordings)):
-        servo = None if log is None else _examined(gap, i, log, learn, test, kinds)
+        if log is None or i in distorted:
+            continue
+        servo = _examined(gap, i, log, learn, test, kinds)
         if servo is not None and servo.found:
             servos.append(servo)
     fitted = {s.joint: _fitted(gap, s) for s in servos}

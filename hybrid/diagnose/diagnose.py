@@ -166,7 +166,9 @@ def examine(
     link = Link()
     if verdict != "not_excited" and not foreign:
         tell("asking whether torque follows the command")
-        link = command_link(gap, recordings, rng, without=without)
+        reported = [t.place[1] for t in search.terms if t.candidate.effect.reports]
+        distorted = {j for joints in reported for j in joints}
+        link = command_link(gap, recordings, rng, without=without, distorted=distorted)
         diagnosis = joined(diagnosis, found, gap, link, rng)
     return Result(diagnosis, gap, search, scored, found, effects, link.effects)
 
