@@ -36,7 +36,8 @@ import numpy as np
 
 from hybrid import Robot, read_recordings, simulate
 from hybrid.diagnose.advise import advise
-from hybrid.diagnose.diagnose import examine, replayed
+from hybrid.diagnose.diagnose import examine
+from hybrid.diagnose.replayed import replayed
 from hybrid.effects import Effect
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_ripple import TorqueRipple

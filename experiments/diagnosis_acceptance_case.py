@@ -11,9 +11,10 @@ from diagnosis_acceptance_report import Run
 from diagnosis_acceptance_sysid import fit_by_sysid, has_sysid
 
 from hybrid import Robot, simulate
-from hybrid.diagnose.diagnose import examine, replayed
+from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.fixed import fixed_model, fixed_simulator
 from hybrid.diagnose.gap import Gap, measure_gap
+from hybrid.diagnose.replayed import replayed
 from hybrid.effects import Effect
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_ripple import TorqueRipple

@@ -18,8 +18,8 @@ from scipy.stats import f as f_distribution
 
 from hybrid.benchmark.score import Named
 from hybrid.diagnose.attribute import Term
-from hybrid.diagnose.diagnose import Result
 from hybrid.diagnose.evidence import Evidence, Index
+from hybrid.diagnose.result import Result
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 

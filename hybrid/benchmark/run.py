@@ -21,7 +21,8 @@ from hybrid.benchmark.generate import IMPOSSIBLE
 from hybrid.benchmark.oracle import shrinkage
 from hybrid.benchmark.robots import load_arm
 from hybrid.benchmark.score import covered, named_causes, score
-from hybrid.diagnose.diagnose import Result, examine
+from hybrid.diagnose.diagnose import examine
+from hybrid.diagnose.result import Result
 from hybrid.effects import effect_classes, effect_from_dict
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.files import write_json

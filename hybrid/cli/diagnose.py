@@ -23,7 +23,7 @@ from hybrid.errors import EffectError, HybridWarning
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
-    from hybrid.diagnose.diagnose import Result
+    from hybrid.diagnose.result import Result
 
 HELP = """say what a simulator lacks: where, which effect, how far the gap shrinks
 reads logs of the real arm (time, position, torque; temperature where it is there) and
@@ -63,8 +63,9 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.diagnose.advise import advise
-    from hybrid.diagnose.diagnose import examine, replayed
+    from hybrid.diagnose.diagnose import examine
     from hybrid.diagnose.fixed import MODEL, SIMULATOR
+    from hybrid.diagnose.replayed import replayed
     from hybrid.diagnose.thresholds import thresholds
     from hybrid.files import atomic_folder
     from hybrid.recording import read_all

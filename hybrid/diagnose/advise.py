@@ -21,7 +21,7 @@ from hybrid.effects.effect import Port
 from hybrid.excitation.folder import write_reference
 
 if TYPE_CHECKING:
-    from hybrid.diagnose.diagnose import Result
+    from hybrid.diagnose.result import Result
 
 _CLEARLY = 1.2  # times the evidence that is needed
 _MOST_PAIRS = 6

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,61 +17,24 @@ from hybrid.diagnose.gap import Gap, measure_gap
 from hybrid.diagnose.grounds import another_arm, too_little, unlike
 from hybrid.diagnose.links import joined
 from hybrid.diagnose.locate import locate
-from hybrid.diagnose.motion import (
-    Replay,
-    motion_shrink,
-    rollout_agrees,
-    step_warning,
-)
+from hybrid.diagnose.replayed import replayed
+from hybrid.diagnose.result import Result
 from hybrid.diagnose.thresholds import Thresholds, thresholds
 from hybrid.diagnose.verify import Account, account, check
 from hybrid.diagnose.visited import not_excited
-from hybrid.effects import Effect
-from hybrid.errors import EffectError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
 Progress = Callable[[str], None]
 
-_LOST = 1.0  # rad; a replay that is so far off tells nothing
 _SMALLEST = 0.003  # of the measured torque, RMS
 _LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
-# Effects between motor and link, and of clocks: torque alone does not settle them.
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
     "on motions that no step has seen"
 )
-_ASTRAY = "replayed, the simulator leaves the motion with or without {}"
-_NO_REPLAY = (
-    "too few stretches of half a second, of those kept for scoring, to replay {}: its "
-    "shrinkage in motion is not known"
-)
-_IN_MOTION = {"elasticity", "backlash", "actuator_lag", "delay"}
-
-
-@dataclass(frozen=True)
-class Result:
-    """A diagnosis with what it was made from, for report and export.
-
-    Attributes:
-        diagnosis: The answer.
-        gap: The gap.
-        search: The search, with the terms that may be named.
-        scored: The same terms on samples that no step has seen.
-        account: What is explained and missed, joint by joint.
-        effects: The effects named, with fitted values.
-        command: Those between command and torque.
-    """
-
-    diagnosis: Diagnosis
-    gap: Gap
-    search: Search
-    scored: Explanation
-    account: Account
-    effects: tuple[Effect, ...]
-    command: tuple[Effect, ...] = ()
 
 
 def diagnose(
@@ -209,13 +172,8 @@ def _unsure(finding: Finding) -> bool:
     return finding.shrink["torque"].interval[0] < 0
 
 
-def _members(finding: Finding, scored: Explanation) -> list[int]:
-    """Terms that a finding is made of."""
-    return [k for k, t in enumerate(scored.terms) if t.place[0] == finding.effect]
-
-
 def _once(finding: Finding, scored: Explanation) -> bool:
-    return scored.where_seen(_members(finding, scored)) is not scored
+    return scored.where_seen(scored.members(finding.effect)) is not scored
 
 
 def _vetted(
@@ -238,62 +196,6 @@ def _vetted(
         search.terms = passing
         search.prune()
         found = account(gap, search, limits)
-
-
-def replayed(
-    result: Result, rng: np.random.Generator, *, progress: Progress | None = None
-) -> Result:
-    """A result with the gap in motion: the simulator replayed from measured states.
-
-    Args:
-        result: A diagnosis in torque.
-        rng: Draws of the bootstrap.
-        progress: Called with what is being done.
-    """
-    if not result.effects:
-        return result
-    (progress or (lambda _: None))("replaying the simulator")
-    diagnosis = result.diagnosis
-    replay, found = Replay(result.scored), []
-    notes: list[str] = []
-    lost: list[str] = []
-    unseen: list[str] = []
-    try:
-        for f in diagnosis.findings:
-            members = _members(f, result.scored)
-            once = result.scored.where_seen(members) is not result.scored
-            # A replay is driven by torque: what lies before it plays no part.
-            apart = once or not members
-            shrink = None if apart else motion_shrink(replay, members, rng)
-            if shrink is None:
-                unseen += [] if apart else [f.effect]
-            elif shrink.after >= _LOST:
-                lost.append(f.effect)
-            else:
-                f = replace(f, shrink={**f.shrink, "motion": shrink})
-            found.append(f)
-            if f.effect in _IN_MOTION and any(
-                rollout_agrees(replay, k, rng) is False for k in members
-            ):
-                notes.append(
-                    f"{f.effect} explains torque, but the simulator with it does not "
-                    "move more like the arm: do not take it for the cause"
-                )
-        halved = step_warning(replay)
-    except EffectError as error:
-        notes.append(f"no replay: {error}")
-        found, halved = list(diagnosis.findings), None
-    if lost:
-        notes.append(_ASTRAY.format(", ".join(lost)))
-    if unseen:
-        notes.append(_NO_REPLAY.format(", ".join(unseen)))
-    notes += [halved] if halved else []
-    diagnosis = replace(
-        diagnosis,
-        findings=tuple(found),
-        warnings=(*diagnosis.warnings, *notes),
-    )
-    return replace(result, diagnosis=diagnosis)
 
 
 def _verdict(

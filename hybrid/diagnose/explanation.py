@@ -81,6 +81,10 @@ class Explanation:
             w - a for w, a in zip(self.left(self.without(k)), self.after, strict=True)
         ]
 
+    def members(self, effect_id: str) -> list[int]:
+        """Terms that are of one effect."""
+        return [k for k, t in enumerate(self.terms) if t.place[0] == effect_id]
+
     def where_seen(self, members: Sequence[int]) -> Explanation:
         """This, or :attr:`learnt` if some terms hardly act on the scored samples.
 

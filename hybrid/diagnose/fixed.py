@@ -23,7 +23,7 @@ from hybrid.identify import DynamicModel
 from hybrid.robot import Robot
 
 if TYPE_CHECKING:
-    from hybrid.diagnose.diagnose import Result
+    from hybrid.diagnose.result import Result
 
 SIMULATOR = "sim_fixed.xml"
 MODEL = "model.json"

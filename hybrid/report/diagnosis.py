@@ -30,8 +30,8 @@ from hybrid.report.page import render_template
 from hybrid.report.provenance import provenance
 
 if TYPE_CHECKING:
-    from hybrid.diagnose.diagnose import Result
     from hybrid.diagnose.diagnosis import Advice, Diagnosis, Finding, Shrink
+    from hybrid.diagnose.result import Result
 
 PAGE, CONTENT = "report.html", "diagnosis.json"
 

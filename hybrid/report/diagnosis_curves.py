@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from hybrid.robot.chain import Array
 
 if TYPE_CHECKING:
-    from hybrid.diagnose.diagnose import Result
     from hybrid.diagnose.explanation import Explanation
+    from hybrid.diagnose.result import Result
 
 MOST_POINTS = 1500  # of a curve or a cloud
 _DIGITS = 4

@@ -1,0 +1,35 @@
+"""A diagnosis with what it was made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.diagnosis import Diagnosis
+from hybrid.diagnose.explanation import Explanation
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.verify import Account
+from hybrid.effects import Effect
+
+
+@dataclass(frozen=True)
+class Result:
+    """A diagnosis with what it was made from, for report and export.
+
+    Attributes:
+        diagnosis: The answer.
+        gap: The gap.
+        search: The search, with the terms that may be named.
+        scored: The same terms on samples that no step has seen.
+        account: What is explained and missed, joint by joint.
+        effects: The effects named, with fitted values.
+        command: Those between command and torque.
+    """
+
+    diagnosis: Diagnosis
+    gap: Gap
+    search: Search
+    scored: Explanation
+    account: Account
+    effects: tuple[Effect, ...]
+    command: tuple[Effect, ...] = ()
