@@ -16,6 +16,7 @@ from hybrid.robot.chain import Array
 
 _PRICE = 2.0  # of choosing one shape; the logarithm of how many differ in effect
 _SHAPE_PRICE = {"torque_ripple": 6.0, "contact": 8.0}  # of hundreds, of thousands
+_SCAN_PRICE = 8.0  # of a gain that is scanned: each value is another law
 _REACH = 0.2  # of a shape's range, to either side
 _WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
 _MOST_TRIALS = 40
@@ -25,7 +26,8 @@ _NUDGE = 0.01  # of a range, for a derivative
 
 def price(effect: Effect) -> float:
     """Evidence that the choice of an effect's shapes has to pay for, [nat]."""
-    return _SHAPE_PRICE.get(effect.id, _PRICE * (len(effect.shapes) + effect.steep))
+    scanned = _SCAN_PRICE if effect.steep else 0.0
+    return _SHAPE_PRICE.get(effect.id, _PRICE * len(effect.shapes) + scanned)
 
 
 @dataclass(frozen=True)
