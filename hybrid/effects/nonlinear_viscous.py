@@ -19,7 +19,7 @@ class NonlinearViscous(JointEffect):
         Quantity("cubic", "N·m·s³/rad³", 0.005, -0.5, 0.5, per=(1, -3)),
     )
     equation = "τ = c₂ · v|v| + c₃ · v³"
-    source = "Hauschild et al. 2004; Simoni et al. 2015, doi 10.1109/IROS.2015.7353640"
+    source = "Simoni et al. 2019, doi 10.1017/S0263574717000509"
     sentence = "Friction of {joints} grows with speed in a curve, not in a line."
     remedy = "Give the joint a speed-dependent friction table instead of one damping."
 
