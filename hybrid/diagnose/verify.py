@@ -131,7 +131,8 @@ def check(search: Search, term: Term, found: Account) -> Check:
 def _physical(search: Search, term: Term) -> bool:
     """Whether gains are within their bounds; a scanned one not at the end of its scan.
 
-    Those of bodies have no bounds of their own: their priors hold them.
+    Those of bodies have no bounds of their own: their priors hold them. Nor is there
+    an upper one where it goes with the rated torque, which many files do not know.
     """
     effect = term.candidate.effect
     if effect.port is Port.BODY:
@@ -141,10 +142,13 @@ def _physical(search: Search, term: Term) -> bool:
     law = with_gains(effect, gains).as_reported()
     for gain in law.gains:
         bound = gain.scaled(scale_of(search.gap, law))
-        slack = _SLACK * (bound.upper - bound.lower) * (-1 if effect.steep else 1)
-        if law.values[gain.name] > bound.upper + slack:
+        value, slack = law.values[gain.name], _SLACK * (bound.upper - bound.lower)
+        if effect.steep:
+            if value > bound.upper - slack:
+                return False
+        elif value < bound.lower - slack:
             return False
-        if not effect.steep and law.values[gain.name] < bound.lower - slack:
+        elif gain.per == (0, 0) and value > bound.upper + slack:
             return False
     return True
 
