@@ -101,6 +101,16 @@ class TestCause:
     def test_shares_add_up_to_one(self):
         assert sum(f.share for f in planar().diagnosis.findings) == pytest.approx(1.0)
 
+    def test_a_share_is_not_lost_to_what_the_file_declares(self):
+        """Declared damping alone could take over, at the price of being far off."""
+        damped = replace(arm("planar"), damping=np.array([6.0, 1.0]))
+        effects = [Viscous((0,), {"coefficient": 3.0}), STRIBECK]
+        plant = Plant(damped, effects, nominal=damped)
+        recordings = simulate(plant, trajectories=4, duration=12.0, seed=4)
+        first, second = examine(damped, recordings).diagnosis.findings
+        assert (first.effect, second.effect) == ("viscous", "stribeck")
+        assert first.share > 0.8
+
     def test_the_gap_falls_to_the_noise_on_unseen_motion(self):
         for f in planar().diagnosis.findings:
             shrink = f.shrink["torque"]
