@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from tables import show
 
 from hybrid import DynamicModel
 from hybrid.compensator import GaussianMixtureRegression
@@ -25,7 +26,6 @@ from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.export import CompiledModel, export, program_from_model
 from hybrid.identify.problem import build_problem
 from hybrid.plant import load_truth
-from hybrid.report import provenance, write_results
 from hybrid.signals import Motion
 
 TRUTH = Path(__file__).parents[1] / "models" / "coman_truth.yaml"
@@ -99,13 +99,7 @@ def main() -> None:
     parser.add_argument("--json")
     args = parser.parse_args()
     found = {name: measure(model) for name, model in models().items()}
-    for name, values in found.items():
-        print(name)
-        for key, value in values.items():
-            print(f"  {key:28} {value:10.3g}")
-    if args.json:
-        made = provenance(command="python benchmarks/export.py")
-        write_results(args.json, {"provenance": made, **found})
+    show(found, command="python benchmarks/export.py", path=args.json)
 
 
 if __name__ == "__main__":

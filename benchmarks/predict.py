@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tables import show
 
 from hybrid import DynamicModel, Effect, Robot
 from hybrid.compensator import GaussianMixtureRegression
@@ -28,7 +29,6 @@ from hybrid.effects import effect_class
 from hybrid.identify.problem import build_problem
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
-from hybrid.report import provenance, write_results
 from hybrid.signals import Motion
 
 TRUTH = Path(__file__).parents[1] / "models" / "coman_truth.yaml"
@@ -113,13 +113,7 @@ def main() -> None:
     parser.add_argument("--json")
     args = parser.parse_args()
     found = {name: measure(model) for name, model in models().items()}
-    for name, values in found.items():
-        print(name)
-        for key, value in values.items():
-            print(f"  {key:28} {value:10.3g}")
-    if args.json:
-        made = provenance(command="python benchmarks/predict.py")
-        write_results(args.json, {"provenance": made, **found})
+    show(found, command="python benchmarks/predict.py", path=args.json)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Tables of what ``identify.py`` measured."""
+"""What benchmarks measured, as tables and in print."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from hybrid.report import Table
+from hybrid.report import Table, provenance, write_results
 
 
 def length_table(runs: list[dict[str, Any]]) -> Table:
@@ -45,3 +45,13 @@ def ratio_table(run: dict[str, Any], other: dict[str, Any]) -> Table:
     rows = tuple((k, f"{x / whole:.2f}", f"{x:.3f}") for k, x in times.items())
     caption = f"{run['samples']:,} samples, {run['iterations']} reweightings"
     return Table(("", "ratio", "[s]"), rows, caption)
+
+
+def show(found: dict[str, dict[str, float]], *, command: str, path: str | None) -> None:
+    """Print some numbers of each model, and write them if there is a path."""
+    for name, values in found.items():
+        print(name)
+        for key, value in values.items():
+            print(f"  {key:28} {value:10.3g}")
+    if path:
+        write_results(path, {"provenance": provenance(command=command), **found})

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import Candidate, candidate, candidates, scale_of
+from hybrid.diagnose.candidates import Candidate, candidate, candidates
 from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.gap import Columns, Gap
+from hybrid.diagnose.refine import gain, refine
 from hybrid.diagnose.ripples import ripple_orders
-from hybrid.diagnose.shapes import fit_shapes, price
-from hybrid.effects import Effect
+from hybrid.diagnose.shapes import price
 from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
 
@@ -27,10 +26,8 @@ _CONTACTS = 2  # stretches of time tried at a time
 _REPEATED = {TorqueRipple.id, Contact.id}  # may be there more than once
 _SHORTLIST = 4
 _MOST_TERMS = 40
-_EXACT_PASSES = 4
 _NEAR = 10.0
 _MENDING = 0.015  # of the evidence for the largest term at a joint
-_STEP, _SCAN = 1.6, 9  # factor to either side of a steep gain; values tried
 _SIMPLER = {
     "presliding": "coulomb",
     "thermal_friction": "viscous",
@@ -210,62 +207,15 @@ class Search:
             base, [t.index for t in terms], [t.candidate.lower for t in terms]
         )
         best: dict[tuple[str, tuple[int, ...]], tuple[Candidate, float]] = {}
-        for term, gain in zip(terms, gains, strict=True):
-            gain -= price(term.candidate.effect)
-            if term.place not in best or gain > best[term.place][1]:
-                best[term.place] = term.candidate, float(gain)
+        for term, worth in zip(terms, gains, strict=True):
+            worth -= price(term.candidate.effect)
+            if term.place not in best or worth > best[term.place][1]:
+                best[term.place] = term.candidate, float(worth)
         return sorted(best.values(), key=lambda x: -x[1])
 
     def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
-        """Fit the shapes of a candidate, from those given on."""
-
-        def gain(effect: Effect) -> float:
-            return self.gain(base, replace(c, effect=effect))
-
-        if c.effect.steep:
-            c = replace(c, effect=self._scanned(c, gain))
-        start = gain(c.effect)
-        effect, best = fit_shapes(c.effect, gain, self.gap)
-        if best < start:
-            effect, best = c.effect, start
-        signal = effect.observes or effect.reports
-        if signal and not effect.steep and len(effect.gains) == 1:
-            effect, best = self._exact(base, replace(c, effect=effect))
-        return replace(c, effect=effect), best
-
-    def gain(self, base: Index, c: Candidate) -> float:
-        """Evidence that a candidate adds, less the price of its shapes, [nat]."""
-        columns = self.gap.columns(c.effect)
-        return self.evidence.trial(base, columns, c.std, c.lower)[0] - price(c.effect)
-
-    def _exact(self, base: Index, c: Candidate) -> tuple[Effect, float]:
-        """An effect on signals at its own gain, where its columns are not linear."""
-        effect, best, name = c.effect, -np.inf, c.effect.gains[0].name
-        bounds = c.effect.gains[0].scaled(scale_of(self.gap, effect))
-        for _ in range(_EXACT_PASSES):
-            columns = self.gap.columns(effect)
-            best, gains = self.evidence.trial(base, columns, c.std, c.lower)
-            best -= price(effect)
-            value = float(np.clip(gains[0], bounds.lower, bounds.upper))
-            effect = effect.at({name: value})
-        return effect, best
-
-    def _scanned(self, c: Candidate, gain: Callable[[Effect], float]) -> Effect:
-        """A steep effect at the best gain near its own, which is on a grid."""
-        (own,), (now,) = c.effect.gains, c.effect.gain_values
-        bounds = own.scaled(scale_of(self.gap, c.effect))
-
-        def at(power: float) -> Effect:
-            value = float(np.clip(now * _STEP**power, bounds.lower, bounds.upper))
-            return c.effect.at({own.name: value})
-
-        found = minimize_scalar(
-            lambda x: -gain(at(x)),
-            bounds=(-1.0, 1.0),
-            method="bounded",
-            options={"maxiter": _SCAN, "xatol": 0.02},
-        )
-        return at(found.x)
+        """See :func:`.refine.refine`."""
+        return refine(self.evidence, base, c)
 
     def loss(self, term: Term) -> float:
         """Evidence that would be lost without a term, [nat]."""
@@ -347,10 +297,10 @@ class Search:
             base = np.concatenate([self.background, *rest])
             whole = self.evidence.solve(self.base()).evidence
             wanted = whole - self.evidence.solve(base).evidence - _WORTH
-            if self.gain(base, term.candidate) < wanted - _NEAR:
+            if gain(self.evidence, base, term.candidate) < wanted - _NEAR:
                 continue
-            alone, gain = self.refine(base, term.candidate)
-            if gain > wanted:
+            alone, found = self.refine(base, term.candidate)
+            if found > wanted:
                 self.terms = [t for t in self.terms if t is not term and t is not other]
                 self.terms.append(self._term(alone))
                 return True

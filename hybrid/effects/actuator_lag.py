@@ -39,12 +39,6 @@ class ActuatorLag(Effect):
             return torque + time * slope
         return _low_pass(torque, float(t[1] - t[0]), -time)
 
-    def at_instant(
-        self, joints: Sequence[JointState], memory: Memory, step: Scalar
-    ) -> tuple[Sequence[Scalar], Memory]:
-        """Nothing by itself; see :meth:`Instant.at_instant`."""
-        return [0.0], memory
-
     def begin(self, joints: Sequence[JointState]) -> Memory:
         """Never mind: a flag says that there was nothing before."""
         return (0.0, 0.0, 0.0)

@@ -65,7 +65,11 @@ class Instant:
             joints: State of each of the effect's joints.
             memory: What it remembers of the last instant.
             step: Time since then, [s].
+
+        By itself nothing, for an effect that only changes what the drive is asked for.
         """
+        if self.asks:
+            return [0.0] * len(joints), memory
         raise self._not_exportable("it states no torque at one instant")
 
     @property

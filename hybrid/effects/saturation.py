@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.effects.effect import Array, Body, Effect, JointState, Port, Quantity
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
 from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 
@@ -41,12 +41,6 @@ class Saturation(Effect):
     def deliver(self, torque: Array) -> Array:
         """Torque delivered for one asked for."""
         return torque - self.values["loss"] * self._beyond(torque)
-
-    def at_instant(
-        self, joints: Sequence[JointState], memory: Memory, step: Scalar
-    ) -> tuple[Sequence[Scalar], Memory]:
-        """Nothing by itself; see :meth:`Instant.at_instant`."""
-        return [0.0], ()
 
     def report_at_instant(
         self, torque: Sequence[Scalar], memory: Memory, step: Scalar

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hybrid.effects.effect import Array, Body, Effect, JointState, Port, Quantity
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
 from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 
@@ -27,12 +27,6 @@ class TorqueGain(Effect):
     def report(self, t: Array, torque: Array) -> Array:
         """All that the drive delivers, rotor and friction too, times 1 + g."""
         return torque * (1.0 + self.values["gain"])
-
-    def at_instant(
-        self, joints: Sequence[JointState], memory: Memory, step: Scalar
-    ) -> tuple[Sequence[Scalar], Memory]:
-        """Nothing by itself; see :meth:`Instant.at_instant`."""
-        return [0.0], ()
 
     def report_at_instant(
         self, torque: Sequence[Scalar], memory: Memory, step: Scalar

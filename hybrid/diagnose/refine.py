@@ -1,0 +1,82 @@
+"""One candidate at its best: shapes and gains in which its torque is not linear."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from hybrid.diagnose.candidates import Candidate, scale_of
+from hybrid.diagnose.evidence import Evidence, Index
+from hybrid.diagnose.shapes import fit_shapes, price
+from hybrid.effects import Effect
+
+_EXACT_PASSES = 4
+_STEP, _SCAN = 1.6, 9  # factor to either side of a steep gain; values tried
+
+
+def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, float]:
+    """Fit the shapes of a candidate, from those given on.
+
+    Args:
+        evidence: Cross-products of the gap.
+        base: Columns that are in already, shape (k,).
+        c: The candidate.
+
+    Returns:
+        The candidate with better shapes, and the evidence that it adds, [nat].
+    """
+
+    def worth(effect: Effect) -> float:
+        return gain(evidence, base, replace(c, effect=effect))
+
+    first = _scanned(evidence, c, worth) if c.effect.steep else c.effect
+    start = worth(first)
+    effect, best = fit_shapes(first, worth, evidence.gap)
+    if best < start:
+        effect, best = first, start
+    signal = effect.observes or effect.reports
+    if signal and not effect.steep and len(effect.gains) == 1:
+        effect, best = _exact(evidence, base, replace(c, effect=effect))
+    return replace(c, effect=effect), best
+
+
+def gain(evidence: Evidence, base: Index, c: Candidate) -> float:
+    """Evidence that a candidate adds, less the price of its shapes, [nat]."""
+    columns = evidence.gap.columns(c.effect)
+    return evidence.trial(base, columns, c.std, c.lower)[0] - price(c.effect)
+
+
+def _exact(evidence: Evidence, base: Index, c: Candidate) -> tuple[Effect, float]:
+    """An effect on signals at its own gain, where its columns are not linear."""
+    effect, best, name = c.effect, -np.inf, c.effect.gains[0].name
+    bounds = c.effect.gains[0].scaled(scale_of(evidence.gap, effect))
+    for _ in range(_EXACT_PASSES):
+        columns = evidence.gap.columns(effect)
+        best, gains = evidence.trial(base, columns, c.std, c.lower)
+        best -= price(effect)
+        value = float(np.clip(gains[0], bounds.lower, bounds.upper))
+        effect = effect.at({name: value})
+    return effect, best
+
+
+def _scanned(
+    evidence: Evidence, c: Candidate, worth: Callable[[Effect], float]
+) -> Effect:
+    """A steep effect at the best gain near its own, which is on a grid."""
+    (own,), (now,) = c.effect.gains, c.effect.gain_values
+    bounds = own.scaled(scale_of(evidence.gap, c.effect))
+
+    def at(power: float) -> Effect:
+        value = float(np.clip(now * _STEP**power, bounds.lower, bounds.upper))
+        return c.effect.at({own.name: value})
+
+    found = minimize_scalar(
+        lambda x: -worth(at(x)),
+        bounds=(-1.0, 1.0),
+        method="bounded",
+        options={"maxiter": _SCAN, "xatol": 0.02},
+    )
+    return at(found.x)
