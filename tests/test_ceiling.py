@@ -1,5 +1,7 @@
 """The flexible regression: nothing in noise, and structure of any kind."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from diagnosed import faultless
@@ -40,3 +42,16 @@ def test_it_recovers_what_depends_on_something(law, about):
     assert squares < 1.2 * x @ x
     assert about in of
     assert rest.std() < 1.2
+
+
+def test_noise_of_positions_is_no_structure():
+    # The same noise is in the residual and in the load that it may depend on.
+    gap, rows = gap_rows(1)
+    white = np.random.default_rng(0).standard_normal((len(gap.load) + 2, 2))
+    noise = np.diff(white, 2, axis=0)  # as an acceleration has it
+    noise *= 0.3 * gap.load.std(axis=0) / noise.std(axis=0)
+    spoilt = replace(gap)
+    spoilt.__dict__["load"] = gap.load + noise
+    left = -noise[rows, 1]
+    squares, of, rest = recoverable(spoilt, 1, left, rows, float(np.mean(left**2)))
+    assert squares < 0.05 * left @ left

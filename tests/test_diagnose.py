@@ -34,6 +34,14 @@ def named(result):
     return {(f.effect, f.joints) for f in result.diagnosis.findings}
 
 
+class TestShapes:
+    def test_all_are_at_their_optimum_together(self):
+        search = planar().search
+        steps = [s for s in search._steps() if s is not None]
+        assert len(steps) == 2
+        assert all(np.abs(s).max() < 0.01 for s in steps)
+
+
 class TestGap:
     def test_of_a_faultless_simulator_it_is_the_noise(self):
         result = faultless()
@@ -62,6 +70,38 @@ class TestGap:
         scale = np.sqrt(np.mean(shown**2))
         rest = np.sqrt(np.mean(bare.left[here, j] ** 2))
         assert np.sqrt(np.mean((seen - shown) ** 2)) < 0.1 * scale + 2 * rest
+
+    def test_what_surrounds_a_fault_is_left_out_as_far_as_the_filter_carries_it(self):
+        robot, clean = logs([])
+        tau = clean[0].tau.copy()
+        tau[1000:1500, 0] = tau[1000, 0]
+        sound = measure_gap(robot, clean, cutoff=15.0)
+        spoilt = [replace(clean[0], tau=tau), *clean[1:]]
+        with pytest.warns(HybridWarning, match="frozen"):
+            gap = measure_gap(robot, spoilt, cutoff=15.0)
+        used = np.flatnonzero((gap.trajectory == 0) & gap.moving[:, 0])
+        time = clean[0].t[[999, 1500]]
+        t = gap.sampled.t[used]
+        assert np.all((t < time[0] - 0.5 / 15.0) | (t > time[1] + 0.5 / 15.0))
+        # What is used is not touched by the fault.
+        np.testing.assert_allclose(gap.left[used, 0], sound.left[used, 0], atol=0.05)
+        assert gap.moving[:, 1].sum() == sound.moving[:, 1].sum()
+
+    def test_declared_dry_friction_is_not_judged_where_it_turns_round(self):
+        robot, clean = logs([])
+        rubbing = replace(robot, frictionloss=np.array([0.5, 0.0]))
+        gap = measure_gap(rubbing, clean, cutoff=15.0)
+        v, rows = gap.sampled.v[:, 0], np.flatnonzero(gap.moving[:, 0])
+        turns = np.flatnonzero(np.diff(np.sign(v)) != 0)
+        assert len(turns) > 4
+        nearest = np.abs(rows[:, None] - turns).min(axis=1)
+        assert nearest.min() >= np.floor(0.6 / 15.0 * gap.rate)
+
+    def test_a_delay_is_not_lessened_by_noise_of_positions(self):
+        robot, recordings = logs([Delay((0,), {"time": 0.01})], duration=10.0)
+        (finding,) = examine(robot, recordings).diagnosis.findings
+        assert "delay" in finding.alternatives
+        assert abs(finding.parameters[0].value - 0.01) < 0.001
 
     def test_fit_and_score_share_nothing(self):
         gap = planar().gap
@@ -115,7 +155,10 @@ class TestCause:
         for f in planar().diagnosis.findings:
             shrink = f.shrink["torque"]
             assert shrink.interval[0] <= shrink.removed <= shrink.interval[1]
-            assert shrink.interval[0] > 0.3
+            # Much of Stribeck's torque is where declared friction turns round, which is
+            # not judged: few of the blocks that are drawn again hold the rest.
+            assert shrink.removed > 0.3
+            assert shrink.interval[0] > (0.3 if f.effect == "torque_ripple" else 0)
             floor = planar().diagnosis.noise_floor
             joint = planar().diagnosis.joints.index(f.joints[0])
             assert shrink.after == pytest.approx(floor[joint], rel=0.15)

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import Candidate, candidate, candidates
+from hybrid.diagnose.candidates import Candidate, candidate, candidates, with_gains
 from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.diagnose.refine import gain, refine
 from hybrid.diagnose.ripples import ripple_orders
-from hybrid.diagnose.shapes import price
+from hybrid.diagnose.shapes import SHAPE_SPREAD, moved, nudges, price
 from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
+from hybrid.robot.chain import Array
 
 _WORTH = 12.0  # nats that a term must add
 _LEAST_REMOVED = 0.015  # of the RMS at a term's joints, on folds left out
@@ -27,6 +28,7 @@ _REPEATED = {TorqueRipple.id, Contact.id}  # may be there more than once
 _SHORTLIST = 4
 _MOST_TERMS = 40
 _NEAR = 10.0
+_POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _MENDING = 0.015  # of the evidence for the largest term at a joint
 _SIMPLER = {
     "presliding": "coulomb",
@@ -99,6 +101,7 @@ class Search:
         _, self.off, self.terms = max(found, key=lambda x: x[0])
         self.evidence.spread(self.background, self.off)
         self.prune()
+        self._polish()
         return self.terms
 
     def _grow(self) -> None:
@@ -264,6 +267,50 @@ class Search:
             if worth[weakest] >= 1.0:
                 return
             del self.terms[weakest]
+
+    def _polish(self) -> None:
+        """Fit the shapes of all terms together, by Gauss-Newton steps.
+
+        One after the other, on a grid and near it, leaves them short of the optimum.
+        """
+        for _ in range(_POLISHINGS):
+            before, terms = self._worth(), self.terms
+            steps = self._steps()
+            for part in (1.0, 0.3):
+                self.terms = [
+                    t if s is None else self._moved(t, part * s)
+                    for t, s in zip(terms, steps, strict=True)
+                ]
+                if self._worth() > before:
+                    break
+            else:
+                self.terms = terms
+                return
+            if self._worth() < before + _SETTLED:
+                return
+
+    def _worth(self) -> float:
+        return self.evidence.solve(self.base()).evidence
+
+    def _steps(self) -> list[Array | None]:
+        """Gauss-Newton step of each term's shapes, in parts of their ranges."""
+        evidence, solution = self.evidence, self.evidence.solve(self.base())
+        gains = dict(zip(solution.index.tolist(), solution.gains, strict=True))
+        index: list[Index | None] = []
+        for t in self.terms:
+            effect = with_gains(t.candidate.effect, [gains[k] for k in t.index])
+            blocks = [] if t.candidate.effect.steep else nudges(self.gap, effect)
+            spread = [np.array([SHAPE_SPREAD])] * len(blocks)
+            own = evidence.add(blocks, spread) if blocks else []
+            index.append(np.concatenate(own) if own else None)
+        known = [i for i in index if i is not None]
+        whole = evidence.solve(np.concatenate([self.base(), *known]))
+        step = dict(zip(whole.index.tolist(), whole.gains, strict=True))
+        return [None if i is None else np.array([step[k] for k in i]) for i in index]
+
+    def _moved(self, term: Term, steps: Array) -> Term:
+        effect = moved(self.gap, term.candidate.effect, steps)
+        return self._term(replace(term.candidate, effect=effect))
 
     def _exchange(self) -> bool:
         """Fit each term anew beside the others, as whatever explains most there."""

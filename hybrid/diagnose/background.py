@@ -5,6 +5,8 @@ The simulator's own numbers, and how its dry friction goes through rest.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hybrid.diagnose.gap import Columns, Gap
@@ -15,14 +17,15 @@ from hybrid.robot.chain import Array
 from hybrid.robot.spatial import central_inertia
 
 _KNEES = (0.003, 0.01, 0.03)  # rad/s
+_LEADS = (0.0, 0.01)  # s
 _USUALLY_OFF = 0.01  # of the numbers, for which that holds
 
 
 def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
     """Columns of link parameters and declared friction, and how far off they may be.
 
-    Simulators, and arms, differ in the speed at which dry friction is full; presliding
-    that matters lasts for longer.
+    Simulators, and arms, differ in how dry friction goes through rest; presliding that
+    matters lasts for longer.
 
     Returns:
         A block of ten columns for each link, one for each declared armature, damping
@@ -51,15 +54,30 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
             blocks.append(gap.columns(effect((int(j),))))
             sizes.append(np.array([value[j]]))
     for j in np.flatnonzero(robot.frictionloss):
-        for knee in _KNEES:
-            parts = []
-            for motion, _, sampler in gap:
-                v = motion.v[:, j]
-                soft = np.clip(v / knee, -1.0, 1.0) - np.sign(v)
-                parts.append(sampler(robot.frictionloss[j] * soft)[:, None])
-            blocks.append({int(j): np.concatenate(parts)})
-            sizes.append(np.array([1.0 / _USUALLY_OFF]))
+        soft = robot.frictionloss[j] * soft_friction(gap, int(j), _KNEES, _LEADS)
+        blocks.append({int(j): soft})
+        sizes.append(np.full(soft.shape[1], 1.0 / _USUALLY_OFF))
     return blocks, sizes
+
+
+def soft_friction(
+    gap: Gap, joint: int, knees: Sequence[float], leads: Sequence[float]
+) -> Array:
+    """Dry friction of a joint as solvers soften it, less sharp friction.
+
+    It is full from a speed on, the knee. A solver that asks for a deceleration of v / T
+    turns it round T before the joint does, the lead.
+
+    Returns:
+        Columns of unit size for each lead and knee, shape (M, p).
+    """
+    parts = []
+    for motion, _, sampler in gap:
+        v, a = motion.v[:, joint, None], motion.a[:, joint, None]
+        ahead = (v + a * np.asarray(leads))[:, :, None] / np.asarray(knees)
+        soft = np.clip(ahead, -1.0, 1.0) - np.sign(v)[:, :, None]
+        parts.append(sampler(soft.reshape(len(v), -1)))
+    return np.concatenate(parts)
 
 
 def link_spread(inertial: Array) -> Array:

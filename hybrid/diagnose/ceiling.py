@@ -10,6 +10,7 @@ model has missed; what it leaves is taken for noise.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,11 @@ from numpy.typing import NDArray
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.ripples import ripple_orders
 from hybrid.robot.chain import Array
+from hybrid.signals.filters import butterworth
 
 _KNOTS = 14
 _COARSE = 6
+_SLOW = 0.3  # of the cut-off
 _RIDGES = (1e-3, 3e-2, 1.0)
 _MOST_GROUPS = 6
 _WAVES = 3
@@ -88,7 +91,9 @@ def _cross_validated(G: Array, c: Array, samples: int) -> tuple[Array, Array]:
 
 def _groups(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
     """Named groups of functions at every sample, shape (M, d) each."""
-    m, load = gap.sampled, gap.load[:, joint]
+    # Derivatives of positions hold their noise, and so does the residual.
+    m = replace(gap.sampled, a=_slow(gap, gap.sampled.a))
+    load = _slow(gap, gap.load[:, joint])
     q, v, a = m.q[:, joint], m.v[:, joint], m.a[:, joint]
     slow = 0.02 * np.abs(v).max() + 1e-12
     sign = np.tanh(v / slow)
@@ -118,12 +123,19 @@ def _groups(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
             yield f"posture with {other}", far
     side = np.tanh(load / (0.02 * np.abs(load).max() + 1e-12))
     with_past = {
-        "speed": v, "acceleration": a, "load": load, "direction": sign,
+        "speed": _slow(gap, v), "acceleration": a, "load": load, "direction": sign,
         "side of the load": side,
     }  # fmt: skip
     for name, x in with_past.items():
         past = [np.roll(x, s) - x for s in (1, 2, 4, 8, 16, 32)]
         yield f"past of {name}", np.stack(past, axis=1)
+
+
+def _slow(gap: Gap, x: Array) -> Array:
+    """Signals without the upper part of the band, shape (M, ...)."""
+    parts = [x[gap.trajectory == k] for k in range(len(gap.motions))]
+    cutoff = _SLOW * gap.cutoff
+    return np.concatenate([butterworth(p, rate=gap.rate, cutoff=cutoff) for p in parts])
 
 
 def _waves(

@@ -29,6 +29,7 @@ _EXPLAINED = 0.95  # of the torque's squares, or the servo is of another kind
 # A controller holds its command for a period, and a log may be a period late.
 _HELD, _PERIODS = 0.002, 1.0  # s, of the log
 _LEAST_GAIN = 0.02  # relative error of a gain
+_LEAST_FALL = 0.01  # of the squares of what a servo law leaves
 _RESAMPLES = 400
 _NORMAL = 1.96
 _BLOCK_SECONDS = 1.0
@@ -199,7 +200,8 @@ def _examined(
 def _better(own: ServoLog, unseen: ServoLog, before: Fit, after: Fit) -> bool:
     """Whether a fit is better, on the samples it has seen and on others."""
     squares = [float(x @ x) for x in (before.residual(unseen), after.residual(unseen))]
-    return squares[1] < squares[0] and evidence(own, before, after) > WORTH
+    falls = squares[1] < (1 - _LEAST_FALL) * squares[0]
+    return falls and evidence(own, before, after) > WORTH
 
 
 def _stated(gap: Gap, i: int) -> list[Law]:

@@ -13,6 +13,7 @@ from hybrid.robot.chain import Array
 
 _CHUNK = 0.05  # s
 _LENGTHS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192)  # chunks
+_LONGEST = 1 / 3  # of a recording; what lasts is no event
 _FORCE, _MOMENT = 20.0, 2.0  # N, N·m; prior standard deviations of the scan
 
 
@@ -98,7 +99,7 @@ def _windows(gram: Array, moment: Array) -> list[tuple[float, int, int]]:
     moment = np.concatenate([np.zeros((1, 6)), moment * unit]).cumsum(0)
     found = []
     for length in _LENGTHS:
-        if 2 * length > len(gram) - 1:
+        if length > _LONGEST * (len(gram) - 1):
             break
         A = np.eye(6) + gram[length:] - gram[:-length]
         b = moment[length:] - moment[:-length]

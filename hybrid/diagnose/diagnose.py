@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search, Term
 from hybrid.diagnose.command import Link, command_link
+from hybrid.diagnose.convention import find_convention
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, refit, shares, split
 from hybrid.diagnose.findings import alternatives, findings, torque_shrink
@@ -29,7 +31,9 @@ from hybrid.signals import Motion
 Progress = Callable[[str], None]
 
 _SMALLEST = 0.003  # of the measured torque, RMS
+_MATTERS = 0.005  # the same, of what was refused as a cause
 _LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
+_DOUBT = 0.05  # of what a term removes: most that it may add, of 39 blocks out of 40
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
@@ -88,6 +92,11 @@ def examine(
     limits = thresholds()
     tell("measuring the gap")
     gap = measure_gap(robot, recordings, cutoff=cutoff)
+    logged = find_convention(gap, recordings)
+    if logged:
+        recordings = [logged.in_step(x) for x in recordings]
+        explicit = partial(logged.explicit, robot)
+        gap = measure_gap(robot, recordings, cutoff=cutoff, correct=explicit)
     learn = split(gap)
     tell("trying every effect at every joint")
     search = Search(gap, learn, without=without)
@@ -120,7 +129,7 @@ def examine(
         verdict, unexplained = "not_excited", 1.0
     diagnosis = replace(
         _diagnosis(gap, search, found, causes, verdict, unexplained),
-        warnings=(*gap.notes, *doubts),
+        warnings=(*gap.notes, *logged.notes, *doubts),
     )
     tell("finding where the gap lies")
     if verdict != "not_excited":
@@ -150,8 +159,10 @@ def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
             rest = [t for k, t in enumerate(scored.terms) if k not in members]
             if scored.where_seen(members) is not scored:
                 continue
-            removed = torque_shrink(scored, members, rng).removed
-            if removed <= _LEAST_REMOVED * kind or _negligible(scored, rest):
+            shrink = torque_shrink(scored, members, rng)
+            lost = shrink.removed <= _LEAST_REMOVED * kind
+            lost |= shrink.interval[0] < -_DOUBT * shrink.removed
+            if lost or _negligible(scored, rest):
                 useless |= {*members}
     return [t for k, t in enumerate(scored.terms) if k not in useless]
 
@@ -182,20 +193,23 @@ def _vetted(
     """Leave a search the terms that pass all checks beside each other.
 
     Returns:
-        What they explain and miss, what each cannot be told from, and whether a term
-        was refused.
+        What they explain and miss, what each cannot be told from, and whether what
+        was refused matters.
     """
-    found = account(gap, search, limits)
+    found = every = account(gap, search, limits)
     kinds: dict[Term, tuple[str, ...]] = {}
-    every = list(search.terms)
     while True:
         passing = [t for t in search.terms if check(search, t, found).passes(limits)]
         kinds |= {t: alternatives(search, t, limits) for t in passing if t not in kinds}
         if len(passing) == len(search.terms):
-            return found, kinds, len(passing) < len(every)
+            break
         search.terms = passing
         search.prune()
         found = account(gap, search, limits)
+    lost = (found.after - every.after) * search.evidence.noise
+    tau = [gap.measured[rows, i] for i, rows in enumerate(search.evidence.rows)]
+    worth = [_MATTERS**2 * float(x @ x) for x in tau]
+    return found, kinds, bool(np.any(lost > worth))
 
 
 def _verdict(

@@ -14,12 +14,11 @@ from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import with_gains
 from hybrid.diagnose.evidence import Evidence, Index, Solution
 from hybrid.diagnose.gap import Gap, block_seconds
-from hybrid.diagnose.shapes import nudges, shape_units
+from hybrid.diagnose.shapes import SHAPE_SPREAD, nudges, shape_units
 from hybrid.effects import Effect
 from hybrid.robot.chain import Array
 
 _BLOCK_SECONDS = 1.0
-_SHAPE_SPREAD = 0.3  # prior deviation of a shape, of its range
 _OPEN = 10.0  # times a gain's prior deviation
 _TAIL = 0.02  # of a term's squares: no more than a filter spreads
 _ORDERS = 24  # of terms, and as many reversed
@@ -218,7 +217,7 @@ def refit(gap: Gap, search: Search) -> Refit:
     nudged, shapes = [solution.index], []
     for effect in effects:
         blocks = nudges(gap, effect)
-        spread = [np.array([_SHAPE_SPREAD])] * len(blocks)
+        spread = [np.array([SHAPE_SPREAD])] * len(blocks)
         found = evidence.add(blocks, spread) if blocks else []
         shapes.append([int(k[0]) for k in found])
         nudged += found

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,16 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
-from hybrid.signals.filters import filter_reach
+from hybrid.signals.filters import butterworth, filter_reach
 
 Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
 
 _STANDING = 0.01  # of the highest speed
 _SLOWEST = 0.002  # rad/s or m/s; a servo at rest seems to move as fast
+# Periods of the cut-off for which a filter spreads how declared dry friction passed
+# rest, which is the solver's own.
+_REST = 0.7
+_CALM = 0.5  # of the cut-off
 _BLOCK_SECONDS = 3.0
 _SHORTEST_BLOCK = 0.5
 _MOST_FOLDS = 8
@@ -123,7 +127,7 @@ class Gap:
             )
             effect = effect.at({effect.gains[0].name: small}) if exact else effect
         parts = []
-        for motion, body, sampler in self:
+        for motion, body, sampler in self.calm if effect.differentiates else self:
             if exact:
                 full = self._change(effect, motion, body) / effect.gain_values[0]
                 parts.append(sampler(full)[:, :, None])
@@ -145,6 +149,22 @@ class Gap:
         tau = simulated_torque(self.robot, seen, RigidBody(chain, seen))
         return (tau - motion.tau)[:, reached]
 
+    @cached_property
+    def calm(self) -> list[tuple[Motion, RigidBody, Sampler]]:
+        """The same from the lower half of the band.
+
+        A further derivative of a noisy position is mostly noise, and a column that is
+        takes less than its part.
+        """
+        parts = []
+        for m, sampler in zip(self.motions, self.samplers, strict=True):
+            low = partial(butterworth, rate=m.rate, cutoff=_CALM * self.cutoff)
+            slow = replace(m, q=low(m.q), v=low(m.v), a=low(m.a))
+            body = RigidBody(self.robot.chain, slow)
+            tau = simulated_torque(self.robot, slow, body)
+            parts.append((replace(slow, tau=tau), body, sampler))
+        return parts
+
     def __iter__(self) -> Iterator[tuple[Motion, RigidBody, Sampler]]:
         return zip(self.motions, self.bodies, self.samplers, strict=True)
 
@@ -154,6 +174,7 @@ def measure_gap(
     recordings: Sequence[Recording | Motion],
     *,
     cutoff: float | None = None,
+    correct: Callable[[Motion], Motion] | None = None,
 ) -> Gap:
     """Compare a simulator with logs, torque by torque.
 
@@ -161,12 +182,14 @@ def measure_gap(
         robot: The simulator as it stands, with the friction that its file declares.
         recordings: Logs of the real arm, or motions made from such.
         cutoff: Cut-off, [Hz]; from the spectrum if not given.
+        correct: What to do to each motion first; see :mod:`.convention`.
 
     Raises:
         IdentificationError: There is no recording.
         RecordingError: A recording does not fit the arm, or has no torque.
     """
     motions, cutoff = prepare_motions(robot, recordings, cutoff)
+    motions = [correct(m) for m in motions] if correct else motions
     for motion in motions:
         if not np.isfinite(motion.tau).all():
             raise RecordingError(
@@ -190,7 +213,12 @@ def measure_gap(
         v = motion.v[:: sampler.factor]
         usable = sampler.keep(motion.mask)[:, None]
         usable = usable & ~faults[r].torque[:: sampler.factor]
-        moving.append((np.abs(v) > np.maximum(_STANDING * fastest, _SLOWEST)) & usable)
+        slow = np.abs(v) <= np.maximum(_STANDING * fastest, _SLOWEST)
+        slow[1:] |= v[1:] * v[:-1] < 0
+        reach = _REST / cutoff * motion.rate / sampler.factor
+        resting = robot.frictionloss > 0
+        slow[:, resting] = _around(slow[:, resting], round(reach))
+        moving.append(~slow & usable)
         trajectory.append(np.full(len(v), r))
         t = motion.t[:: sampler.factor] - motion.t[0]
         fold.append((t // block_seconds(motions)).astype(int))
@@ -219,9 +247,17 @@ def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Fau
     reach = 0
     if np.isfinite(cutoff):
         reach = filter_reach(cutoff / motion.rate, order=5, tolerance=1e-3)
-    for column in both.T[both.any(axis=0)]:
-        column[:] = np.convolve(column, np.ones(2 * reach + 1), mode="same") > 0.5
+    both = _around(both, reach)
     return replace(found, posture=both[:, 0], torque=both[:, 1:])
+
+
+def _around(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Flags, shape (M, k), and what is within reach of them, in samples."""
+    window, near = np.ones(2 * reach + 1), np.zeros_like(flags)
+    for j in np.flatnonzero(flags.any(axis=0)):
+        # Not mode "same": that is as long as the longer of the two.
+        near[:, j] = np.convolve(flags[:, j], window)[reach : -reach or None] > 0.5
+    return near
 
 
 def _worthwhile(moving: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -22,6 +22,7 @@ _WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
 _MOST_TRIALS = 40
 _ENDLESS = 1e4  # s
 _NUDGE = 0.01  # of a range, for a derivative
+SHAPE_SPREAD = 0.3  # prior deviation of a shape, of its range
 
 
 def price(effect: Effect) -> float:
@@ -133,6 +134,16 @@ def nudges(gap: Gap, effect: Effect) -> list[Columns]:
         then = gap.columns(effect.at({r.shape.name: r.value(place + step)}))
         blocks.append({j: ((then[j] - now[j]) @ gains / step)[:, None] for j in now})
     return blocks
+
+
+def moved(gap: Gap, effect: Effect, steps: Array) -> Effect:
+    """An effect with each shape moved by a part of its range, within the range."""
+    ranges = _ranges(gap, effect)
+    values = {
+        r.shape.name: r.value(r.place(effect.values[r.shape.name]) + float(step))
+        for r, step in zip(ranges, steps, strict=True)
+    }
+    return effect.at(values)
 
 
 def shape_units(gap: Gap, effect: Effect) -> list[float]:

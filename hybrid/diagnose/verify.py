@@ -56,13 +56,15 @@ class Account:
     Attributes:
         before: With the background alone, shape (n,).
         after: With all terms, shape (n,).
-        missed: What a flexible regression still recovers, shape (n,).
+        recovered: What a flexible regression still recovers, beyond chance, shape (n,).
+        missed: The part of it that matters, shape (n,).
         depends: What the missed part depends on first, for each joint.
         noise: Sum of squares of noise alone, shape (n,).
     """
 
     before: Array
     after: Array
+    recovered: Array
     missed: Array
     depends: tuple[str, ...]
     noise: Array
@@ -81,7 +83,7 @@ def account(gap: Gap, search: Search, limits: Thresholds) -> Account:
     weight = evidence.noise
     before = evidence.squares(alone.index, alone.gains).sum(axis=1) / weight
     after = evidence.squares(whole.index, whole.gains).sum(axis=1) / weight
-    missed, depends = np.zeros(len(weight)), []
+    (recovered, missed), depends = np.zeros((2, len(weight))), []
     for i, rows in enumerate(evidence.rows):
         if not len(rows):
             depends.append("")
@@ -91,14 +93,16 @@ def account(gap: Gap, search: Search, limits: Thresholds) -> Account:
         order = np.argsort(rows)
         rows = rows[order]
         squares, of, rest = recoverable(gap, i, left[order], rows, weight[i])
-        squares = max(0.0, squares - limits.spurious * float(left @ left))
         # Noise as estimated before may hold what no effect explains.
         noise = float(rest @ rest) / len(rest) * memory(rest, rows)
+        if squares > limits.evident * noise:
+            recovered[i] = squares / weight[i]
+        squares = max(0.0, squares - limits.spurious * float(left @ left))
         tau = gap.measured[rows, i]
         least = max(limits.evident * noise, limits.negligible**2 * float(tau @ tau))
         missed[i] = squares / weight[i] if squares > least else 0.0
         depends.append(of if missed[i] > 0 else "")
-    return Account(before, after, missed, tuple(depends), after - missed)
+    return Account(before, after, recovered, missed, tuple(depends), after - missed)
 
 
 def check(search: Search, term: Term, found: Account) -> Check:
@@ -116,7 +120,7 @@ def check(search: Search, term: Term, found: Account) -> Check:
     # The joints where it explains most; others it merely touches.
     main = gained > 0.2 * gained.max() if gained.max() > 0 else gained >= 0
     explained = found.explained[main].sum()
-    complete = explained / max(explained + found.missed[main].sum(), 1e-12)
+    complete = explained / max(explained + found.recovered[main].sum(), 1e-12)
     joint = term.place[1]
     crowd = sum(t.place[1] == joint for t in search.terms)
     return Check(

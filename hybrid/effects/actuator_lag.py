@@ -20,6 +20,7 @@ class ActuatorLag(Effect):
 
     id = "actuator_lag"
     port = Port.DRIVE
+    differentiates = True
     memory = ("known", "asked", "reported")
     gains = (Quantity("time", "s", 0.005, -0.05, 0.05),)
     equation = "τ_reported = τ + T · dτ/dt"

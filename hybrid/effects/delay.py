@@ -13,6 +13,7 @@ class Delay(Effect):
 
     id = "delay"
     port = Port.MEASUREMENT
+    differentiates = True
     not_in_loop = "it is of the log's clocks; a drive needs its torque now"
     gains = (Quantity("time", "s", 0.005, -0.05, 0.05),)
     equation = "τ_reported(t) = τ(t − T)"

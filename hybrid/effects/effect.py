@@ -77,6 +77,8 @@ class Effect(Instant, ABC):
     # Whether its columns, made at the gain it has, change so fast with the gain that a
     # fit has to scan it.
     steep: ClassVar[bool] = False
+    # Whether its torque is of derivatives of the torque or acceleration.
+    differentiates: ClassVar[bool] = False
     equation: ClassVar[str]
     source: ClassVar[str]
     sentence: ClassVar[str]

@@ -27,7 +27,7 @@ _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
 _STANDING = 0.01  # of the highest speed
 FOLDS = 4
 _BLOCK_SECONDS = 1.0
-_FEWEST_PERIODS = 3.0  # of the cut-off in a recording: its edges take 2.3 of them
+FEWEST_PERIODS = 3.0  # of the cut-off in a recording: its edges take 2.3 of them
 
 
 @dataclass(frozen=True)
@@ -190,9 +190,9 @@ def prepare_motions(
         chosen = [choose_cutoff(x) for x in logs if isinstance(x, Recording)]
         cutoff = float(np.median(chosen)) if chosen else np.inf
     shortest = min(float(x.t[-1] - x.t[0]) for x in logs)
-    if not cutoff * shortest >= _FEWEST_PERIODS:
+    if not cutoff * shortest >= FEWEST_PERIODS:
         raise IdentificationError(
-            f"cutoff is {cutoff:g} Hz; valid is {_FEWEST_PERIODS / shortest:.3g} Hz or "
+            f"cutoff is {cutoff:g} Hz; valid is {FEWEST_PERIODS / shortest:.3g} Hz or "
             f"more for a recording of {shortest:.3g} s"
         )
     motions = [

@@ -64,6 +64,7 @@ def read_mjcf(path: Path, joints: tuple[str, ...] | None) -> dict[str, Any]:
         "frictionloss": model.dof_frictionloss[dofs].copy(),
         "kp": kp[index],
         "kd": kd[index],
+        "timestep": float(model.opt.timestep),
     }
 
 

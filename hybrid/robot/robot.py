@@ -41,6 +41,7 @@ class Robot:
         kp: Declared stiffness of position servos, shape (n,), [N·m/rad]; NaN where
             there is none.
         kd: Their declared damping, shape (n,), [N·m·s/rad]; NaN where there is none.
+        timestep: Declared step of the simulation, [s]; NaN without one.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Robot:
     path: str = ""
     kp: Array = field(default_factory=lambda: np.zeros(0))
     kd: Array = field(default_factory=lambda: np.zeros(0))
+    timestep: float = np.nan
 
     def __post_init__(self) -> None:
         for name, none in (("a_max", np.inf), *((x, np.nan) for x in _SERVO)):
@@ -150,7 +152,10 @@ class Robot:
             f.name: _plain(getattr(self.chain, f.name)) for f in fields(Chain)
         }
         names = (*_VECTORS, *_SERVO)
-        return content | {name: _plain(getattr(self, name)) for name in names}
+        content |= {name: _plain(getattr(self, name)) for name in names}
+        return content | {
+            "timestep": None if np.isnan(self.timestep) else self.timestep
+        }
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Robot:
@@ -183,6 +188,7 @@ class Robot:
                 chain=Chain(joints=tuple(chain["joints"]), **arrays),
                 **limits,
                 **gains,
+                timestep=float(content.get("timestep") or np.nan),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise RobotError(f"not a saved robot: {error!r}") from error

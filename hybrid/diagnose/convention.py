@@ -1,0 +1,164 @@
+"""How a simulation's log was written: which instant its torque is of.
+
+A loop that steps and then logs writes the position after a step beside the torque of
+the instant before it. And an implicit step feels a servo's damping at the speed that
+it arrives at, while the torque it reports is that of the speed it left from: over a
+step h the report is too high by ``h k_d a``. Both are the log's, not the arm's, and are
+taken back where most joints agree on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hybrid.diagnose.background import background
+from hybrid.diagnose.candidates import candidate
+from hybrid.diagnose.evidence import Evidence
+from hybrid.diagnose.gap import Columns, Gap, measure_gap
+from hybrid.effects.armature import Armature
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.payload import Payload
+from hybrid.effects.torque_offset import TorqueOffset
+from hybrid.effects.viscous import Viscous
+from hybrid.identify.data import FEWEST_PERIODS
+from hybrid.recording import Recording
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+from hybrid.signals import Motion
+
+_BESIDE = (Viscous, Coulomb, TorqueOffset)
+_LOWER = 0.5  # of the cut-off: noise of positions grows with the cube of frequency
+_OFF = 0.01  # one standard deviation of the background, relative
+_OPEN = 0.1  # s, and seconds of a servo's damping: the same of what is asked for
+_TELLING = 0.2  # standard deviation of a joint's answer, of what it may be
+_AGREES = 0.5  # of what it may be
+_FEWEST, _MOST = 2, 0.6  # of the joints that tell, at least; and that part
+
+
+@dataclass(frozen=True)
+class Convention:
+    """How torque was logged.
+
+    Attributes:
+        late: Torque is of so much before the position, [s].
+        step: Step h over which the report leaves out the servo's damping, [s].
+    """
+
+    late: float = 0.0
+    step: float = 0.0
+
+    def __bool__(self) -> bool:
+        return self.late > 0 or self.step > 0
+
+    def in_step(self, log: Recording | Motion) -> Recording | Motion:
+        """A log with the torque, and the command, of the instant of each position."""
+        if not self.late:
+            return log
+        if isinstance(log, Motion) or log.command is None:
+            return replace(log, tau=self._later(log.t, log.tau))
+        command = self._later(log.t, log.command)
+        return replace(log, tau=self._later(log.t, log.tau), command=command)
+
+    def _later(self, t: Array, x: Array) -> Array:
+        return np.stack([np.interp(t + self.late, t, y) for y in x.T], axis=1)
+
+    def explicit(self, robot: Robot, motion: Motion) -> Motion:
+        """A motion with the torque, and the speed of friction, that acted in a step."""
+        taken = self.step * np.nan_to_num(robot.kd) * motion.a
+        v = motion.v + max(self.late, self.step) / 2 * motion.a
+        return replace(motion, tau=motion.tau - taken, v=v)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was taken back, in words."""
+        found = []
+        if self.late:
+            found.append(
+                f"torque is logged {1e3 * self.late:.3g} ms late at every joint, as by "
+                "a simulation that steps before it logs: taken back"
+            )
+        if self.step:
+            found.append(
+                "torque is logged with the servo's damping at the start of an implicit "
+                f"step of {1e3 * self.step:.3g} ms: taken back"
+            )
+        return tuple(found)
+
+
+def find_convention(gap: Gap, recordings: Sequence[Recording | Motion]) -> Convention:
+    """What most joints agree on, of the few ways in which a loop may log.
+
+    Args:
+        gap: The gap with the log taken at its word.
+        recordings: What it was measured from.
+    """
+    robot = gap.robot
+    shortest = min(float(m.t[-1] - m.t[0]) for m in gap.motions)
+    lower = max(_LOWER * gap.cutoff, FEWEST_PERIODS / shortest)
+    gap = measure_gap(robot, recordings, cutoff=lower)
+    joints = [j for j in range(robot.size) if gap.moving[:, j].any()]
+    steps = sorted(x for x in {1.0 / gap.motions[0].rate, robot.timestep} if x > 0)
+    kd = np.where(robot.kd > 0, robot.kd, 0.0)[joints]
+    late = step = 0.0
+    for loaded in (False, True):
+        ages, rotors = _answers(gap, joints, kd, loaded)
+        late = late or _agreed(*ages, steps)
+        step = step or _agreed(*rotors, steps)
+    return Convention(late, step)
+
+
+def _answers(
+    gap: Gap, joints: Sequence[int], kd: Array, loaded: bool
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Age of each joint's torque, and its extra rotor over its servo's damping, [s].
+
+    Args:
+        gap: The gap.
+        joints: The joints that move.
+        kd: Damping of their servos, shape (J,), [N·m·s/rad]; zero without one.
+        loaded: Whether the arm may carry something unknown.
+
+    Returns:
+        Values and standard deviations of both.
+    """
+    robot, evidence = gap.robot, Evidence(gap)
+    rigid = np.concatenate(evidence.add(*background(gap)))
+    evidence.spread(rigid, _OFF)
+    beside = [candidate(gap, kind((j,))) for kind in _BESIDE for j in joints]
+    if loaded:
+        beside.append(candidate(gap, Payload(tuple(range(robot.size)))))
+    evidence.add([gap.columns(c.effect) for c in beside], [c.std for c in beside])
+    servo = [j for j, k in zip(joints, kd, strict=True) if k > 0]
+    kd = kd[kd > 0]
+    asked = [_older(gap, j) for j in joints]
+    asked += [gap.columns(Armature((j,))) for j in servo]
+    open_ = np.array([*np.full(len(joints), _OPEN), *(_OPEN * kd)])
+    own = np.concatenate(evidence.add(asked, list(open_[:, None])))
+    evidence.estimate_noise(np.arange(evidence.size))
+    found = evidence.solve(np.arange(evidence.size))
+    value, std = found.gains[own], np.sqrt(np.diag(found.covariance)[own])
+    n = len(joints)
+    return (value[:n], std[:n]), (value[n:] / kd, std[n:] / kd)
+
+
+def _older(gap: Gap, joint: int) -> Columns:
+    """Change of the torque of links and rotor with its age, per second."""
+    parts = []
+    rotor = gap.robot.chain.armature[joint]
+    for motion, body, sampler in gap:
+        torque = body.load[:, joint] + rotor * motion.a[:, joint]
+        parts.append(-sampler(np.gradient(torque, motion.t))[:, None])
+    return {joint: np.concatenate(parts)}
+
+
+def _agreed(value: Array, std: Array, steps: Sequence[float]) -> float:
+    """Which of some times most joints that can tell agree on; zero if none."""
+    for step in steps:
+        telling = std < _TELLING * step
+        agree = telling & (np.abs(value - step) < _AGREES * step)
+        if agree.sum() >= max(_FEWEST, _MOST * telling.sum()):
+            return step
+    return 0.0
