@@ -30,6 +30,8 @@ class Check:
         remains: Squares of its torque and of another's together, over those of each,
             for the term of its kind at its joint that undoes it most.
         physical: Whether its gains are what such an effect may have.
+        byproduct: Whether it is on signals, or a body, and explains less than is missed
+            on the whole arm: what joint passes on to joint may look like one.
     """
 
     complete: float
@@ -37,6 +39,7 @@ class Check:
     crowd: int
     remains: float
     physical: bool
+    byproduct: bool
 
     def passes(self, limits: Thresholds) -> bool:
         """Whether the term may be named."""
@@ -46,6 +49,7 @@ class Check:
             and self.crowd <= limits.crowded
             and self.remains >= limits.undone
             and self.physical
+            and not self.byproduct
         )
 
 
@@ -129,6 +133,7 @@ def check(search: Search, term: Term, found: Account) -> Check:
         crowd,
         _remains(search, term),
         _physical(search, term),
+        bool(_kind(term)) and float(explained) < float(found.missed.sum()),
     )
 
 
