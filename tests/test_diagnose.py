@@ -17,6 +17,7 @@ from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.torque_gain import TorqueGain
+from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.plant import Noise, Plant, simulate
@@ -102,6 +103,14 @@ class TestGap:
         (finding,) = examine(robot, recordings).diagnosis.findings
         assert "delay" in finding.alternatives
         assert abs(finding.parameters[0].value - 0.01) < 0.001
+
+    def test_a_drive_without_a_stated_limit_gives_what_the_logs_show(self):
+        robot, recordings = logs([TorqueRipple((1,), {"sine": 3.0, "periods": 12.0})])
+        free = replace(robot, tau_max=np.full(2, np.inf))
+        result = examine(free, recordings)
+        most = np.abs(result.gap.measured).max(axis=0)
+        assert np.all([s.torque for s in result.gap.scales] >= most)
+        assert named(result) == {("torque_ripple", ("elbow",))}
 
     def test_fit_and_score_share_nothing(self):
         gap = planar().gap

@@ -74,8 +74,16 @@ class Gap:
 
     @cached_property
     def scales(self) -> tuple[Scale, ...]:
-        """Rated torque and speed of each joint."""
-        return joint_scales(self.robot)
+        """Rated torque and speed of each joint.
+
+        A drive of which the file states no limit gives what the logs show, at least.
+        """
+        seen = np.abs(self.measured).max(axis=0)
+        unstated = ~np.isfinite(self.robot.tau_max)
+        return tuple(
+            replace(s, torque=max(s.torque, float(x))) if free else s
+            for s, x, free in zip(joint_scales(self.robot), seen, unstated, strict=True)
+        )
 
     @cached_property
     def sampled(self) -> Motion:
@@ -108,11 +116,15 @@ class Gap:
         """Decimated samples per second, [Hz]."""
         return self.motions[0].rate / self.samplers[0].factor
 
-    def columns(self, effect: Effect) -> Columns:
+    def columns(self, effect: Effect, *, calm: bool = False) -> Columns:
         """Torque per unit of each gain, filtered as the gap is.
 
         First order at a gain of zero. Effects that change signals are not linear in
         their gain: at any other value it is the whole change, per unit of the gain.
+
+        Args:
+            effect: The effect.
+            calm: Whether to make them of :attr:`calm`, as always if it differentiates.
 
         Returns:
             For each joint that the effect's torque reaches, shape (M, p).
@@ -127,7 +139,9 @@ class Gap:
             )
             effect = effect.at({effect.gains[0].name: small}) if exact else effect
         parts = []
-        for motion, body, sampler in self.calm if effect.differentiates else self:
+        for motion, body, sampler in (
+            self.calm if calm or effect.differentiates else self
+        ):
             if exact:
                 full = self._change(effect, motion, body) / effect.gain_values[0]
                 parts.append(sampler(full)[:, :, None])

@@ -15,6 +15,7 @@ from hybrid.diagnose.thresholds import Thresholds
 from hybrid.effects.effect import Port
 from hybrid.robot.chain import Array
 
+_ECHO = 0.4  # of the evidence, least in the lower half of the band
 _SLACK = 0.02  # of the range of a gain
 
 
@@ -32,6 +33,8 @@ class Check:
         physical: Whether its gains are what such an effect may have.
         byproduct: Whether it is on signals, or a body, and explains less than is missed
             on the whole arm: what joint passes on to joint may look like one.
+        echo: Whether most of its evidence is in the upper half of the band, where it
+            may be of noise that its columns and the gap share.
     """
 
     complete: float
@@ -40,6 +43,7 @@ class Check:
     remains: float
     physical: bool
     byproduct: bool
+    echo: bool
 
     def passes(self, limits: Thresholds) -> bool:
         """Whether the term may be named."""
@@ -50,6 +54,7 @@ class Check:
             and self.remains >= limits.undone
             and self.physical
             and not self.byproduct
+            and not self.echo
         )
 
 
@@ -134,6 +139,7 @@ def check(search: Search, term: Term, found: Account) -> Check:
         _remains(search, term),
         _physical(search, term),
         bool(_kind(term)) and float(explained) < float(found.missed.sum()),
+        _echo(search, term),
     )
 
 
@@ -160,6 +166,20 @@ def _physical(search: Search, term: Term) -> bool:
         elif gain.per == (0, 0) and value > bound.upper + slack:
             return False
     return True
+
+
+def _echo(search: Search, term: Term) -> bool:
+    c, base = term.candidate, search.base(term)
+    if not c.effect.echoes:
+        return False
+    whole, lower = (
+        search.evidence.trial(base, columns, c.std, c.lower)[0]
+        for columns in (
+            search.gap.columns(c.effect),
+            search.gap.columns(c.effect, calm=True),
+        )
+    )
+    return lower < _ECHO * whole
 
 
 def _remains(search: Search, term: Term) -> float:

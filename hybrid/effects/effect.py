@@ -79,6 +79,9 @@ class Effect(Instant, ABC):
     steep: ClassVar[bool] = False
     # Whether its torque is of derivatives of the torque or acceleration.
     differentiates: ClassVar[bool] = False
+    # Whether noise of positions, which is in the torque that it is held against too,
+    # may be taken for it.
+    echoes: ClassVar[bool] = False
     equation: ClassVar[str]
     source: ClassVar[str]
     sentence: ClassVar[str]

@@ -30,6 +30,7 @@ class Elasticity(Effect):
     id = "elasticity"
     port = Port.TRANSMISSION
     steep = True
+    echoes = True
     not_in_loop = "its link swings by the load that comes next"
     gains = (Quantity("compliance", "rad/(N·m)", 0.01, 0.0, 0.2, per=(-1, 0)),)
     shapes = (Quantity("damping", "N·m·s/rad", 0.02, 0.0, 1.0, per=(1, -1)),)
