@@ -34,6 +34,7 @@ _SMALLEST = 0.003  # of the measured torque, RMS
 _MATTERS = 0.005  # the same, of what was refused as a cause
 _LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
 _DOUBT = 0.05  # of what a term removes: most that it may add, of 39 blocks out of 40
+_FEWEST_BLOCKS = 6  # of a second, for that to be known
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
@@ -151,6 +152,9 @@ def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
     Two effects of one joint may each seem to help, and only undo one another.
     """
     useless: set[int] = set()
+    joints = range(scored.gap.robot.size)
+    blocks = np.unique(np.concatenate([scored.blocks(i) for i in joints]))
+    enough = len(blocks) >= _FEWEST_BLOCKS
     for kind in range(2):  # effect, joints
         groups: dict[object, list[int]] = {}
         for k, term in enumerate(scored.terms):
@@ -161,7 +165,7 @@ def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
                 continue
             shrink = torque_shrink(scored, members, rng)
             lost = shrink.removed <= _LEAST_REMOVED * kind
-            lost |= shrink.interval[0] < -_DOUBT * shrink.removed
+            lost |= enough and shrink.interval[0] < -_DOUBT * shrink.removed
             if lost or _negligible(scored, rest):
                 useless |= {*members}
     return [t for k, t in enumerate(scored.terms) if k not in useless]
