@@ -33,8 +33,8 @@ Progress = Callable[[str], None]
 _SMALLEST = 0.003  # of the measured torque, RMS
 _MATTERS = 0.005  # the same, of what was refused as a cause
 _LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
-_DOUBT = 0.05  # of what a term removes: most that it may add, of 39 blocks out of 40
-_FEWEST_BLOCKS = 6  # of a second, for that to be known
+_DOUBT = 0.05  # of what a term removes: most that its interval says it may add
+_FEWEST_BLOCKS = 6  # of a second, for an interval that tells
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
