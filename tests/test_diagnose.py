@@ -277,6 +277,23 @@ class TestEvents:
         assert apart >= first["duration"] or -apart >= second["duration"]
         assert faultless().diagnosis.findings == ()
 
+    def test_what_acts_at_low_speed_only_is_no_contact(self):
+        gap = faultless().gap
+        v = np.abs(gap.sampled.v)
+        slow = v < 0.09 * v.max(axis=0)
+        noise = np.array(faultless().diagnosis.noise_floor) ** 2
+        rows = [np.arange(len(v))] * 2
+
+        def strongest(where):
+            left = [10.0 * where[:, i] for i in range(2)]
+            return Contacts(gap).strongest(left, rows, noise, 1)[0].values
+
+        early = np.arange(len(v))[:, None] < 100
+        assert strongest(early & ~slow)["start"] < 100 / gap.rate
+        # Of equal windows without anything the first is taken: any start will do.
+        with_slow = strongest((early & ~slow) | slow)
+        assert with_slow == strongest(early & ~slow)
+
 
 class TestMakeshifts:
     def test_two_effects_that_undo_one_another_are_not_named(self):

@@ -13,6 +13,7 @@ from hybrid.robot.chain import Array
 
 _CHUNK = 0.05  # s
 _LENGTHS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192)  # chunks
+_FAST = 0.1  # of a joint's highest speed
 _LONGEST = 1 / 3  # of a recording; what lasts is no event
 _FORCE, _MOMENT = 20.0, 2.0  # N, N·m; prior standard deviations of the scan
 
@@ -30,6 +31,9 @@ class Contacts:
         n = gap.robot.size
         t = gap.sampled.t
         self._joints = tuple(range(n))
+        v = np.abs(gap.sampled.v)
+        # At low speed friction does whatever a contact might.
+        self._fast = v > _FAST * v.max(axis=0)
         self._first = float(t.min())
         self._chunk = ((t - self._first) / _CHUNK).astype(int)
         always = {"start": self._first, "duration": float(np.ptp(t)) + 1.0}
@@ -56,7 +60,9 @@ class Contacts:
         """
         size = int(self._chunk.max()) + 1
         gram, moment = np.zeros((size, 6, 6)), np.zeros((size, 6))
-        for i, (x, r) in enumerate(zip(left, rows, strict=True)):
+        for i, (whole, among) in enumerate(zip(left, rows, strict=True)):
+            fast = self._fast[among, i]
+            x, r = whole[fast], among[fast]
             gram += self._gram(i, r) / noise[i]
             weighed = self._columns[i][r] * (x / noise[i])[:, None]
             for k, column in enumerate(weighed.T):
