@@ -14,6 +14,7 @@ from hybrid.robot.chain import Array
 _CHUNK = 0.05  # s
 _LENGTHS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192)  # chunks
 _FAST = 0.1  # of a joint's highest speed
+_NORMAL = 1.4826  # standard deviation over median size
 _LONGEST = 1 / 3  # of a recording; what lasts is no event
 _FORCE, _MOMENT = 20.0, 2.0  # N, N·m; prior standard deviations of the scan
 
@@ -33,7 +34,7 @@ class Contacts:
         self._joints = tuple(range(n))
         v = np.abs(gap.sampled.v)
         # At low speed friction does whatever a contact might.
-        self._fast = v > _FAST * v.max(axis=0)
+        self._fast = v > _FAST * v[gap.sampled.mask].max(axis=0)
         self._first = float(t.min())
         self._chunk = ((t - self._first) / _CHUNK).astype(int)
         always = {"start": self._first, "duration": float(np.ptp(t)) + 1.0}
@@ -63,8 +64,11 @@ class Contacts:
         for i, (whole, among) in enumerate(zip(left, rows, strict=True)):
             fast = self._fast[among, i]
             x, r = whole[fast], among[fast]
-            gram += self._gram(i, r) / noise[i]
-            weighed = self._columns[i][r] * (x / noise[i])[:, None]
+            # The noise as known so far may hold the very contact.
+            usual = (_NORMAL * np.median(np.abs(x))) ** 2 if len(x) else 0.0
+            weight = 1.0 / (min(noise[i], usual) or noise[i])
+            gram += self._gram(i, r) * weight
+            weighed = self._columns[i][r] * (x * weight)[:, None]
             for k, column in enumerate(weighed.T):
                 moment[:, k] += np.bincount(self._chunk[r], column, size)
         windows = _windows(gram, moment)
