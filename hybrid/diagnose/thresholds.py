@@ -21,6 +21,7 @@ class Thresholds:
         evident: Least squares that it must recover at a joint, in units of noise.
         negligible: RMS that is not worth a cause, over that of the measured torque.
         complete: Least part of what is explainable at a joint that its terms explain.
+        roughly: The same where they are of laws that hold roughly: of play and springs.
         steady: Most that gains of their own on each fold may take from the gap, over
             what the term takes.
         crowded: Most terms at one joint that still make a cause.
@@ -36,6 +37,7 @@ class Thresholds:
     evident: float
     negligible: float
     complete: float
+    roughly: float
     steady: float
     crowded: int
     undone: float

@@ -15,7 +15,7 @@ from hybrid.diagnose.thresholds import Thresholds
 from hybrid.effects.effect import Port
 from hybrid.robot.chain import Array
 
-_ECHO = 0.4  # of the evidence, least in the lower half of the band
+_ECHO = 0.1  # of the evidence, least in the lower half of the band
 _SLACK = 0.02  # of the range of a gain
 
 
@@ -33,8 +33,9 @@ class Check:
         physical: Whether its gains are what such an effect may have.
         byproduct: Whether it is on signals, or a body, and explains less than is missed
             on the whole arm: what joint passes on to joint may look like one.
-        echo: Whether most of its evidence is in the upper half of the band, where it
-            may be of noise that its columns and the gap share.
+        echo: Whether its evidence is in the upper half of the band, where it may be of
+            noise that its columns and the gap share.
+        rough: Whether its law holds roughly, so that it may leave more.
     """
 
     complete: float
@@ -44,11 +45,12 @@ class Check:
     physical: bool
     byproduct: bool
     echo: bool
+    rough: bool
 
     def passes(self, limits: Thresholds) -> bool:
         """Whether the term may be named."""
         return (
-            self.complete >= limits.complete
+            self.complete >= (limits.roughly if self.rough else limits.complete)
             and self.unsteady <= limits.steady
             and self.crowd <= limits.crowded
             and self.remains >= limits.undone
@@ -140,6 +142,7 @@ def check(search: Search, term: Term, found: Account) -> Check:
         _physical(search, term),
         bool(_kind(term)) and float(explained) < float(found.missed.sum()),
         _echo(search, term),
+        term.candidate.effect.steep,
     )
 
 
