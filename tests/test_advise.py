@@ -16,6 +16,7 @@ from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.diagnosis import Advice
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.menu import Experiment, Menu, gap_along, joined
+from hybrid.diagnose.refine import gain
 from hybrid.diagnose.separation import Outlook, fit_rival, needed, shapes_of
 from hybrid.effects import effect_classes
 from hybrid.plant import Plant, random_fourier
@@ -147,7 +148,7 @@ def test_what_is_told_is_what_a_search_on_all_data_would_find():
     fresh = Search(both, np.append(old, np.ones(len(new), dtype=bool)))
     fresh.evidence.noise = search.evidence.noise
     fresh.evidence.spread(fresh.background, search.off)
-    best = fresh.gain(fresh.base(), first.candidate)
+    best = gain(fresh.evidence, fresh.base(), first.candidate)
     _, other = fresh.refine(fresh.base(), second.candidate)
     assert told[0] == pytest.approx((best - other) / needed(best), rel=0.02, abs=0.02)
 
