@@ -12,6 +12,7 @@ from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.explanation import between, split
 from hybrid.diagnose.gap import measure_gap
+from hybrid.diagnose.refine import shape_steps
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
@@ -38,9 +39,10 @@ def named(result):
 class TestShapes:
     def test_all_are_at_their_optimum_together(self):
         search = planar().search
-        steps = [s for s in search._steps() if s is not None]
-        assert len(steps) == 2
-        assert all(np.abs(s).max() < 0.01 for s in steps)
+        placed = [(t.candidate, t.index) for t in search.terms]
+        steps = shape_steps(search.evidence, search.base(), placed)
+        assert sorted(map(len, steps)) == [1, 2]
+        assert np.abs(np.concatenate(steps)).max() < 0.01
 
 
 class TestGap:

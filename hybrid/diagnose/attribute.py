@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import Candidate, candidate, candidates, with_gains
+from hybrid.diagnose.candidates import Candidate, candidate, candidates
 from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.gap import Columns, Gap
-from hybrid.diagnose.refine import gain, refine
+from hybrid.diagnose.refine import gain, refine, shape_steps
 from hybrid.diagnose.ripples import ripple_orders
-from hybrid.diagnose.shapes import SHAPE_SPREAD, moved, nudges, price
+from hybrid.diagnose.shapes import moved, price
 from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
@@ -275,10 +275,11 @@ class Search:
         """
         for _ in range(_POLISHINGS):
             before, terms = self._worth(), self.terms
-            steps = self._steps()
+            placed = [(t.candidate, t.index) for t in terms]
+            steps = shape_steps(self.evidence, self.base(), placed)
             for part in (1.0, 0.3):
                 self.terms = [
-                    t if s is None else self._moved(t, part * s)
+                    self._moved(t, part * s) if len(s) else t
                     for t, s in zip(terms, steps, strict=True)
                 ]
                 if self._worth() > before:
@@ -291,22 +292,6 @@ class Search:
 
     def _worth(self) -> float:
         return self.evidence.solve(self.base()).evidence
-
-    def _steps(self) -> list[Array | None]:
-        """Gauss-Newton step of each term's shapes, in parts of their ranges."""
-        evidence, solution = self.evidence, self.evidence.solve(self.base())
-        gains = dict(zip(solution.index.tolist(), solution.gains, strict=True))
-        index: list[Index | None] = []
-        for t in self.terms:
-            effect = with_gains(t.candidate.effect, [gains[k] for k in t.index])
-            blocks = [] if t.candidate.effect.steep else nudges(self.gap, effect)
-            spread = [np.array([SHAPE_SPREAD])] * len(blocks)
-            own = evidence.add(blocks, spread) if blocks else []
-            index.append(np.concatenate(own) if own else None)
-        known = [i for i in index if i is not None]
-        whole = evidence.solve(np.concatenate([self.base(), *known]))
-        step = dict(zip(whole.index.tolist(), whole.gains, strict=True))
-        return [None if i is None else np.array([step[k] for k in i]) for i in index]
 
     def _moved(self, term: Term, steps: Array) -> Term:
         effect = moved(self.gap, term.candidate.effect, steps)

@@ -14,7 +14,8 @@ from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import with_gains
 from hybrid.diagnose.evidence import Evidence, Index, Solution
 from hybrid.diagnose.gap import Gap, block_seconds
-from hybrid.diagnose.shapes import SHAPE_SPREAD, nudges, shape_units
+from hybrid.diagnose.refine import take_nudges
+from hybrid.diagnose.shapes import shape_units
 from hybrid.effects import Effect
 from hybrid.robot.chain import Array
 
@@ -214,17 +215,11 @@ def refit(gap: Gap, search: Search) -> Refit:
         with_gains(t.candidate.effect, [gains[k] for k in i])
         for t, i in zip(search.terms, own, strict=True)
     ]
-    nudged, shapes = [solution.index], []
-    for effect in effects:
-        blocks = nudges(gap, effect)
-        spread = [np.array([SHAPE_SPREAD])] * len(blocks)
-        found = evidence.add(blocks, spread) if blocks else []
-        shapes.append([int(k[0]) for k in found])
-        nudged += found
+    shapes = [take_nudges(evidence, effect) for effect in effects]
     for i in own:
         # Values lean on their priors; what the data leave open the intervals show.
         evidence.spread(i, _OPEN)
-    whole = evidence.solve(np.concatenate(nudged))
+    whole = evidence.solve(np.concatenate([solution.index, *shapes]))
     place = {int(k): i for i, k in enumerate(whole.index)}
     certain = []
     for effect, i, s in zip(effects, own, shapes, strict=True):

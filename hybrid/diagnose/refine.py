@@ -1,19 +1,21 @@
-"""One candidate at its best: shapes and gains in which its torque is not linear."""
+"""Candidates at their best: shapes and gains in which their torque is not linear."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from hybrid.diagnose.candidates import Candidate, scale_of
+from hybrid.diagnose.candidates import Candidate, scale_of, with_gains
 from hybrid.diagnose.evidence import Evidence, Index
-from hybrid.diagnose.shapes import fit_shapes, price
+from hybrid.diagnose.shapes import fit_shapes, nudges, price
 from hybrid.effects import Effect
+from hybrid.robot.chain import Array
 
 _EXACT_PASSES = 4
+_SHAPE_SPREAD = 0.3  # prior deviation of a shape, of its range
 _STEP, _SCAN = 1.6, 9  # factor to either side of a steep gain; values tried
 
 
@@ -80,3 +82,47 @@ def _scanned(
         options={"maxiter": _SCAN, "xatol": 0.02},
     )
     return at(found.x)
+
+
+def take_nudges(evidence: Evidence, effect: Effect) -> Index:
+    """Take in the change of an effect's torque with each of its shapes.
+
+    Args:
+        evidence: Where the columns go.
+        effect: The effect with its gains.
+
+    Returns:
+        The columns, one for each shape, shape (s,), per whole range of the shape.
+    """
+    blocks = nudges(evidence.gap, effect)
+    if not blocks:
+        return np.zeros(0, dtype=np.intp)
+    spread = [np.array([_SHAPE_SPREAD])] * len(blocks)
+    return np.concatenate(evidence.add(blocks, spread))
+
+
+def shape_steps(
+    evidence: Evidence, base: Index, placed: Sequence[tuple[Candidate, Index]]
+) -> list[Array]:
+    """Gauss-Newton step of the shapes of some candidates, fitted together.
+
+    Args:
+        evidence: Cross-products of the gap.
+        base: All columns that are in, shape (k,).
+        placed: The candidates, and which of these columns are theirs.
+
+    Returns:
+        For each candidate a step of every shape, in parts of its range, shape (s,);
+        none, shape (0,), of an effect that is scanned.
+    """
+    solution = evidence.solve(base)
+    gains = dict(zip(solution.index.tolist(), solution.gains, strict=True))
+    index = [
+        np.zeros(0, dtype=np.intp)
+        if c.effect.steep
+        else take_nudges(evidence, with_gains(c.effect, [gains[k] for k in own]))
+        for c, own in placed
+    ]
+    whole = evidence.solve(np.concatenate([base, *index]))
+    step = dict(zip(whole.index.tolist(), whole.gains, strict=True))
+    return [np.array([step[k] for k in own]) for own in index]

@@ -22,7 +22,6 @@ _WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
 _MOST_TRIALS = 40
 _ENDLESS = 1e4  # s
 _NUDGE = 0.01  # of a range, for a derivative
-SHAPE_SPREAD = 0.3  # prior deviation of a shape, of its range
 
 
 def price(effect: Effect) -> float:

@@ -172,6 +172,7 @@ def _physical(search: Search, term: Term) -> bool:
 
 
 def _echo(search: Search, term: Term) -> bool:
+    """Whether columns of the lower half of the band show next to nothing of a term."""
     c, base = term.candidate, search.base(term)
     if not c.effect.echoes:
         return False
