@@ -128,6 +128,20 @@ class TestGap:
         apart = np.minimum(np.abs(after - place), np.abs(place - before))
         assert apart.min() >= 0.3 * single.rate
 
+    def test_the_fall_that_a_term_promises_is_kept_only_at_its_right_size(self):
+        scored = planar().scored
+        for k in range(len(scored.terms)):
+            gains = scored.gains.copy()
+            gains[np.isin(scored.index, scored.own[k])] *= 2.0
+            assert abs(scored.kept([k]) - 1.0) < 0.05
+            assert abs(replace(scored, gains=gains).kept([k])) < 0.05
+
+    def test_small_effects_are_found_where_much_is_logged(self):
+        floor = faultless().diagnosis.noise_floor[1]
+        ripple = TorqueRipple((1,), {"sine": 0.45 * floor, "periods": 3.0})
+        robot, recordings = logs([ripple], duration=10.0, count=8)
+        assert named(examine(robot, recordings)) == {("torque_ripple", ("elbow",))}
+
     def test_a_log_without_torque_is_refused(self):
         robot, recordings = logs([])
         bare = replace(recordings[0], tau=np.full_like(recordings[0].tau, np.nan))

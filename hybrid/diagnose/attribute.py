@@ -20,7 +20,7 @@ from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
 
-_WORTH = 12.0  # nats that a term must add
+_WORTH = 10.0  # nats that a term must add
 _LEAST_REMOVED = 0.015  # of the RMS at a term's joints, on folds left out
 _RIPPLES = 3  # orders tried at each joint at a time
 _CONTACTS = 2  # stretches of time tried at a time

@@ -30,11 +30,12 @@ from hybrid.signals import Motion
 
 Progress = Callable[[str], None]
 
-_SMALLEST = 0.003  # of the measured torque, RMS
+_SMALLEST = 0.001  # of the measured torque, RMS
 _MATTERS = 0.005  # the same, of what was refused as a cause
 _LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
 _DOUBT = 0.05  # of what a term removes: most that its interval says it may add
 _FEWEST_BLOCKS = 6  # of a second, for an interval that tells
+_LEAST_KEPT = 0.5  # of the fall that a term's torque promises: as likely as nothing
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
@@ -165,7 +166,8 @@ def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
                 continue
             shrink = torque_shrink(scored, members, rng)
             lost = shrink.removed <= _LEAST_REMOVED * kind
-            lost |= enough and shrink.interval[0] < -_DOUBT * shrink.removed
+            doubtful = enough and shrink.interval[0] < -_DOUBT * shrink.removed
+            lost |= doubtful and scored.kept(members) < _LEAST_KEPT
             if lost or _negligible(scored, rest):
                 useless |= {*members}
     return [t for k, t in enumerate(scored.terms) if k not in useless]

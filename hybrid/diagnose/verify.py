@@ -106,8 +106,7 @@ def account(gap: Gap, search: Search, limits: Thresholds) -> Account:
         squares, of, rest = recoverable(gap, i, left[order], rows, weight[i])
         # Noise as estimated before may hold what no effect explains.
         noise = float(rest @ rest) / len(rest) * memory(rest, rows)
-        if squares > limits.evident * noise:
-            recovered[i] = squares / weight[i]
+        recovered[i] = max(0.0, squares - limits.evident * noise) / weight[i]
         squares = max(0.0, squares - limits.spurious * float(left @ left))
         tau = gap.measured[rows, i]
         least = max(limits.evident * noise, limits.negligible**2 * float(tau @ tau))
