@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from arms import MODELS
@@ -21,8 +22,11 @@ from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, RecordingError
-from hybrid.plant import Noise, Plant, simulate
+from hybrid.plant import Noise, Plant, random_fourier, simulate
+from hybrid.recording import Recording
 from hybrid.robot import Robot
+
+PUSH = {"force_x": 8.0, "force_y": -5.0, "start": 2.0, "duration": 0.8}
 
 
 def logs(effects, *, seed=1, duration=6.0, count=4, quiet=False):
@@ -141,6 +145,22 @@ class TestGap:
         ripple = TorqueRipple((1,), {"sine": 0.45 * floor, "periods": 3.0})
         robot, recordings = logs([ripple], duration=10.0, count=8)
         assert named(examine(robot, recordings)) == {("torque_ripple", ("elbow",))}
+
+    def test_recordings_may_be_stamped_by_a_clock_of_the_day(self):
+        robot, recordings = logs([Contact((0, 1), PUSH)], duration=8.0)
+        plain, late = (
+            examine(robot, [replace(x, t=x.t + start) for x in recordings])
+            for start in (0.0, 1.7e9)
+        )
+        assert named(late) == named(plain) == {("contact", ("shoulder", "elbow"))}
+        pairs = (r.diagnosis.findings[0].parameters for r in (plain, late))
+        for a, b in zip(*pairs, strict=True):
+            assert b.value == pytest.approx(a.value, abs=1e-2)
+
+    def test_recordings_may_be_hours_apart(self):
+        robot, recordings = logs([Viscous((1,), {"coefficient": 0.3})])
+        apart = [replace(x, t=x.t + 1e5 * k) for k, x in enumerate(recordings)]
+        assert named(examine(robot, apart)) == {("viscous", ("elbow",))}
 
     def test_a_log_without_torque_is_refused(self):
         robot, recordings = logs([])
@@ -280,6 +300,18 @@ class TestEvents:
         assert [f.effect for f in diagnosis.findings] == ["contact"]
         assert any("only in what was learnt from" in w for w in diagnosis.warnings)
 
+    @pytest.mark.parametrize("number", [0, 1])
+    def test_a_contact_in_one_of_several_recordings_is_found_there(self, number):
+        robot, recordings = logs([], duration=8.0)
+        _, touching = logs([Contact((0, 1), PUSH)], duration=8.0)
+        recordings = list(recordings)
+        recordings[number] = touching[number]
+        (finding,) = examine(robot, recordings).diagnosis.findings
+        values = {p.name: p.value for p in finding.parameters}
+        assert finding.effect == "contact" and values["recording"] == number
+        assert values["start"] == pytest.approx(PUSH["start"], abs=0.02)
+        assert values["duration"] == pytest.approx(PUSH["duration"], abs=0.03)
+
     def test_no_contact_is_seen_where_there_is_none(self):
         gap = faultless().gap
         found = Contacts(gap).strongest(
@@ -309,6 +341,58 @@ class TestEvents:
         # Of equal windows without anything the first is taken: any start will do.
         with_slow = strongest((early & ~slow) | slow)
         assert with_slow == strongest(early & ~slow)
+
+
+class TestDrives:
+    """Drives that are asked for more than they give, by a controller of their own."""
+
+    @staticmethod
+    def log(deliver, seed):
+        """Joint log of a pendulum under PD control through a drive, 1 kHz, 8 s."""
+        robot = arm("planar")
+        rng = np.random.default_rng(seed)
+        reference = random_fourier(robot, duration=8.0, rate=1000.0, rng=rng)
+        model = robot.mujoco_spec().compile()
+        model.opt.timestep = 0.0005
+        data = mujoco.MjData(model)
+        data.qpos[:] = reference.q[0]
+        full = np.zeros((2, 2))
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        kp, kd = 900.0 * np.diag(full), 48.0 * np.diag(full)
+        v = np.gradient(reference.q, 0.001, axis=0)
+        q, tau = np.zeros((2, *reference.q.shape))
+        for k, (target, speed) in enumerate(zip(reference.q, v, strict=True)):
+            q[k] = data.qpos
+            tau[k] = kp * (target - data.qpos) + kd * (speed - data.qvel)
+            data.qfrc_applied[:] = deliver(tau[k])
+            mujoco.mj_step(model, data, 2)
+        q += 1e-5 * rng.standard_normal(q.shape)
+        tau += 0.01 * tau.std(axis=0) * rng.standard_normal(tau.shape)
+        return Recording(reference.t, q, tau=tau, joints=robot.joints)
+
+    def named_of(self, deliver):
+        recordings = [self.log(deliver, seed) for seed in range(4)]
+        (finding,) = examine(arm("planar"), recordings).diagnosis.findings
+        return finding, {p.name: p.value for p in finding.parameters}
+
+    def test_what_clips_is_a_saturation_at_its_limit(self):
+        limit = 0.8 * np.abs(self.log(lambda x: x, 0).tau[:, 1]).max()
+        bounds = np.array([np.inf, limit])
+        finding, values = self.named_of(lambda x: np.clip(x, -bounds, bounds))
+        assert finding.effect == "saturation" and finding.joints == ("elbow",)
+        assert values["limit"] == pytest.approx(limit, rel=0.03)
+        assert values["loss"] == pytest.approx(1.0, abs=0.05)
+        assert set(values) == {"loss", "limit"}
+
+    def test_what_passes_nothing_small_is_a_dead_zone_of_its_width(self):
+        width = np.array([0.0, 0.1 * np.abs(self.log(lambda x: x, 0).tau[:, 1]).max()])
+        finding, values = self.named_of(
+            lambda x: np.sign(x) * np.maximum(np.abs(x) - width, 0.0)
+        )
+        assert finding.effect == "deadzone" and finding.joints == ("elbow",)
+        assert values["width"] == pytest.approx(width[1], rel=0.03)
+        assert values["loss"] == pytest.approx(1.0, abs=0.05)
 
 
 class TestMakeshifts:

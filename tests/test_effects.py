@@ -115,7 +115,8 @@ def moving(motion, effect):
     speeds = np.abs(np.column_stack([v, v.sum(axis=1)]))
     on = motion.mask & (speeds.min(axis=1) > 0.05)
     if effect.id == "contact":
-        start, end = effect.values["start"], sum(effect.shape_values.values())
+        start = effect.values["start"]
+        end = start + effect.values["duration"]
         on &= (abs(motion.t - start) > 0.02) & (abs(motion.t - end) > 0.02)
     return on
 

@@ -23,7 +23,7 @@ EQUIVALENT: Mapping[str, frozenset[str]] = {
     "presliding": frozenset({"coulomb"}),
     "viscous": frozenset({"thermal_friction"}),
     "thermal_friction": frozenset({"viscous"}),
-    "torque_gain": frozenset({"saturation"}),
+    "torque_gain": frozenset({"saturation", "deadzone"}),
     "spring": frozenset({"counterbalance", "torque_ripple"}),
     "counterbalance": frozenset({"spring", "torque_ripple"}),
 }

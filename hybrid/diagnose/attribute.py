@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -26,7 +27,7 @@ _RIPPLES = 3  # orders tried at each joint at a time
 _CONTACTS = 2  # stretches of time tried at a time
 _REPEATED = {TorqueRipple.id, Contact.id}  # may be there more than once
 _SHORTLIST = 4
-_MOST_TERMS = 40
+_MOST_TERMS, _MOST_THERE = 40, 9  # in all, and at one joint
 _NEAR = 10.0
 _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _MENDING = 0.015  # of the evidence for the largest term at a joint
@@ -108,9 +109,13 @@ class Search:
         """Add, improve, exchange and remove terms until nothing is gained."""
         self.terms = []
         for _ in range(_MOST_TERMS):
-            if not self._add():
+            before = list(self.terms)
+            there = Counter(t.place[1][-1] for t in before)
+            if max(there.values(), default=0) > _MOST_THERE or not self._add():
                 break
             self._remove()
+            if self.terms == before:  # what comes is what goes
+                break
         for _ in range(2):
             if not self._exchange():
                 break

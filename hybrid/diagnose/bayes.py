@@ -1,4 +1,4 @@
-"""What a residual and a few columns say: evidence for them, and independent samples."""
+"""What a residual and a few columns say: evidence for them, and what noise there is."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.robot.chain import Array
+
+_STRETCH = 0.5  # s, in which noise is as large as ever
+_EVENT = 10.0  # times the usual mean square
 
 
 def log_bayes(
@@ -60,3 +63,21 @@ def memory(x: Array, row: NDArray[np.intp]) -> float:
     even = correlation[: len(correlation) // 2 * 2].reshape(-1, 2).sum(axis=1)
     stop = int(np.argmax(even < 0)) if np.any(even < 0) else len(even)
     return float(max(1.0, 2 * even[:stop].sum() - 1.0))
+
+
+def quiet(x: Array, row: NDArray[np.intp], rate: float) -> NDArray[np.bool_]:
+    """Samples of a residual where it is as large as it usually is, shape (R,).
+
+    Noise is alike at all times. Where some stretch holds many times what half of them
+    hold at most, something has happened there.
+
+    Args:
+        x: The residual, shape (R,).
+        row: Place of each sample in time, shape (R,).
+        rate: Samples per second.
+    """
+    stretch = row // round(_STRETCH * rate)
+    count = np.bincount(stretch)
+    mean = np.bincount(stretch, x**2) / np.maximum(count, 1)
+    usual = np.median(mean[count > 0]) if len(x) else 0.0
+    return np.asarray(mean[stretch] <= _EVENT * usual)

@@ -20,6 +20,7 @@ _SEARCHED = {"torque_ripple", "contact"}  # their shapes come from the residual
 _GRID = 7
 _COARSE = 4
 _GAINS = 12  # of an effect that is scanned over its gain
+_TOTAL = 0.8  # part lost by a drive that loses all, at least
 _LINK_OFF = 0.15  # a link that is wrong is so by this much
 
 # Of the mass of a middling link: what an arm usually carries, within a hand's breadth.
@@ -73,11 +74,15 @@ def candidate(gap: Gap, effect: Effect) -> Candidate:
     if effect.id == "link_inertia":
         std = _LINK_OFF * link_spread(gap.robot.chain.inertial)[effect.joints[-1]]
         lower = np.full(len(std), -np.inf)
+    if effect.values.get("total"):
+        lower = np.array([_TOTAL])
     return Candidate(effect, std, lower)
 
 
 def _spread(gain: Quantity) -> float:
     """Prior standard deviation: twice the usual size, or a third of the largest."""
+    if gain.spread is not None:
+        return gain.spread
     largest = max(abs(gain.lower), abs(gain.upper)) / 3
     return min(2 * abs(gain.typical), largest) if gain.typical else largest
 
@@ -97,7 +102,7 @@ def places(cls: type[Effect], size: int) -> Iterator[tuple[int, ...]]:
 def _grid(cls: type[Effect], joints: tuple[int, ...], gap: Gap) -> Iterator[Effect]:
     scale = gap.scales[joints[-1]]
     shapes = [s.scaled(scale) for s in cls.shapes]
-    count = _GRID if len(shapes) == 1 else _COARSE
+    count = _GRID if sum(not s.whole for s in shapes) == 1 else _COARSE
     axes = [grid(s, count) for s in shapes]
     if cls.steep:
         # Its shapes are fitted once it is on the shortlist.
@@ -115,6 +120,8 @@ def grid(shape: Quantity, count: int) -> Array:
     if shape.lower > 0 and shape.upper > 8 * shape.lower:
         edges = np.geomspace(shape.lower, shape.upper, count + 2)
         return edges[1:-1]
+    if shape.whole:
+        return np.arange(shape.lower, shape.upper + 1.0)
     edges = np.linspace(shape.lower, shape.upper, count + 2)
     return edges[1:-1]
 

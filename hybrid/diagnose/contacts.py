@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,59 @@ _FAST = 0.1  # of a joint's highest speed
 _NORMAL = 1.4826  # standard deviation over median size
 _LONGEST = 1 / 3  # of a recording; what lasts is no event
 _FORCE, _MOMENT = 20.0, 2.0  # N, N·m; prior standard deviations of the scan
+_OF_ALL = -1  # recordings
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """Time cut into chunks, of all recordings together or of each its own.
+
+    Attributes:
+        chunk: Chunk of each sample of the gap, shape (M,).
+        number: Place of each chunk in time, shape (C,), in lengths of a chunk.
+        recording: Which recording a chunk is of, shape (C,).
+    """
+
+    chunk: NDArray[np.intp]
+    number: NDArray[np.intp]
+    recording: NDArray[np.intp]
+
+    @classmethod
+    def cut(cls, number: NDArray[np.intp], recording: NDArray[np.intp]) -> _Clock:
+        """Chunks of samples with these numbers, each of shape (M,)."""
+        both = np.stack([recording, number])
+        (of, known), chunk = np.unique(both, axis=1, return_inverse=True)
+        return cls(chunk.reshape(-1), known, of)
+
+    def unbroken(self, length: int) -> NDArray[np.bool_]:
+        """Whether chunks follow each other, from each on, shape (C − length + 1,)."""
+        last = np.arange(length - 1, len(self.number))
+        first = last - length + 1
+        near = self.number[last] - self.number[first] < length
+        return np.asarray(near & (self.recording[last] == self.recording[first]))
+
+
+@dataclass(frozen=True, order=True)
+class _Stretch:
+    """A stretch of time, and the evidence for a wrench during it."""
+
+    gain: float
+    first: int
+    length: int
+    recording: int
+
+    def overlaps(self, other: _Stretch) -> bool:
+        if len({self.recording, other.recording} - {_OF_ALL}) > 1:
+            return False
+        ends = self.first + self.length, other.first + other.length
+        return self.first < ends[1] and other.first < ends[0]
 
 
 class Contacts:
-    """Cross-products of the gap's wrench columns, chunk by chunk of the clock.
+    """Cross-products of the gap's wrench columns, chunk by chunk of time.
 
-    All recordings share the clock: what is in the way is so in every repeat.
+    What is in the way is so in every repeat, if recordings share a clock; or it was in
+    the way only once.
 
     Args:
         gap: The gap.
@@ -36,10 +84,14 @@ class Contacts:
         # At low speed friction does whatever a contact might.
         self._fast = v > _FAST * v[gap.sampled.mask].max(axis=0)
         self._first = float(t.min())
-        self._chunk = ((t - self._first) / _CHUNK).astype(int)
+        number = ((t - self._first) / _CHUNK).astype(np.intp)
+        self._clocks = [_Clock.cut(number, np.full(len(t), _OF_ALL))]
+        own = _Clock.cut(number, gap.trajectory)
+        if len(own.number) > len(self._clocks[0].number):
+            self._clocks.append(own)
         always = {"start": self._first, "duration": float(np.ptp(t)) + 1.0}
         columns = gap.columns(Contact(self._joints, always))
-        self._grams: dict[int, Array] = {}
+        self._grams: dict[tuple[int, int], Array] = {}
         self._columns = [columns[j] for j in self._joints]
 
     def strongest(
@@ -59,62 +111,67 @@ class Contacts:
             noise: Variance of each joint, shape (n,), [N²·m²].
             count: How many contacts, at most.
         """
-        size = int(self._chunk.max()) + 1
-        gram, moment = np.zeros((size, 6, 6)), np.zeros((size, 6))
+        sizes = [len(c.number) for c in self._clocks]
+        gram = [np.zeros((size, 6, 6)) for size in sizes]
+        moment = [np.zeros((size, 6)) for size in sizes]
         for i, (whole, among) in enumerate(zip(left, rows, strict=True)):
             fast = self._fast[among, i]
             x, r = whole[fast], among[fast]
             # The noise as known so far may hold the very contact.
             usual = (_NORMAL * np.median(np.abs(x))) ** 2 if len(x) else 0.0
             weight = 1.0 / (min(noise[i], usual) or noise[i])
-            gram += self._gram(i, r) * weight
             weighed = self._columns[i][r] * (x * weight)[:, None]
-            for k, column in enumerate(weighed.T):
-                moment[:, k] += np.bincount(self._chunk[r], column, size)
-        windows = _windows(gram, moment)
-        found: list[tuple[int, int]] = []
-        for _, first, length in sorted(windows, reverse=True):
-            apart = (first + length <= a or first >= a + b for a, b in found)
-            if all(apart):
-                found.append((first, length))
+            for c, clock in enumerate(self._clocks):
+                gram[c] += self._gram(c, i, r) * weight
+                for k, column in enumerate(weighed.T):
+                    moment[c][:, k] += np.bincount(clock.chunk[r], column, sizes[c])
+        sums = zip(self._clocks, gram, moment, strict=True)
+        stretches = [s for clock, G, m in sums for s in _stretches(clock, G, m)]
+        found: list[_Stretch] = []
+        for stretch in sorted(stretches, reverse=True):
+            if not any(stretch.overlaps(x) for x in found):
+                found.append(stretch)
             if len(found) == count:
                 break
         return [
             Contact(
                 self._joints,
                 {
-                    "start": self._first + _CHUNK * first,
-                    "duration": _CHUNK * length,
+                    "start": self._first + _CHUNK * s.first,
+                    "duration": _CHUNK * s.length,
+                    "recording": float(s.recording),
                 },
             )
-            for first, length in found
+            for s in found
         ]
 
-    def _gram(self, i: int, rows: NDArray[np.intp]) -> Array:
-        """Products of a joint's columns on each chunk, shape (C, 6, 6)."""
-        if i not in self._grams:
-            columns, chunk = self._columns[i][rows], self._chunk[rows]
-            size = int(self._chunk.max()) + 1
+    def _gram(self, c: int, i: int, rows: NDArray[np.intp]) -> Array:
+        """Products of a joint's columns on each chunk of a clock, shape (C, 6, 6)."""
+        if (c, i) not in self._grams:
+            clock = self._clocks[c]
+            columns, chunk = self._columns[i][rows], clock.chunk[rows]
+            size = len(clock.number)
             sums = [
                 [np.bincount(chunk, a * b, size) for b in columns.T] for a in columns.T
             ]
-            self._grams[i] = np.array(sums).transpose(2, 0, 1)
-        return self._grams[i]
+            self._grams[c, i] = np.array(sums).transpose(2, 0, 1)
+        return self._grams[c, i]
 
 
-def _windows(gram: Array, moment: Array) -> list[tuple[float, int, int]]:
-    """Evidence for a wrench, first chunk and length: the best start of each length."""
+def _stretches(clock: _Clock, gram: Array, moment: Array) -> list[_Stretch]:
+    """The best of each length, with the evidence for a wrench."""
     unit = np.array([_FORCE] * 3 + [_MOMENT] * 3)
     gram = np.concatenate([np.zeros((1, 6, 6)), gram * unit[:, None] * unit]).cumsum(0)
     moment = np.concatenate([np.zeros((1, 6)), moment * unit]).cumsum(0)
+    longest = _LONGEST * np.unique(clock.recording, return_counts=True)[1].max()
     found = []
-    for length in _LENGTHS:
-        if length > _LONGEST * (len(gram) - 1):
-            break
+    for length in (x for x in _LENGTHS if x <= longest):
         A = np.eye(6) + gram[length:] - gram[:-length]
         b = moment[length:] - moment[:-length]
         solved = np.linalg.solve(A, b[:, :, None])[:, :, 0]
         gain = 0.5 * np.einsum("ck,ck->c", b, solved) - 0.5 * np.linalg.slogdet(A)[1]
+        gain = np.where(clock.unbroken(length), gain, 0.0)
         for k in np.argsort(-gain)[:8]:
-            found.append((float(gain[k]), int(k), length))
+            own = int(clock.number[k]), length, int(clock.recording[k])
+            found.append(_Stretch(float(gain[k]), *own))
     return found

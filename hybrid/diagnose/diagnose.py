@@ -92,6 +92,7 @@ def examine(
     tell = progress or (lambda _: None)
     rng = np.random.default_rng(seed)
     limits = thresholds()
+    recordings = since_first(recordings)
     tell("measuring the gap")
     gap = measure_gap(robot, recordings, cutoff=cutoff)
     logged = find_convention(gap, recordings)
@@ -145,6 +146,17 @@ def examine(
         link = command_link(gap, recordings, rng, without=without, distorted=distorted)
         diagnosis = joined(diagnosis, found, gap, link, rng)
     return Result(diagnosis, gap, search, scored, found, effects, link.effects)
+
+
+def since_first(
+    recordings: Sequence[Recording | Motion],
+) -> list[Recording | Motion]:
+    """The same by a clock that starts with the first of them.
+
+    Loggers count from anywhere; what warms up or happens once is told by this clock.
+    """
+    start = min((float(x.t[0]) for x in recordings), default=0.0)
+    return [replace(x, t=x.t - start) for x in recordings]
 
 
 def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:

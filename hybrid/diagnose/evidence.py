@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from hybrid.diagnose.bayes import log_bayes, memory
+from hybrid.diagnose.bayes import log_bayes, memory, quiet
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.robot.chain import Array
 
@@ -326,7 +326,14 @@ class Evidence:
             variance, weights = self._flexible(i, here)
             rest = self._left[i] - self._columns[i][0][:, here] @ weights
             back = np.argsort(row)
-            self.noise[i] = max(variance, 1e-12) * memory(rest[back], row[back])
+            noise = variance * memory(rest[back], row[back])
+            # A few events may be all of that, and spoil the regression as well.
+            for x in (rest[back], self._left[i][back]):
+                calm = quiet(x, row[back], self.gap.rate)
+                if not calm.all():
+                    usual = memory(x[calm], row[back][calm]) * np.mean(x[calm] ** 2)
+                    noise = min(noise, float(usual))
+            self.noise[i] = max(noise, 1e-12)
 
     def _flexible(self, i: int, here: Index) -> tuple[float, Array]:
         """Ridge regression of a joint's gap on many columns.

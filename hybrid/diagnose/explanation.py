@@ -244,7 +244,7 @@ def refit(gap: Gap, search: Search) -> Refit:
 
 def _reported(effect: Effect, covariance: Array) -> Effect:
     """An effect's law of the torque reported, with standard deviations."""
-    names = [x.name for x in (*effect.gains, *effect.shapes)]
+    names = [x.name for x in (*effect.gains, *effect.shapes) if not x.whole]
     law = effect.as_reported()
     if law is effect:
         std = np.sqrt(np.diag(covariance))

@@ -164,6 +164,8 @@ def values(gap: Gap, effect: Effect) -> list[Value]:
         joint = "arm"
     values = []
     for x in (*effect.gains, *effect.shapes):
+        if x.inner:
+            continue
         value, half = effect.values[x.name], _NORMAL * effect.std.get(x.name, 0.0)
         values.append(Value(joint, x.name, value, x.unit, (value - half, value + half)))
     return values

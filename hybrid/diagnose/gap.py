@@ -30,6 +30,8 @@ _SLOWEST = 0.002  # rad/s or m/s; a servo at rest seems to move as fast
 # rest, which is the solver's own.
 _REST = 0.7
 _CALM = 0.5  # of the cut-off
+_FAR = 10.0  # deviations of noise: so far off, torque is what the log says
+_NORMAL = 1.4826  # standard deviation over median size
 _BLOCK_SECONDS = 3.0
 _SHORTEST_BLOCK = 0.5
 _MOST_FOLDS = 8
@@ -223,7 +225,8 @@ def measure_gap(
         sampler = Sampler.for_rate(motion.rate, cutoff)
         tau = simulated_torque(robot, motion, body)
         left.append(sampler(motion.tau - tau))
-        simulated.append(replace(motion, tau=tau))
+        asked = _asked(motion, tau, cutoff)
+        simulated.append(replace(motion, tau=tau, asked=asked, number=r))
         v = motion.v[:: sampler.factor]
         usable = sampler.keep(motion.mask)[:, None]
         usable = usable & ~faults[r].torque[:: sampler.factor]
@@ -248,6 +251,21 @@ def measure_gap(
         np.concatenate(left), _worthwhile(np.concatenate(moving)), blocks, of,
         tuple(note for f in faults for note in f.notes),
     )  # fmt: skip
+
+
+def _asked(motion: Motion, simulated: Array, cutoff: float) -> Array:
+    """Torque as simulated, or as measured where that is far off, shape (N, n), [N·m].
+
+    Noise of the measured torque is in the gap as well; a column that held it would
+    seem to explain it.
+    """
+    if not np.isfinite(cutoff):
+        return motion.tau
+    low = partial(butterworth, motion.tau - simulated, rate=motion.rate)
+    slow = low(cutoff=_CALM * cutoff)
+    rough = np.abs(low(cutoff=cutoff) - slow)
+    far = _FAR * _NORMAL * np.median(rough[motion.mask], axis=0)
+    return np.where(np.abs(slow) > far, motion.tau, simulated)
 
 
 def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Faults:

@@ -157,7 +157,7 @@ def shape_units(gap: Gap, effect: Effect) -> list[float]:
 
 def _ranges(gap: Gap, effect: Effect) -> list[_Range]:
     scale = gap.scales[effect.joints[-1]]
-    shapes = [s.scaled(scale) for s in effect.shapes]
+    shapes = [s.scaled(scale) for s in effect.shapes if not s.whole]
     return [_Range(_near(s, effect.values[s.name])) for s in shapes]
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.diagnose.attribute import Search, Term
-from hybrid.diagnose.bayes import memory
+from hybrid.diagnose.bayes import memory, quiet
 from hybrid.diagnose.candidates import scale_of, with_gains
 from hybrid.diagnose.ceiling import recoverable
 from hybrid.diagnose.gap import Gap
@@ -105,13 +105,19 @@ def account(gap: Gap, search: Search, limits: Thresholds) -> Account:
         rows = rows[order]
         squares, of, rest = recoverable(gap, i, left[order], rows, weight[i])
         # Noise as estimated before may hold what no effect explains.
-        noise = float(rest @ rest) / len(rest) * memory(rest, rows)
+        calm = quiet(rest, rows, gap.rate)
+        usual = float(np.mean(rest[calm] ** 2))
+        noise = usual * memory(rest[calm], rows[calm])
+        events = float(np.sum(rest[~calm] ** 2 - usual))
         recovered[i] = max(0.0, squares - limits.evident * noise) / weight[i]
         squares = max(0.0, squares - limits.spurious * float(left @ left))
         tau = gap.measured[rows, i]
         least = max(limits.evident * noise, limits.negligible**2 * float(tau @ tau))
-        missed[i] = squares / weight[i] if squares > least else 0.0
-        depends.append(of if missed[i] > 0 else "")
+        parts = [
+            (x, name) for x, name in ((squares, of), (events, "events")) if x > least
+        ]
+        missed[i] = sum(x for x, _ in parts) / weight[i]
+        depends.append(max(parts)[1] if parts else "")
     return Account(before, after, recovered, missed, tuple(depends), after - missed)
 
 
@@ -156,6 +162,9 @@ def _physical(search: Search, term: Term) -> bool:
         return True
     solution = search.evidence.solve(search.base())
     gains = solution.gains[np.isin(solution.index, term.index)]
+    least = term.candidate.lower
+    if np.any((least > 0) & (gains < least)):
+        return False
     law = with_gains(effect, gains).as_reported()
     for gain in law.gains:
         bound = gain.scaled(scale_of(search.gap, law))

@@ -31,6 +31,7 @@ class RigidBody:
         self.motion = motion
         self.inertial = chain.inertial if inertial is None else inertial
         self._known_slopes: dict[int, tuple[Array, Array, Array]] = {}
+        self._known_wrenches: dict[int, Array] = {}
 
     @cached_property
     def load(self) -> Array:
@@ -111,6 +112,8 @@ class RigidBody:
             Torque, shape (N, n, 6), per force [N] and moment [N·m] along the axes of
             the base frame, about the origin of the link's frame.
         """
+        if link in self._known_wrenches:
+            return self._known_wrenches[link]
         q = np.ascontiguousarray(self.motion.q.T)
         rest, columns = np.zeros_like(q), np.zeros((*q.shape, 6))
         for k, direction in enumerate(np.eye(3)):
@@ -121,7 +124,8 @@ class RigidBody:
             columns[: link + 1, :, 3 + k] = np.einsum(
                 "cjn,cn->jn", at.angular, at.accel
             )
-        return columns.transpose(1, 0, 2)
+        self._known_wrenches[link] = columns.transpose(1, 0, 2)
+        return self._known_wrenches[link]
 
     def _torque(self, q: Array, v: Array, a: Array) -> Array:
         return inverse_dynamics(self.chain, self.inertial, q, v, a)

@@ -12,7 +12,8 @@ class Contact(Effect):
     """The last link pushes against something with a constant force and moment.
 
     They are those of the arm on its surroundings, along the axes of the base frame, the
-    moment about the origin of the last link's frame.
+    moment about the origin of the last link's frame. Recordings are counted from 0;
+    −1 is all of them, by their common clock.
     """
 
     id = "contact"
@@ -24,8 +25,9 @@ class Contact(Effect):
         *(Quantity(f"moment_{x}", "N·m", 1.0, -100.0, 100.0) for x in "xyz"),
     )
     shapes = (
-        Quantity("start", "s", 1.0, 0.0, 100000.0),
-        Quantity("duration", "s", 0.5, 0.01, 100000.0),
+        Quantity("start", "s", 1.0, 0.0, 1e9),
+        Quantity("duration", "s", 0.5, 0.01, 1e9),
+        Quantity("recording", "", -1.0, -1.0, 1e6, whole=True),
     )
     equation = "τ = Jᵀ(q) f for start ≤ t < start + duration"
     source = "Haddadin et al. 2017, doi 10.1109/TRO.2017.2723903"
@@ -35,6 +37,8 @@ class Contact(Effect):
     def columns(self, motion: Motion, body: Body) -> Array:
         """See :meth:`Effect.columns`; shape (N, n, 6)."""
         touching = self._touching(motion.t)
+        if self.values["recording"] not in (-1.0, motion.number):
+            touching = np.zeros_like(touching)
         return touching[:, None, None] * body.wrench_columns(self.joints[-1])
 
     def push(self, t: float) -> Array:

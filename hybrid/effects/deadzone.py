@@ -13,6 +13,8 @@ from hybrid.signals import Motion
 # Least share of torque that is taken to get through: a true dead zone is then crossed
 # within this share of its width, and not by jumps of the commanded torque.
 _LEAST = 0.05
+_NOTHING = 0.2  # of the width: what a true dead zone lets through, mostly
+_MOVING = 0.05  # of the highest speed; at rest friction holds what it gets
 
 
 class Deadzone(Effect):
@@ -24,20 +26,38 @@ class Deadzone(Effect):
 
     id = "deadzone"
     port = Port.DRIVE
-    gains = (Quantity("loss", "", 1.0, 0.0, 1.0),)
-    shapes = (Quantity("width", "N·m", 0.02, 0.0005, 0.3, per=(1, 0)),)
+    gains = (Quantity("loss", "", 1.0, 0.0, 1.0, spread=5.0),)
+    shapes = (
+        Quantity("width", "N·m", 0.02, 0.0005, 0.3, per=(1, 0)),
+        # Whether a fit takes all of it to be lost, and looks at the torque asked for.
+        Quantity("total", "", 0.0, 0.0, 1.0, whole=True, inner=True),
+    )
     equation = "τ_reported = τ_delivered + p · clip(τ_reported, ±w)"
     source = "Tao and Kokotovic 1994, doi 10.1109/9.273339"
     sentence = "The drive of {joints} delivers nothing for small torques."
     remedy = "Add the dead zone's width to the commanded torque, in its direction."
 
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Torque within the zone, where it is measured; see :meth:`Effect.columns`."""
-        return np.nan_to_num(self._within(motion.tau[:, self.joints]))[:, :, None]
+        """Torque within the zone, where it is measured; see :meth:`Effect.columns`.
+
+        Of a true dead zone the torque delivered tells nothing but that it is nothing,
+        or nearly, whenever less is asked for.
+        """
+        tau = motion.tau[:, self.joints]
+        if not self.values["total"] or motion.asked is None:
+            return np.nan_to_num(self._within(tau))[:, :, None]
+        asked = motion.asked[:, self.joints]
+        width = self.values["width"]
+        v = np.abs(motion.v[:, self.joints])
+        inside = (np.abs(asked) < width) & (v > _MOVING * v.max())
+        through = np.median(np.abs(tau[inside])) if inside.any() else np.inf
+        return self._within(asked)[:, :, None] * float(through < _NOTHING * width)
 
     def as_reported(self) -> Deadzone:
         """Up to (1 − p)·w delivered, p/(1 − p) of it is lost."""
         gain, width = self.values["loss"], self.values["width"]
+        if self.values["total"]:
+            return self.at({"total": 0.0})
         return self.at({"loss": gain / (1.0 + gain), "width": width * (1.0 + gain)})
 
     def deliver(self, torque: Array) -> Array:

@@ -30,6 +30,10 @@ class Quantity:
         upper: Largest physically plausible value, in multiples of ``per``.
         per: What the numbers are multiples of: powers of the joint's rated torque and
             speed, e.g. ``(1, -1)`` for torque/speed; ``(0, 0)`` for plain SI.
+        spread: Prior standard deviation in a fit, in multiples of ``per``; from its
+            usual size if not given.
+        inner: Whether it is of the fit alone, and no law has it.
+        whole: Whether it is a number of something, which is chosen and not fitted.
     """
 
     name: str
@@ -38,6 +42,9 @@ class Quantity:
     lower: float
     upper: float
     per: tuple[int, int] = (0, 0)
+    spread: float | None = None
+    inner: bool = False
+    whole: bool = False
 
     def scaled(self, scale: Scale) -> Quantity:
         """The same with numbers in SI units for a joint of this size."""
@@ -48,4 +55,5 @@ class Quantity:
             lower=self.lower * size,
             upper=self.upper * size,
             per=(0, 0),
+            spread=None if self.spread is None else self.spread * size,
         )

@@ -11,6 +11,8 @@ from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 
 _CLIPS = 0.9  # loss from which a drive gives no more, whatever it is asked for
+_REACHED = 0.8  # of the limit: what a drive that clips delivers, at least
+_SELDOM = 0.1  # of the samples, at which it may not
 
 
 class Saturation(Effect):
@@ -22,20 +24,38 @@ class Saturation(Effect):
 
     id = "saturation"
     port = Port.DRIVE
-    gains = (Quantity("loss", "", 0.5, 0.0, 1.0),)
-    shapes = (Quantity("limit", "N·m", 0.3, 0.02, 2.0, per=(1, 0)),)
+    gains = (Quantity("loss", "", 0.5, 0.0, 1.0, spread=5.0),)
+    shapes = (
+        Quantity("limit", "N·m", 0.3, 0.02, 2.0, per=(1, 0)),
+        # Whether a fit takes the drive to clip, and looks at the torque asked for.
+        Quantity("total", "", 0.0, 0.0, 1.0, whole=True, inner=True),
+    )
     equation = "τ_reported = τ_delivered + p · (τ_reported − clip(τ_reported, ±L))"
     source = "Siciliano et al. 2009, doi 10.1007/978-1-84628-642-1, section 5.2"
     sentence = "The drive of {joints} delivers less than it reports of high torques."
     remedy = "Set the actuator's force range, and plan motions below it."
 
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Torque beyond the limit, where it is measured; see :meth:`Effect.columns`."""
-        return np.nan_to_num(self._beyond(motion.tau[:, self.joints]))[:, :, None]
+        """Torque beyond the limit, where it is measured; see :meth:`Effect.columns`.
+
+        Of a drive that clips the torque delivered tells nothing but that it is at the
+        limit, or nearly, whenever more is asked for.
+        """
+        tau = motion.tau[:, self.joints]
+        if not self.values["total"] or motion.asked is None:
+            return np.nan_to_num(self._beyond(tau))[:, :, None]
+        asked = motion.asked[:, self.joints]
+        limit = self.values["limit"]
+        short = np.sign(asked) * tau < _REACHED * limit
+        over = np.abs(asked) > limit
+        seldom = (over & short).sum() <= _SELDOM * over.sum()
+        return self._beyond(asked)[:, :, None] * float(seldom)
 
     def as_reported(self) -> Saturation:
         """Beyond the limit p/(1 − p) of what is delivered is lost."""
         gain = self.values["loss"]
+        if self.values["total"]:
+            return self.at({"loss": gain, "total": 0.0})
         return self.at({"loss": gain / (1.0 + gain)})
 
     def deliver(self, torque: Array) -> Array:

@@ -38,6 +38,9 @@ class Motion:
             and differences are not valid, are False.
         joints: Joint names in column order.
         source: Where it came from.
+        number: Which of several recordings it is, counted from 0.
+        asked: Torque asked of the drives, shape (N, n), [N·m], where ``tau`` is
+            simulated: the same but where the log shows much else; None if not known.
     """
 
     t: Array
@@ -49,6 +52,8 @@ class Motion:
     temperature: Array | None = None
     joints: tuple[str, ...] = ()
     source: str = ""
+    number: int = 0
+    asked: Array | None = None
 
     @property
     def rate(self) -> float:
