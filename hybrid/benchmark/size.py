@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.diagnose.candidates import declared
 from hybrid.diagnose.gap import Gap, measure_gap
 from hybrid.effects import Effect
 from hybrid.effects.effect import Scale
@@ -102,14 +103,9 @@ class Rig:
         if not all(x.lower <= effect.values[x.name] <= x.upper for x in bounds):
             return False
         robot, masses = self.robot, self.robot.chain.inertial[:, 0]
-        declared = {
-            "viscous": robot.damping,
-            "coulomb": robot.frictionloss,
-            "armature": robot.chain.armature,
-        }
-        first = abs(effect.gain_values[0])
-        if effect.id in declared:
-            return bool(first >= _LEAST * declared[effect.id][j])
+        known, first = declared(robot), abs(effect.gain_values[0])
+        if effect.id in known:
+            return bool(first >= _LEAST * known[effect.id][j])
         most = {
             "asymmetric_friction": robot.frictionloss[j],  # friction never pushes
             "link_inertia": _MOST_LINK * masses[j],

@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import Candidate, candidate, candidates
+from hybrid.diagnose.candidates import (
+    Candidate,
+    candidate,
+    candidates,
+    mere,
+    with_gains,
+)
 from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.gap import Columns, Gap
@@ -91,19 +97,36 @@ class Search:
         self.evidence.estimate_noise(np.arange(self.evidence.size))
 
     def run(self) -> list[Term]:
-        """Terms for the background that makes the gap most probable."""
-        found = []
+        """Terms for the background that makes the gap most probable.
+
+        Not one so small that what numbers of the file are off by becomes a term.
+        """
+        found, usable = [], []
         for off in _OFF:
             self.evidence.spread(self.background, off)
             self._grow()
             total = self.evidence.solve(self.base()).evidence
             total -= sum(_WORTH + price(t.candidate.effect) for t in self.terms)
             found.append((total, off, self.terms))
-        _, self.off, self.terms = max(found, key=lambda x: x[0])
+            if not self._any_mere():
+                usable.append(found[-1])
+        _, self.off, self.terms = max(usable or found[-1:], key=lambda x: x[0])
         self.evidence.spread(self.background, self.off)
         self.prune()
         self._polish()
         return self.terms
+
+    def _any_mere(self) -> bool:
+        """Whether a term is no more than what a number of the file is off by."""
+        solution = self.evidence.solve(self.base())
+        gains = dict(zip(solution.index.tolist(), solution.gains, strict=True))
+        return any(
+            mere(
+                self.gap.robot,
+                with_gains(t.candidate.effect, [gains[k] for k in t.index]),
+            )
+            for t in self.terms
+        )
 
     def _grow(self) -> None:
         """Add, improve, exchange and remove terms until nothing is gained."""

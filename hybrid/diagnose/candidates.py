@@ -12,6 +12,7 @@ from hybrid.diagnose.background import link_spread
 from hybrid.diagnose.gap import Gap
 from hybrid.effects import Effect, effect_classes
 from hybrid.effects.effect import Port, Quantity, Scale
+from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 
 # Laws that sum up others, for fitting.
@@ -21,6 +22,7 @@ _GRID = 7
 _COARSE = 4
 _GAINS = 12  # of an effect that is scanned over its gain
 _TOTAL = 0.8  # part lost by a drive that loses all, at least
+_MERE = 0.05  # of a number of the file
 _LINK_OFF = 0.15  # a link that is wrong is so by this much
 
 # Of the mass of a middling link: what an arm usually carries, within a hand's breadth.
@@ -124,6 +126,28 @@ def grid(shape: Quantity, count: int) -> Array:
         return np.arange(shape.lower, shape.upper + 1.0)
     edges = np.linspace(shape.lower, shape.upper, count + 2)
     return edges[1:-1]
+
+
+def declared(robot: Robot) -> dict[str, Array]:
+    """Numbers of a robot file that an effect is a change of, shape (n,) each."""
+    return {
+        "viscous": robot.damping,
+        "coulomb": robot.frictionloss,
+        "armature": robot.chain.armature,
+    }
+
+
+def mere(robot: Robot, effect: Effect) -> bool:
+    """Whether an effect changes a number of the file by as little as it is off anyway.
+
+    Args:
+        robot: The file.
+        effect: The effect with its gains.
+    """
+    known = declared(robot).get(effect.id)
+    if known is None:
+        return False
+    return bool(abs(effect.gain_values[0]) < _MERE * known[effect.joints[0]])
 
 
 def scale_of(gap: Gap, effect: Effect) -> Scale:
