@@ -23,6 +23,7 @@ from hybrid.diagnose.gap import Columns, Gap
 from hybrid.diagnose.refine import gain, refine, shape_steps
 from hybrid.diagnose.ripples import ripple_orders
 from hybrid.diagnose.shapes import moved, price
+from hybrid.effects import Effect
 from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
@@ -214,7 +215,8 @@ class Search:
     def best(self, base: Index) -> tuple[Candidate, float] | None:
         """The candidate that adds most evidence, with its shapes fitted.
 
-        A law gives way to the simpler one that it becomes at a bound of its shapes.
+        A law gives way to the simpler one that it becomes at a bound of its shapes, and
+        to one that explains the sign of its gain better.
         """
         ranked = self.ranked(base)[:_SHORTLIST]
         if not ranked or ranked[0][1] < _WORTH / 2:
@@ -223,7 +225,7 @@ class Search:
         close = [c for c, gain in ranked if gain > 0.5 * top]
         refined = [self.refine(base, c) for c in close]
         best, most = max(refined, key=lambda x: x[1])
-        simpler = _SIMPLER.get(best.effect.id), best.effect.joints
+        simpler = _simpler(best.effect), best.effect.joints
         near = [x for x in refined if x[1] > most - _ALIKE and x[0].place == simpler]
         return near[0] if near else (best, most)
 
@@ -365,6 +367,18 @@ class Search:
                 self.terms.append(self._term(alone))
                 return True
         return False
+
+
+def _simpler(effect: Effect) -> str | None:
+    """Which effect to name rather than this one, if both explain as much.
+
+    A drive lags, so that the torque it is asked for leads; a log comes late.
+    """
+    if effect.id == "delay" and effect.values["time"] < 0:
+        return "actuator_lag"
+    if effect.id == "actuator_lag" and effect.values["time"] < 0:
+        return "delay"
+    return _SIMPLER.get(effect.id)
 
 
 def same(a: Columns, b: Columns) -> bool:

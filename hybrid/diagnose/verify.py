@@ -165,6 +165,8 @@ def _physical(search: Search, term: Term) -> bool:
     least = term.candidate.lower
     if np.any((least > 0) & (gains < least)):
         return False
+    if not all(effect.holds(motion) for motion in search.gap.motions):
+        return False
     law = with_gains(effect, gains).as_reported()
     for gain in law.gains:
         bound = gain.scaled(scale_of(search.gap, law))

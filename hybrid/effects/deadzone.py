@@ -13,7 +13,9 @@ from hybrid.signals import Motion
 # Least share of torque that is taken to get through: a true dead zone is then crossed
 # within this share of its width, and not by jumps of the commanded torque.
 _LEAST = 0.05
-_NOTHING = 0.2  # of the width: what a true dead zone lets through, mostly
+# Of the width and of what is delivered elsewhere: what a true dead zone lets through.
+_NOTHING = 0.2
+_CROSSING = 0.15  # of the time: most that a controller stays within it
 _MOVING = 0.05  # of the highest speed; at rest friction holds what it gets
 
 
@@ -41,7 +43,8 @@ class Deadzone(Effect):
         """Torque within the zone, where it is measured; see :meth:`Effect.columns`.
 
         Of a true dead zone the torque delivered tells nothing but that it is nothing,
-        or nearly, whenever less is asked for.
+        or nearly, whenever less is asked for. A controller soon asks for more: a joint
+        that is hardly ever asked for more than that has another ail.
         """
         tau = motion.tau[:, self.joints]
         if not self.values["total"] or motion.asked is None:
@@ -49,9 +52,13 @@ class Deadzone(Effect):
         asked = motion.asked[:, self.joints]
         width = self.values["width"]
         v = np.abs(motion.v[:, self.joints])
-        inside = (np.abs(asked) < width) & (v > _MOVING * v.max())
-        through = np.median(np.abs(tau[inside])) if inside.any() else np.inf
-        return self._within(asked)[:, :, None] * float(through < _NOTHING * width)
+        moves = v > _MOVING * v.max()
+        inside, outside = moves & (np.abs(asked) < width), moves & (abs(asked) >= width)
+        sure = inside.any() and inside.sum() < _CROSSING * moves.sum()
+        if sure:
+            least, usual = (np.median(np.abs(tau[x])) for x in (inside, outside))
+            sure = least < _NOTHING * min(usual, width)
+        return self._within(asked)[:, :, None] * float(sure)
 
     def as_reported(self) -> Deadzone:
         """Up to (1 − p)·w delivered, p/(1 − p) of it is lost."""

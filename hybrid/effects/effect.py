@@ -198,6 +198,10 @@ class Effect(Instant, ABC):
             return np.zeros((len(motion.t), len(self.reaches(motion.q.shape[1]))))
         return self.columns(motion, body) @ self.gain_values
 
+    def holds(self, motion: Motion) -> bool:
+        """Whether a motion bears out what the law implies besides its torque."""
+        return True
+
     @property
     def observes(self) -> bool:
         """Whether :meth:`observe` changes the motion."""

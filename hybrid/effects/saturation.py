@@ -11,8 +11,9 @@ from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 
 _CLIPS = 0.9  # loss from which a drive gives no more, whatever it is asked for
-_REACHED = 0.8  # of the limit: what a drive that clips delivers, at least
+_NEAR = 0.2  # of the limit: how far from it a drive that clips delivers, at most
 _SELDOM = 0.1  # of the samples, at which it may not
+_MOVING = 0.05  # of the highest speed; at rest friction holds what it gets
 
 
 class Saturation(Effect):
@@ -45,11 +46,22 @@ class Saturation(Effect):
         if not self.values["total"] or motion.asked is None:
             return np.nan_to_num(self._beyond(tau))[:, :, None]
         asked = motion.asked[:, self.joints]
-        limit = self.values["limit"]
-        short = np.sign(asked) * tau < _REACHED * limit
-        over = np.abs(asked) > limit
+        over = np.abs(asked) > self.values["limit"]
+        short = np.sign(asked) * tau < (1.0 - _NEAR) * self.values["limit"]
         seldom = (over & short).sum() <= _SELDOM * over.sum()
         return self._beyond(asked)[:, :, None] * float(seldom)
+
+    def holds(self, motion: Motion) -> bool:
+        """Whether a drive that clips delivers its limit when more is asked for."""
+        if not self.values["total"] or motion.asked is None:
+            return True
+        asked, tau, v = (
+            x[:, self.joints] for x in (motion.asked, motion.tau, motion.v)
+        )
+        limit, moves = self.values["limit"], np.abs(v) > _MOVING * np.abs(v).max()
+        over = moves & (np.abs(asked) > limit)
+        apart = np.abs(np.sign(asked) * tau - limit) > _NEAR * limit
+        return bool((over & apart).sum() <= _SELDOM * over.sum())
 
     def as_reported(self) -> Saturation:
         """Beyond the limit p/(1 − p) of what is delivered is lost."""
