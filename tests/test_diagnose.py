@@ -9,11 +9,13 @@ from arms import MODELS
 from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from simulated import arm
 
+from hybrid.diagnose.candidates import mere
 from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.explanation import between, split
 from hybrid.diagnose.gap import measure_gap
 from hybrid.diagnose.refine import shape_steps
+from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
@@ -109,6 +111,21 @@ class TestGap:
         (finding,) = examine(robot, recordings).diagnosis.findings
         assert "delay" in finding.alternatives
         assert abs(finding.parameters[0].value - 0.01) < 0.001
+
+    @pytest.mark.parametrize(
+        "effect", [Delay((0,), {"time": 0.01}), ActuatorLag((0,), {"time": 0.01})]
+    )
+    def test_a_log_comes_late_and_a_drive_lags(self, effect):
+        robot, recordings = logs([effect], duration=10.0)
+        (finding,) = examine(robot, recordings).diagnosis.findings
+        assert finding.effect == effect.id
+
+    def test_a_number_that_is_a_little_off_is_background(self):
+        robot = replace(arm("planar"), frictionloss=np.array([2.0, 0.0]))
+        assert mere(robot, Coulomb((0,), {"level": 0.08}))
+        assert not mere(robot, Coulomb((0,), {"level": 0.12}))
+        assert not mere(robot, Coulomb((1,), {"level": 0.08}))
+        assert not mere(robot, TorqueGain((0,), {"gain": 0.001}))
 
     def test_a_drive_without_a_stated_limit_gives_what_the_logs_show(self):
         robot, recordings = logs([TorqueRipple((1,), {"sine": 3.0, "periods": 12.0})])

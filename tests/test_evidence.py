@@ -22,6 +22,7 @@ def problem(seed=0, widths=(2, 1, 3)):
         left=rng.standard_normal((M, 2)),
         moving=rng.random((M, 2)) < 0.9,
         fold=np.arange(M) // 10 % 3,
+        rate=100.0,
     )
     blocks = [
         {j: rng.standard_normal((M, p)) for j in ((0, 1) if k == 0 else (k % 2,))}
@@ -115,12 +116,32 @@ def test_noise_is_found_beside_many_columns():
             left=left[:, None],
             moving=np.ones((600, 1), dtype=bool),
             fold=np.arange(600) // 50 % 4,
+            rate=100.0,
         )
         evidence = Evidence(gap, None)
         (index,) = evidence.add([{0: X}], [np.ones(40)])
         evidence.estimate_noise(index)
         found.append(evidence.noise[0])
     assert np.median(found) == pytest.approx(0.09, rel=0.2)
+
+
+def test_noise_is_not_what_happened_once():
+    """Noise, and a jolt a hundred times as large on one stretch of a second."""
+    rng = np.random.default_rng(5)
+    X = rng.standard_normal((1200, 10))
+    left = 0.3 * rng.standard_normal(1200)
+    left[300:400] += 30.0
+    gap = SimpleNamespace(
+        robot=SimpleNamespace(size=1),
+        left=left[:, None],
+        moving=np.ones((1200, 1), dtype=bool),
+        fold=np.arange(1200) // 100 % 4,
+        rate=100.0,
+    )
+    evidence = Evidence(gap, None)
+    (index,) = evidence.add([{0: X}], [np.ones(10)])
+    evidence.estimate_noise(index)
+    assert evidence.noise[0] == pytest.approx(0.09, rel=0.3)
 
 
 def test_a_gain_stays_within_its_physical_bound():

@@ -43,6 +43,8 @@ _SIMPLER = {
     "thermal_friction": "viscous",
     "counterbalance": "spring",
 }
+_EARLY = {"delay": "actuator_lag", "actuator_lag": "delay"}  # if time is negative
+_EARLY_SLACK = 0.08  # of the evidence: noise of positions costs a lag that much
 _ALIKE = 3.0  # nats that do not settle which of two effects it is
 # Sizes of the background that are tried: one standard deviation, relative.
 _OFF = (0.003, 0.01, 0.03)
@@ -225,8 +227,12 @@ class Search:
         close = [c for c, gain in ranked if gain > 0.5 * top]
         refined = [self.refine(base, c) for c in close]
         best, most = max(refined, key=lambda x: x[1])
-        simpler = _simpler(best.effect), best.effect.joints
-        near = [x for x in refined if x[1] > most - _ALIKE and x[0].place == simpler]
+        name, slack = _simpler(best.effect)
+        near = [
+            x for x in refined
+            if x[0].place == (name, best.effect.joints)
+            and x[1] > most - max(_ALIKE, slack * most)
+        ]  # fmt: skip
         return near[0] if near else (best, most)
 
     def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
@@ -369,16 +375,17 @@ class Search:
         return False
 
 
-def _simpler(effect: Effect) -> str | None:
-    """Which effect to name rather than this one, if both explain as much.
+def _simpler(effect: Effect) -> tuple[str, float]:
+    """Which effect to name rather than this one, if it explains nearly as much.
 
     A drive lags, so that the torque it is asked for leads; a log comes late.
+
+    Returns:
+        Its id, and the part of the evidence that it may explain less.
     """
-    if effect.id == "delay" and effect.values["time"] < 0:
-        return "actuator_lag"
-    if effect.id == "actuator_lag" and effect.values["time"] < 0:
-        return "delay"
-    return _SIMPLER.get(effect.id)
+    if effect.id in _EARLY and effect.values["time"] < 0:
+        return _EARLY[effect.id], _EARLY_SLACK
+    return _SIMPLER.get(effect.id, ""), 0.0
 
 
 def same(a: Columns, b: Columns) -> bool:
