@@ -15,6 +15,8 @@ from hybrid.diagnose.candidates import (
     candidate,
     candidates,
     mere,
+    same,
+    simpler,
     with_gains,
 )
 from hybrid.diagnose.contacts import Contacts
@@ -23,7 +25,6 @@ from hybrid.diagnose.gap import Columns, Gap
 from hybrid.diagnose.refine import gain, refine, shape_steps
 from hybrid.diagnose.ripples import ripple_orders
 from hybrid.diagnose.shapes import moved, price
-from hybrid.effects import Effect
 from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
@@ -38,13 +39,6 @@ _MOST_TERMS, _MOST_THERE = 40, 9  # in all, and at one joint
 _NEAR = 10.0
 _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _MENDING = 0.015  # of the evidence for the largest term at a joint
-_SIMPLER = {
-    "presliding": "coulomb",
-    "thermal_friction": "viscous",
-    "counterbalance": "spring",
-}
-_EARLY = {"delay": "actuator_lag", "actuator_lag": "delay"}  # if time is negative
-_EARLY_SLACK = 0.08  # of the evidence: noise of positions costs a lag that much
 _ALIKE = 3.0  # nats that do not settle which of two effects it is
 # Sizes of the background that are tried: one standard deviation, relative.
 _OFF = (0.003, 0.01, 0.03)
@@ -227,7 +221,7 @@ class Search:
         close = [c for c, gain in ranked if gain > 0.5 * top]
         refined = [self.refine(base, c) for c in close]
         best, most = max(refined, key=lambda x: x[1])
-        name, slack = _simpler(best.effect)
+        name, slack = simpler(best.effect)
         near = [
             x for x in refined
             if x[0].place == (name, best.effect.joints)
@@ -373,25 +367,3 @@ class Search:
                 self.terms.append(self._term(alone))
                 return True
         return False
-
-
-def _simpler(effect: Effect) -> tuple[str, float]:
-    """Which effect to name rather than this one, if it explains nearly as much.
-
-    A drive lags, so that the torque it is asked for leads; a log comes late.
-
-    Returns:
-        Its id, and the part of the evidence that it may explain less.
-    """
-    if effect.id in _EARLY and effect.values["time"] < 0:
-        return _EARLY[effect.id], _EARLY_SLACK
-    return _SIMPLER.get(effect.id, ""), 0.0
-
-
-def same(a: Columns, b: Columns) -> bool:
-    """Whether columns are the same at the same joints."""
-    return (
-        a.keys() == b.keys()
-        and all(a[j].shape == b[j].shape for j in a)
-        and all(np.array_equal(a[j], b[j]) for j in a)
-    )

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from hybrid.diagnose.background import link_spread
-from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.gap import Columns, Gap
 from hybrid.effects import Effect, effect_classes
 from hybrid.effects.effect import Port, Quantity, Scale
 from hybrid.robot import Robot
@@ -22,6 +22,14 @@ _GRID = 7
 _COARSE = 4
 _GAINS = 12  # of an effect that is scanned over its gain
 _TOTAL = 0.8  # part lost by a drive that loses all, at least
+# Laws that another becomes at a bound of its shapes.
+_SIMPLER = {
+    "presliding": "coulomb",
+    "thermal_friction": "viscous",
+    "counterbalance": "spring",
+}
+_EARLY = {"delay": "actuator_lag", "actuator_lag": "delay"}  # if time is negative
+_EARLY_SLACK = 0.08  # of the evidence: noise of positions costs a lag that much
 _MERE = 0.05  # of a number of the file
 _LINK_OFF = 0.15  # a link that is wrong is so by this much
 
@@ -161,3 +169,25 @@ def with_gains(effect: Effect, gains: Sequence[float] | Array) -> Effect:
         return effect
     names = [g.name for g in effect.gains]
     return effect.at(dict(zip(names, map(float, gains), strict=True)))
+
+
+def simpler(effect: Effect) -> tuple[str, float]:
+    """Which effect to name rather than this one, if it explains nearly as much.
+
+    A drive lags, so that the torque it is asked for leads; a log comes late.
+
+    Returns:
+        Its id, and the part of the evidence that it may explain less.
+    """
+    if effect.id in _EARLY and effect.values["time"] < 0:
+        return _EARLY[effect.id], _EARLY_SLACK
+    return _SIMPLER.get(effect.id, ""), 0.0
+
+
+def same(a: Columns, b: Columns) -> bool:
+    """Whether columns are the same at the same joints."""
+    return (
+        a.keys() == b.keys()
+        and all(a[j].shape == b[j].shape for j in a)
+        and all(np.array_equal(a[j], b[j]) for j in a)
+    )

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.diagnose.attribute import Search, Term, same
-from hybrid.diagnose.candidates import Candidate
+from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.candidates import Candidate, same
 from hybrid.diagnose.diagnosis import Finding, Shrink, Value
 from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.gap import Gap
