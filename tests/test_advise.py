@@ -12,6 +12,7 @@ from simulated import arm
 from hybrid.diagnose.advise import advise, choose, rivals
 from hybrid.diagnose.along import Along, coarse
 from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.candidates import candidates
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.diagnosis import Advice
 from hybrid.diagnose.gap import Gap
@@ -163,6 +164,14 @@ def test_decimated_motions_give_the_columns_of_all_samples():
     np.testing.assert_allclose(
         here[inside], there[inside], atol=0.01 * np.abs(there).max()
     )
+
+
+def test_every_candidate_has_columns_along_decimated_motions():
+    gap = diagnosed.planar().gap
+    few = coarse(gap)
+    for c in candidates(gap):
+        for j, x in few.columns(c.effect).items():
+            assert x.shape == (len(gap.left), len(c.std)), (c.place, j)
 
 
 def test_laws_that_are_one_while_moving_are_never_apart():

@@ -97,6 +97,6 @@ def coarse(gap: Gap) -> Gap:
 
 def _every(motion: Motion, step: int) -> Motion:
     """A motion at every so many samples."""
-    signals = ("t", "q", "v", "a", "tau", "mask", "temperature")
+    signals = ("t", "q", "v", "a", "tau", "mask", "temperature", "asked")
     found = {x: getattr(motion, x) for x in signals}
     return replace(motion, **{k: x[::step] for k, x in found.items() if x is not None})

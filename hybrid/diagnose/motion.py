@@ -258,7 +258,7 @@ def _motions(
             parts = {
                 name: getattr(m, name)[keep] for name in ("t", "q", "v", "a", "mask")
             }
-            motions.append(replace(m, tau=tau, temperature=warm, **parts))
+            motions.append(replace(m, tau=tau, asked=None, temperature=warm, **parts))
             usable.append(fresh)
             start.append(own[0])
     return tuple(motions), usable, np.array(start, dtype=np.intp)
