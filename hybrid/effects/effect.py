@@ -50,11 +50,11 @@ class Port(StrEnum):
 class Effect(Instant, ABC):
     """One unmodelled effect at given joints with given values.
 
-    The torque is ``columns(motion, body) @ gain values``: linear in the gains,
-    nonlinear in the shapes. Effects that change signals rather than add torque override
-    :meth:`observe` or :meth:`report`; their columns are first order, for screening, and
-    their :meth:`torque` is nothing. Effects between command and torque leave no trace
-    in the torque that is logged: their columns are zero, and what they do is seen in
+    The torque is ``columns(motion, body) @ gain values``: linear in the gains but of
+    ``steep`` effects, nonlinear in the shapes. Effects that change signals rather than
+    add torque override :meth:`observe` or :meth:`report`; their columns are first
+    order, for screening, and their :meth:`torque` is nothing. Effects between command
+    and torque leave no trace in the torque that is logged: their columns are zero, and what they do is seen in
     :func:`hybrid.effects.loop.commanded_torque`.
 
     Attributes:
