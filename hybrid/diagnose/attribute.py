@@ -26,6 +26,7 @@ from hybrid.diagnose.refine import gain, refine, shape_steps
 from hybrid.diagnose.ripples import ripple_orders
 from hybrid.diagnose.shapes import moved, price
 from hybrid.effects.contact import Contact
+from hybrid.effects.payload import LinkInertia
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
 
@@ -105,7 +106,7 @@ class Search:
             total = self.evidence.solve(self.base()).evidence
             total -= sum(_WORTH + price(t.candidate.effect) for t in self.terms)
             found.append((total, off, self.terms))
-            if not self._any_mere():
+            if not self._any_mere(off):
                 usable.append(found[-1])
         _, self.off, self.terms = max(usable or found[-1:], key=lambda x: x[0])
         self.evidence.spread(self.background, self.off)
@@ -113,17 +114,23 @@ class Search:
         self._polish()
         return self.terms
 
-    def _any_mere(self) -> bool:
-        """Whether a term is no more than what a number of the file is off by."""
-        solution = self.evidence.solve(self.base())
+    def _any_mere(self, off: float) -> bool:
+        """Whether a term is no more than what a number of the file is off by.
+
+        Of a link, whose numbers are many: whether a wider background makes do without.
+        """
+        evidence, robot = self.evidence, self.gap.robot
+        solution = evidence.solve(self.base())
         gains = dict(zip(solution.index.tolist(), solution.gains, strict=True))
-        return any(
-            mere(
-                self.gap.robot,
-                with_gains(t.candidate.effect, [gains[k] for k in t.index]),
-            )
+        effects = [
+            with_gains(t.candidate.effect, [gains[k] for k in t.index])
             for t in self.terms
-        )
+        ]
+        links = [t for t in self.terms if t.place[0] == LinkInertia.id]
+        evidence.spread(self.background, _OFF[-1])
+        idle = any(self.loss(t) < _WORTH for t in links)
+        evidence.spread(self.background, off)
+        return idle or any(mere(robot, e) for e in effects)
 
     def _grow(self) -> None:
         """Add, improve, exchange and remove terms until nothing is gained."""

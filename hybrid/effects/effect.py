@@ -54,8 +54,8 @@ class Effect(Instant, ABC):
     ``steep`` effects, nonlinear in the shapes. Effects that change signals rather than
     add torque override :meth:`observe` or :meth:`report`; their columns are first
     order, for screening, and their :meth:`torque` is nothing. Effects between command
-    and torque leave no trace in the torque that is logged: their columns are zero, and what they do is seen in
-    :func:`hybrid.effects.loop.commanded_torque`.
+    and torque leave no trace in the torque that is logged: their columns are zero, and
+    what they do is seen in :func:`hybrid.effects.loop.commanded_torque`.
 
     Attributes:
         joints: Indices of the joints it acts on: one (scope ``joint``), two or more
