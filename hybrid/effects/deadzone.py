@@ -15,6 +15,9 @@ from hybrid.signals import Motion
 _LEAST = 0.05
 # Of the width and of what is delivered elsewhere: what a true dead zone lets through.
 _NOTHING = 0.2
+_OFTEN = (
+    0.5  # of the time: least that torque is beyond a zone of which part gets through
+)
 _CROSSING = 0.15  # of the time: most that a controller stays within it
 _MOVING = 0.05  # of the highest speed; at rest friction holds what it gets
 
@@ -46,13 +49,15 @@ class Deadzone(Effect):
         or nearly, whenever less is asked for. A controller soon asks for more: a joint
         that is hardly ever asked for more than that has another ail.
         """
-        tau = motion.tau[:, self.joints]
-        if not self.values["total"] or motion.asked is None:
+        tau, width = motion.tau[:, self.joints], self.values["width"]
+        if motion.asked is None:
             return np.nan_to_num(self._within(tau))[:, :, None]
-        asked = motion.asked[:, self.joints]
-        width = self.values["width"]
-        v = np.abs(motion.v[:, self.joints])
+        asked, v = motion.asked[:, self.joints], np.abs(motion.v[:, self.joints])
         moves = v > _MOVING * v.max()
+        if not self.values["total"]:
+            left = (np.abs(tau) > width) & moves  # or else it is a gain
+            often = left.sum() > _OFTEN * moves.sum()
+            return self._within(tau)[:, :, None] * float(often)
         inside, outside = moves & (np.abs(asked) < width), moves & (abs(asked) >= width)
         sure = inside.any() and inside.sum() < _CROSSING * moves.sum()
         if sure:
