@@ -181,6 +181,15 @@ def test_an_effect_that_would_have_to_be_absurd_is_not_made(rig):
     assert rig.scaled(gain, 1e4) is None
 
 
+@pytest.mark.parametrize("name", ["contact", "saturation", "deadzone"])
+def test_a_number_of_something_is_not_drawn(name, rig):
+    for seed in range(4):
+        effect = draw(name, rig, None, np.random.default_rng(seed))
+        chosen = {x.name: x.typical for x in effect.shapes if x.whole}
+        assert chosen
+        assert {k: effect.values[k] for k in chosen} == chosen
+
+
 def test_an_effect_of_the_command_is_drawn_though_it_leaves_no_trace(rig):
     name = command_effects()[0]
     effect = draw(name, rig, None, np.random.default_rng(0))

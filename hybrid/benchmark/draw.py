@@ -87,7 +87,9 @@ def _usual(name: str, rig: Rig, rng: np.random.Generator) -> Effect | None:
     values: dict[str, float] = {}
     for x in (s.scaled(scale) for s in cls.shapes):
         value = x.typical * np.exp(_SPREAD * rng.standard_normal())
-        values[x.name] = float(np.clip(value, x.lower, x.upper))
+        values[x.name] = float(
+            np.clip(x.typical if x.whole else value, x.lower, x.upper)
+        )
     for x in (g.scaled(scale) for g in cls.gains):
         signed = x.lower < 0 and name not in _ONE_SIDED
         sign = rng.choice([-1.0, 1.0]) if signed else 1.0

@@ -15,9 +15,7 @@ from hybrid.signals import Motion
 _LEAST = 0.05
 # Of the width and of what is delivered elsewhere: what a true dead zone lets through.
 _NOTHING = 0.2
-_OFTEN = (
-    0.5  # of the time: least that torque is beyond a zone of which part gets through
-)
+_OFTEN = 0.5  # of the time: torque is beyond a zone of which part gets through
 _CROSSING = 0.15  # of the time: most that a controller stays within it
 _MOVING = 0.05  # of the highest speed; at rest friction holds what it gets
 
