@@ -409,7 +409,7 @@ class TestDrives:
         )
         assert finding.effect == "deadzone" and finding.joints == ("elbow",)
         assert values["width"] == pytest.approx(width[1], rel=0.03)
-        assert values["loss"] == pytest.approx(1.0, abs=0.05)
+        assert set(values) == {"width"}
 
 
 class TestMakeshifts:

@@ -141,6 +141,22 @@ def test_what_lies_beyond_the_margin_is_not_felt():
     assert response[2000 - sampler.margin // 2] > 1e-6  # and it is not far too wide
 
 
+@given(
+    begin=st.integers(0, 1999),
+    length=st.integers(0, 500),
+    rate=st.sampled_from([200.0, 1000.0]),
+)
+def test_what_happens_for_a_while_is_filtered_as_if_it_were_beside_what_lasts(
+    begin, length, rate
+):
+    """Silence is not filtered; a signal that is never silent is, and so its sums are."""
+    x, steady = np.zeros((2000, 2)), 1.0 + np.arange(2000.0)[:, None]
+    x[begin : begin + length] = np.random.default_rng(begin).normal(size=2)
+    sampler = Sampler.for_rate(rate, 20.0)
+    apart = sampler(x + steady) - sampler(np.broadcast_to(steady, x.shape))
+    np.testing.assert_allclose(sampler(x), apart, atol=1e-7)
+
+
 def test_filter_reach_grows_as_the_cutoff_falls():
     assert filter_reach(0.01) == pytest.approx(10 * filter_reach(0.1), rel=0.1)
     assert filter_reach(0.01, tolerance=1e-2) < filter_reach(0.01)

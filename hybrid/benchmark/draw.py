@@ -146,8 +146,6 @@ def _special(
     if name in ("saturation", "soft_saturation"):
         limit = np.quantile(np.abs(rig.torque[:, j]), rng.uniform(0.6, 0.95))
         return {"limit": float(limit), "loss": rng.uniform(0.3, 1.0)}
-    if name == "deadzone":
-        return {"loss": 1.0}
     if name == "payload":
         arm = rig.robot.chain.inertial[:, 0].sum()
         return _lump(rng.uniform(0.02, 0.1) * arm, rng.uniform(-0.1, 0.1, 3), rng)

@@ -22,8 +22,6 @@ _CLOSE = 0.1  # of the size asked for
 _TRIES = 4
 _LEAST = 0.15  # of a declared number, three times what it may be off by
 _MOST_LINK, _MOST_PAYLOAD = 0.5, 0.25  # of the masses of link and arm
-# By which parameter an effect is made larger, where it is not by its gains.
-_GROWS_BY = {"deadzone": ("width",)}
 
 
 @dataclass(frozen=True)
@@ -116,8 +114,7 @@ class Rig:
 
 def larger(effect: Effect, factor: float) -> Mapping[str, float]:
     """The values by which an effect is ``factor`` times as large."""
-    names = _GROWS_BY.get(effect.id, tuple(g.name for g in effect.gains))
-    return {name: factor * effect.values[name] for name in names}
+    return {g.name: factor * effect.values[g.name] for g in effect.gains}
 
 
 def gap_rms(gap: Gap) -> Array:

@@ -226,7 +226,13 @@ class Search:
             return None
         top = ranked[0][1]
         close = [c for c, gain in ranked if gain > 0.5 * top]
-        refined = [self.refine(base, c) for c in close]
+        refined = [
+            (c, worth)
+            for c, worth in (self.refine(base, c) for c in close)
+            if all(c.effect.holds(motion) for motion in self.gap.motions)
+        ]
+        if not refined:
+            return None
         best, most = max(refined, key=lambda x: x[1])
         name, slack = simpler(best.effect)
         near = [
@@ -237,7 +243,7 @@ class Search:
         return near[0] if near else (best, most)
 
     def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
-        """The best shape of each effect at each place, most evidence first."""
+        """The best shape of each form of an effect at a place, most evidence first."""
         taken = {t.place for t in self.terms if t.index[0] in base}
         terms = [
             t for t in self.tried
@@ -246,11 +252,14 @@ class Search:
         gains = self.evidence.screen(
             base, [t.index for t in terms], [t.candidate.lower for t in terms]
         )
-        best: dict[tuple[str, tuple[int, ...]], tuple[Candidate, float]] = {}
+        best: dict[tuple[object, ...], tuple[Candidate, float]] = {}
         for term, worth in zip(terms, gains, strict=True):
-            worth -= price(term.candidate.effect)
-            if term.place not in best or worth > best[term.place][1]:
-                best[term.place] = term.candidate, float(worth)
+            effect = term.candidate.effect
+            inner = (x.name for x in effect.shapes if x.inner and x.whole)
+            form = *term.place, *(effect.values[name] for name in inner)
+            worth -= price(effect)
+            if form not in best or worth > best[form][1]:
+                best[form] = term.candidate, float(worth)
         return sorted(best.values(), key=lambda x: -x[1])
 
     def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:

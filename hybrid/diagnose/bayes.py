@@ -9,6 +9,7 @@ from hybrid.robot.chain import Array
 
 _STRETCH = 0.5  # s, in which noise is as large as ever
 _EVENT = 10.0  # times the usual mean square
+_HALF, _EDGE = 0.5, 0.85  # of the cut-off; there the filter is felt
 
 
 def log_bayes(
@@ -81,3 +82,23 @@ def quiet(x: Array, row: NDArray[np.intp], rate: float) -> NDArray[np.bool_]:
     mean = np.bincount(stretch, x**2) / np.maximum(count, 1)
     usual = np.median(mean[count > 0]) if len(x) else 0.0
     return np.asarray(mean[stretch] <= _EVENT * usual)
+
+
+def coloured(x: Array, row: NDArray[np.intp], rate: float, cutoff: float) -> float:
+    """Squares of a residual in the lower half of its band beyond those of the upper.
+
+    Noise of a sensor is as strong at all frequencies, and that of derivatives is
+    stronger at the upper ones; what is stronger at the lower ones is no noise.
+
+    Args:
+        x: The residual, shape (R,).
+        row: Place of each sample in time, shape (R,), ascending.
+        rate: Samples per second, [Hz].
+        cutoff: End of its band, [Hz].
+    """
+    full = np.zeros(row[-1] - row[0] + 1)
+    full[row - row[0]] = x
+    power = 2 * np.abs(np.fft.rfft(full)) ** 2 / len(full)  # of both signs
+    f = np.fft.rfftfreq(len(full), 1.0 / rate) / cutoff
+    lower, upper = power[f < _HALF], power[(f >= _HALF) & (f < _EDGE)]
+    return float(lower.sum() - len(lower) * upper.mean()) if len(upper) else 0.0

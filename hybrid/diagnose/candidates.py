@@ -21,7 +21,6 @@ _SEARCHED = {"torque_ripple", "contact"}  # their shapes come from the residual
 _GRID = 7
 _COARSE = 4
 _GAINS = 12  # of an effect that is scanned over its gain
-_TOTAL = 0.8  # part lost by a drive that loses all, at least
 # Laws that another becomes at a bound of its shapes.
 _SIMPLER = {
     "presliding": "coulomb",
@@ -78,14 +77,12 @@ def candidate(gap: Gap, effect: Effect) -> Candidate:
     scale = gap.scales[effect.joints[-1]]
     gains = [g.scaled(scale) for g in effect.gains]
     std = np.array([_spread(g) for g in gains])
-    lower = np.array([0.0 if g.lower >= 0 else -np.inf for g in gains])
+    lower = effect.least_gains
     if effect.id == "payload":
         std = np.array(_PAYLOAD) * max(np.median(gap.robot.chain.inertial[:, 0]), 0.1)
     if effect.id == "link_inertia":
         std = _LINK_OFF * link_spread(gap.robot.chain.inertial)[effect.joints[-1]]
         lower = np.full(len(std), -np.inf)
-    if effect.values.get("total"):
-        lower = np.array([_TOTAL])
     return Candidate(effect, std, lower)
 
 

@@ -26,12 +26,12 @@ from hybrid.diagnose.verify import Account, account, check
 from hybrid.diagnose.visited import not_excited
 from hybrid.recording import Recording
 from hybrid.robot import Robot
+from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 Progress = Callable[[str], None]
 
 _SMALLEST = 0.001  # of the measured torque, RMS
-_MATTERS = 0.005  # the same, of what was refused as a cause
 _LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
 _DOUBT = 0.05  # of what a term removes: most that its interval says it may add
 _FEWEST_BLOCKS = 6  # of a second, for an interval that tells
@@ -107,11 +107,12 @@ def examine(
     if not doubts:
         search.run()
     tell("asking what is left")
-    found, kinds, refused = _vetted(gap, search, limits)
+    found, kinds, reached = _vetted(gap, search, limits)
     if strange := another_arm(gap, search.terms):
         doubts, search.terms = [strange], []
     foreign = bool(doubts)
     tell("scoring on motions that no step has seen")
+    useless = False
     while True:
         scored = explain(gap, search, learn)
         effects = refit(gap, search).effects
@@ -120,13 +121,13 @@ def examine(
         useful = _useful(scored, rng)
         if len(useful) == len(search.terms):
             break
-        refused |= not _negligible(scored, useful)
+        useless |= not _negligible(scored, useful)
         search.terms = useful
-        found = account(gap, search, limits)
+        found = account(gap, search, limits, reached)
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
     verdict, unexplained = _verdict(found, causes, limits)
-    if refused and verdict == "no_gap":
+    if useless and verdict == "no_gap":
         verdict, unexplained = "unexplained", 1.0  # there is something, unlike all laws
     if too_little(gap):
         verdict, unexplained = "not_excited", 1.0
@@ -207,27 +208,24 @@ def _once(finding: Finding, scored: Explanation) -> bool:
 
 def _vetted(
     gap: Gap, search: Search, limits: Thresholds
-) -> tuple[Account, dict[Term, tuple[str, ...]], bool]:
+) -> tuple[Account, dict[Term, tuple[str, ...]], Array]:
     """Leave a search the terms that pass all checks beside each other.
 
     Returns:
-        What they explain and miss, what each cannot be told from, and whether what
-        was refused matters.
+        What they explain and miss, what each cannot be told from, and the squares that
+        all of them had left, shape (n,), in units of noise.
     """
-    found = every = account(gap, search, limits)
+    found = account(gap, search, limits)
+    reached = found.after
     kinds: dict[Term, tuple[str, ...]] = {}
     while True:
         passing = [t for t in search.terms if check(search, t, found).passes(limits)]
         kinds |= {t: alternatives(search, t, limits) for t in passing if t not in kinds}
         if len(passing) == len(search.terms):
-            break
+            return found, kinds, reached
         search.terms = passing
         search.prune()
-        found = account(gap, search, limits)
-    lost = (found.after - every.after) * search.evidence.noise
-    tau = [gap.measured[rows, i] for i, rows in enumerate(search.evidence.rows)]
-    worth = [_MATTERS**2 * float(x @ x) for x in tau]
-    return found, kinds, bool(np.any(lost > worth))
+        found = account(gap, search, limits, reached)
 
 
 def _verdict(

@@ -18,8 +18,11 @@ class Thresholds:
         alike_share: The same as a share of the evidence for either: no law is exact.
         spurious: Share of a joint's noise that the flexible regression may recover
             without any gap.
+        coloured: Share of what is left at a joint that may be in the lower half of the
+            band, beyond what is in the upper.
         evident: Least squares that it must recover at a joint, in units of noise.
         negligible: RMS that is not worth a cause, over that of the measured torque.
+        matters: The same of what only effects explain that do not hold.
         complete: Least part of what is explainable at a joint that its terms explain.
         roughly: The same where they are of laws that hold roughly: of play and springs.
         steady: Most that gains of their own on each fold may take from the gap, over
@@ -34,8 +37,10 @@ class Thresholds:
     alike: float
     alike_share: float
     spurious: float
+    coloured: float
     evident: float
     negligible: float
+    matters: float
     complete: float
     roughly: float
     steady: float

@@ -7,16 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.diagnose.attribute import Search, Term
-from hybrid.diagnose.bayes import memory, quiet
+from hybrid.diagnose.bayes import coloured, memory, quiet
 from hybrid.diagnose.candidates import scale_of, with_gains
 from hybrid.diagnose.ceiling import recoverable
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.thresholds import Thresholds
+from hybrid.effects.contact import Contact
 from hybrid.effects.effect import Port
 from hybrid.robot.chain import Array
 
 _ECHO = 0.1  # of the evidence, least in the lower half of the band
 _SLACK = 0.02  # of the range of a gain
+_MOST_CONTACTS = 3  # what happens more often is no contact
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,13 @@ class Check:
         remains: Squares of its torque and of another's together, over those of each,
             for the term of its kind at its joint that undoes it most.
         physical: Whether its gains are what such an effect may have.
-        byproduct: Whether it is on signals, or a body, and explains less than is missed
-            on the whole arm: what joint passes on to joint may look like one.
+        minor: Whether the terms at its joints explain less than is missed there; or on
+            the whole arm, if it is on signals, or a body: what joint passes on to joint
+            may look like one.
         echo: Whether its evidence is in the upper half of the band, where it may be of
             noise that its columns and the gap share.
         rough: Whether its law holds roughly, so that it may leave more.
+        recurs: Whether it is of what happens once, and there are many such.
     """
 
     complete: float
@@ -43,9 +47,10 @@ class Check:
     crowd: int
     remains: float
     physical: bool
-    byproduct: bool
+    minor: bool
     echo: bool
     rough: bool
+    recurs: bool
 
     def passes(self, limits: Thresholds) -> bool:
         """Whether the term may be named."""
@@ -55,8 +60,9 @@ class Check:
             and self.crowd <= limits.crowded
             and self.remains >= limits.undone
             and self.physical
-            and not self.byproduct
+            and not self.minor
             and not self.echo
+            and not self.recurs
         )
 
 
@@ -68,7 +74,8 @@ class Account:
         before: With the background alone, shape (n,).
         after: With all terms, shape (n,).
         recovered: What a flexible regression still recovers, beyond chance, shape (n,).
-        missed: The part of it that matters, shape (n,).
+        missed: What is there and has no cause, if it matters, shape (n,).
+        refused: What terms explain that do not hold, shape (n,).
         depends: What the missed part depends on first, for each joint.
         noise: Sum of squares of noise alone, shape (n,).
     """
@@ -77,6 +84,7 @@ class Account:
     after: Array
     recovered: Array
     missed: Array
+    refused: Array
     depends: tuple[str, ...]
     noise: Array
 
@@ -86,14 +94,26 @@ class Account:
         return np.maximum(self.before - self.after, 0.0)
 
 
-def account(gap: Gap, search: Search, limits: Thresholds) -> Account:
-    """What is explained and what is missed, joint by joint."""
+def account(
+    gap: Gap, search: Search, limits: Thresholds, reached: Array | None = None
+) -> Account:
+    """What is explained and what is missed, joint by joint.
+
+    Args:
+        gap: The gap.
+        search: A search that has run.
+        limits: What is worth a cause.
+        reached: Squares left by more terms, some of which do not hold, shape (n,), in
+            units of noise.
+    """
     evidence = search.evidence
     alone = evidence.solve(search.background)
     whole = evidence.solve(search.base())
     weight = evidence.noise
     before = evidence.squares(alone.index, alone.gains).sum(axis=1) / weight
     after = evidence.squares(whole.index, whole.gains).sum(axis=1) / weight
+    refused = np.zeros_like(after) if reached is None else after - reached
+    refused = np.where(refused > limits.evident, refused, 0.0)
     (recovered, missed), depends = np.zeros((2, len(weight))), []
     for i, rows in enumerate(evidence.rows):
         if not len(rows):
@@ -111,6 +131,9 @@ def account(gap: Gap, search: Search, limits: Thresholds) -> Account:
         events = float(np.sum(rest[~calm] ** 2 - usual))
         recovered[i] = max(0.0, squares - limits.evident * noise) / weight[i]
         squares = max(0.0, squares - limits.spurious * float(left @ left))
+        colour = coloured(rest[calm], rows[calm], gap.rate, gap.cutoff)
+        if colour > limits.coloured * float(rest @ rest):
+            squares, of = squares + colour, of or "what does not recur"
         tau = gap.measured[rows, i]
         least = max(limits.evident * noise, limits.negligible**2 * float(tau @ tau))
         parts = [
@@ -118,7 +141,12 @@ def account(gap: Gap, search: Search, limits: Thresholds) -> Account:
         ]
         missed[i] = sum(x for x, _ in parts) / weight[i]
         depends.append(max(parts)[1] if parts else "")
-    return Account(before, after, recovered, missed, tuple(depends), after - missed)
+        least = limits.matters**2 * float(tau @ tau) / weight[i]
+        if refused[i] > max(missed[i], least):
+            missed[i], depends[i] = refused[i], depends[i] or "what no known law fits"
+    return Account(
+        before, after, recovered, missed, refused, tuple(depends), after - missed
+    )
 
 
 def check(search: Search, term: Term, found: Account) -> Check:
@@ -139,15 +167,18 @@ def check(search: Search, term: Term, found: Account) -> Check:
     complete = explained / max(explained + found.recovered[main].sum(), 1e-12)
     joint = term.place[1]
     crowd = sum(t.place[1] == joint for t in search.terms)
+    where = main | bool(_kind(term))
+    contacts = [t for t in search.terms if t.place[0] == Contact.id]
     return Check(
         float(complete),
         _unsteady(search, term),
         crowd,
         _remains(search, term),
         _physical(search, term),
-        bool(_kind(term)) and float(explained) < float(found.missed.sum()),
+        bool(explained < np.maximum(found.missed, found.refused)[where].sum()),
         _echo(search, term),
         term.candidate.effect.steep,
+        len(contacts) > _MOST_CONTACTS and term in contacts,
     )
 
 

@@ -151,6 +151,11 @@ class Effect(Instant, ABC):
         return np.array([self.values[g.name] for g in self.gains])
 
     @property
+    def least_gains(self) -> Array:
+        """Smallest gains at its shapes: 0, or −∞ of those with a sign, shape (p,)."""
+        return np.array([0.0 if g.lower >= 0 else -np.inf for g in self.gains])
+
+    @property
     def shape_values(self) -> dict[str, float]:
         """Values of the shapes by name."""
         return {s.name: self.values[s.name] for s in self.shapes}

@@ -11,6 +11,7 @@ from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 
 _CLIPS = 0.9  # loss from which a drive gives no more, whatever it is asked for
+_TOTAL = 0.8  # the same that a fit finds, at least, of one that does
 _NEAR = 0.2  # of the limit: how far from it a drive that clips delivers, at most
 _SELDOM = 0.1  # of the samples, at which it may not
 _MOVING = 0.05  # of the highest speed; at rest friction holds what it gets
@@ -62,6 +63,11 @@ class Saturation(Effect):
         over = moves & (np.abs(asked) > limit)
         apart = np.abs(np.sign(asked) * tau - limit) > _NEAR * limit
         return bool((over & apart).sum() <= _SELDOM * over.sum())
+
+    @property
+    def least_gains(self) -> Array:
+        """Of a drive that clips all is lost; shape (1,)."""
+        return np.array([_TOTAL * self.values["total"]])
 
     def as_reported(self) -> Saturation:
         """Beyond the limit p/(1 − p) of what is delivered is lost."""

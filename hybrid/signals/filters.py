@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_PART = 0.7  # of a signal: to filter less than that alone is worth the cut
+
 
 @dataclass(frozen=True)
 class Sampler:
@@ -191,11 +193,18 @@ def _filtered(
     samples = x.shape[-1]
     pad = filter_reach(cutoff / rate, order=order, tolerance=1e-9)
     pad = -(-pad // factor) * factor
+    kept = -(-samples // factor)
+    first, last = _support(x, pad, factor)
+    if last - first < samples:  # nothing happens elsewhere
+        out = np.zeros((*x.shape[:-1], kept))
+        if last > first:
+            part = _filtered(x[..., first:last], rate, cutoff, order, -1, factor)
+            out[..., first // factor :][..., : part.shape[-1]] = part
+        return np.ascontiguousarray(np.moveaxis(out, -1, axis))
     few = next_fast_len(-(-(samples + 2 * pad) // factor), real=True)
     size = factor * few
     gain = _gain(cutoff / rate, order, size) / factor
     index, mirrored = _folds(size, factor)
-    kept = -(-samples // factor)
     out = np.empty(np.moveaxis(x[..., :kept], -1, axis).shape)
     target = np.moveaxis(out, axis, -1)
     for i in np.ndindex(x.shape[:-1]):
@@ -205,6 +214,23 @@ def _filtered(
             spectrum = np.where(mirrored, parts.conj(), parts).sum(axis=0)
         target[i] = irfft(spectrum, few)[pad // factor :][:kept]
     return out
+
+
+def _support(x: Array, pad: int, factor: int) -> tuple[int, int]:
+    """Samples within reach of any signal that is not zero, as a range.
+
+    It starts at a multiple of ``factor``, and is everything where that is most of it, or
+    where something happens at either end.
+    """
+    samples = x.shape[-1]
+    if x[..., 0].any() or x[..., -1].any():
+        return 0, samples
+    there = np.flatnonzero(x.any(axis=tuple(range(x.ndim - 1))))
+    if not len(there):
+        return 0, 0
+    first = max(there[0] - 2 * pad, 0) // factor * factor
+    last = min(there[-1] + 1 + 2 * pad, samples)
+    return (int(first), int(last)) if last - first < _PART * samples else (0, samples)
 
 
 def _continued(x: Array, pad: int) -> Array:
