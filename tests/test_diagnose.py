@@ -9,6 +9,7 @@ from arms import MODELS
 from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from simulated import arm
 
+from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import mere
 from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.diagnose import examine
@@ -27,6 +28,7 @@ from hybrid.errors import HybridWarning, RecordingError
 from hybrid.plant import Noise, Plant, random_fourier, simulate
 from hybrid.recording import Recording
 from hybrid.robot import Robot
+from hybrid.signals import butterworth
 
 PUSH = {"force_x": 8.0, "force_y": -5.0, "start": 2.0, "duration": 0.8}
 
@@ -261,6 +263,29 @@ class TestSilence:
         assert diagnosis.findings == ()
         whole = [r for r in diagnosis.where if r.variable == "link"]
         assert {r.joint for r in whole} == {"shoulder"}
+
+    def test_torque_that_wanders_at_random_is_no_noise(self):
+        """It never recurs, so that no regression on other motions knows it."""
+        robot, recordings = logs([], duration=8.0)
+        rng, wandering = np.random.default_rng(0), []
+        for recording in recordings:
+            rate = 1.0 / np.median(np.diff(recording.t))
+            steps = rng.standard_normal(len(recording.t))
+            slow = butterworth(steps, rate=rate, cutoff=4.0)
+            tau = recording.tau.copy()
+            tau[:, 1] += 0.05 * np.std(tau[:, 1]) / np.std(slow) * slow
+            wandering.append(replace(recording, tau=tau))
+        diagnosis = examine(robot, wandering).diagnosis
+        assert diagnosis.verdict == "unexplained"
+        assert diagnosis.findings == ()
+        whole = [r for r in diagnosis.where if r.variable == "link"]
+        assert {r.joint for r in whole} == {"elbow"}
+
+    def test_a_law_that_a_motion_does_not_bear_out_is_not_taken(self, monkeypatch):
+        robot, recordings = logs([Viscous((0,), {"coefficient": 3.0})])
+        monkeypatch.setattr(Viscous, "holds", lambda self, motion: False)
+        search = Search(measure_gap(robot, recordings))
+        assert "viscous" not in {t.place[0] for t in search.run()}
 
     def test_one_joint_moving_is_not_enough(self):
         robot, recordings = logs([STRIBECK])

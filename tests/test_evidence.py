@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from hybrid.diagnose.bayes import log_bayes, memory
+from hybrid.diagnose.bayes import coloured, log_bayes, memory
 from hybrid.diagnose.evidence import Evidence
+from hybrid.signals import butterworth
 
 M = 60
 
@@ -165,6 +166,18 @@ def test_memory_counts_samples_for_an_independent_one(rho):
         rows = np.flatnonzero(rng.random(4000) < 0.8)  # with gaps, as where it stands
         found.append(memory(x[rows], rows))
     assert np.median(found) == pytest.approx((1 + rho) / (1 - rho), rel=0.15)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.3, 2.0])
+def test_what_is_stronger_at_low_frequencies_is_told_from_noise(size):
+    rng, t = np.random.default_rng(3), np.arange(6000) / 200.0
+    rows = np.flatnonzero((t % 5.0) < 4.0)
+    wave, found = size * np.sin(2 * np.pi * 0.7 * t), []
+    for _ in range(10):
+        x = butterworth(rng.standard_normal(len(t)), rate=200.0, cutoff=40.0) + wave
+        found.append(coloured(x[rows], rows, 200.0, 40.0))
+    expected = wave[rows] @ wave[rows]
+    assert np.median(found) == pytest.approx(expected, rel=0.1, abs=150.0)
 
 
 def test_gains_beside_known_ones_are_those_of_what_these_leave():

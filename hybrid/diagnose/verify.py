@@ -18,6 +18,7 @@ from hybrid.robot.chain import Array
 
 _ECHO = 0.1  # of the evidence, least in the lower half of the band
 _SLACK = 0.02  # of the range of a gain
+_RATHER = 3.0  # times what is missed there is explained by a cause
 _MOST_CONTACTS = 3  # what happens more often is no contact
 
 
@@ -33,9 +34,9 @@ class Check:
         remains: Squares of its torque and of another's together, over those of each,
             for the term of its kind at its joint that undoes it most.
         physical: Whether its gains are what such an effect may have.
-        minor: Whether the terms at its joints explain less than is missed there; or on
-            the whole arm, if it is on signals, or a body: what joint passes on to joint
-            may look like one.
+        minor: Whether much is missed at its joints beside what the terms there explain;
+            or more than that on the whole arm, if it is on signals, or a body: what
+            joint passes on to joint may look like one.
         echo: Whether its evidence is in the upper half of the band, where it may be of
             noise that its columns and the gap share.
         rough: Whether its law holds roughly, so that it may leave more.
@@ -167,7 +168,9 @@ def check(search: Search, term: Term, found: Account) -> Check:
     complete = explained / max(explained + found.recovered[main].sum(), 1e-12)
     joint = term.place[1]
     crowd = sum(t.place[1] == joint for t in search.terms)
-    where = main | bool(_kind(term))
+    missed = np.maximum(found.missed, found.refused)
+    minor = explained < _RATHER * missed[main].sum()
+    minor |= bool(_kind(term)) and explained < missed.sum()
     contacts = [t for t in search.terms if t.place[0] == Contact.id]
     return Check(
         float(complete),
@@ -175,7 +178,7 @@ def check(search: Search, term: Term, found: Account) -> Check:
         crowd,
         _remains(search, term),
         _physical(search, term),
-        bool(explained < np.maximum(found.missed, found.refused)[where].sum()),
+        bool(minor),
         _echo(search, term),
         term.candidate.effect.steep,
         len(contacts) > _MOST_CONTACTS and term in contacts,
