@@ -149,7 +149,7 @@ def test_what_lies_beyond_the_margin_is_not_felt():
 def test_what_happens_for_a_while_is_filtered_as_if_it_were_beside_what_lasts(
     begin, length, rate
 ):
-    """Silence is not filtered; a signal that is never silent is, and so its sums are."""
+    """Silence is not filtered; a signal without any is, and so is its sum with one."""
     x, steady = np.zeros((2000, 2)), 1.0 + np.arange(2000.0)[:, None]
     x[begin : begin + length] = np.random.default_rng(begin).normal(size=2)
     sampler = Sampler.for_rate(rate, 20.0)

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.robot.chain import Array
+from hybrid.signals import butterworth
 
 _STRETCH = 0.5  # s, in which noise is as large as ever
-_EVENT = 10.0  # times the usual mean square
+_EVENT = 8.0  # times the usual mean square
 _HALF, _EDGE = 0.5, 0.85  # of the cut-off; there the filter is felt
 
 
@@ -66,17 +67,25 @@ def memory(x: Array, row: NDArray[np.intp]) -> float:
     return float(max(1.0, 2 * even[:stop].sum() - 1.0))
 
 
-def quiet(x: Array, row: NDArray[np.intp], rate: float) -> NDArray[np.bool_]:
+def quiet(
+    x: Array, row: NDArray[np.intp], rate: float, cutoff: float | None = None
+) -> NDArray[np.bool_]:
     """Samples of a residual where it is as large as it usually is, shape (R,).
 
     Noise is alike at all times. Where some stretch holds many times what half of them
-    hold at most, something has happened there.
+    hold at most, something has happened there. It shows best below the frequencies
+    that noise of derivatives is of.
 
     Args:
         x: The residual, shape (R,).
         row: Place of each sample in time, shape (R,).
-        rate: Samples per second.
+        rate: Samples per second, [Hz].
+        cutoff: End of the band in which to look, [Hz]; all of it by default.
     """
+    if cutoff is not None and len(x):
+        full = np.zeros(row.max() + 1)
+        full[row] = x
+        x = butterworth(full, rate=rate, cutoff=cutoff)[row]
     stretch = row // round(_STRETCH * rate)
     count = np.bincount(stretch)
     mean = np.bincount(stretch, x**2) / np.maximum(count, 1)

@@ -219,13 +219,22 @@ def _vetted(
     reached = found.after
     kinds: dict[Term, tuple[str, ...]] = {}
     while True:
-        passing = [t for t in search.terms if check(search, t, found).passes(limits)]
+        checks = {t: check(search, t, found) for t in search.terms}
+        echoes = any(x.echo for x in checks.values())
+        passing = [
+            t for t, x in checks.items()
+            if (not x.echo if echoes else x.passes(limits))
+        ]  # fmt: skip
         kinds |= {t: alternatives(search, t, limits) for t in passing if t not in kinds}
         if len(passing) == len(search.terms):
             return found, kinds, reached
         search.terms = passing
         search.prune()
-        found = account(gap, search, limits, reached)
+        without = account(gap, search, limits, reached)
+        if echoes:  # what noise looks like is not missed
+            reached = reached + without.after - found.after
+            without = account(gap, search, limits, reached)
+        found = without
 
 
 def _verdict(

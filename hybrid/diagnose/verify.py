@@ -18,6 +18,7 @@ from hybrid.robot.chain import Array
 
 _ECHO = 0.1  # of the evidence, least in the lower half of the band
 _SLACK = 0.02  # of the range of a gain
+_CALM = 0.25  # of the cut-off: the band in which events are looked for
 _RATHER = 3.0  # times what is missed there is explained by a cause
 _MOST_CONTACTS = 3  # what happens more often is no contact
 
@@ -39,7 +40,7 @@ class Check:
             joint passes on to joint may look like one.
         echo: Whether its evidence is in the upper half of the band, where it may be of
             noise that its columns and the gap share.
-        rough: Whether its law holds roughly, so that it may leave more.
+        rough: Whether its law holds roughly, or one beside it, so that more is left.
         recurs: Whether it is of what happens once, and there are many such.
     """
 
@@ -126,7 +127,7 @@ def account(
         rows = rows[order]
         squares, of, rest = recoverable(gap, i, left[order], rows, weight[i])
         # Noise as estimated before may hold what no effect explains.
-        calm = quiet(rest, rows, gap.rate)
+        calm = quiet(rest, rows, gap.rate, _CALM * gap.cutoff)
         usual = float(np.mean(rest[calm] ** 2))
         noise = usual * memory(rest[calm], rows[calm])
         events = float(np.sum(rest[~calm] ** 2 - usual))
@@ -169,7 +170,8 @@ def check(search: Search, term: Term, found: Account) -> Check:
     joint = term.place[1]
     crowd = sum(t.place[1] == joint for t in search.terms)
     missed = np.maximum(found.missed, found.refused)
-    minor = explained < _RATHER * missed[main].sum()
+    rough = any(t.candidate.effect.steep for t in search.terms)
+    minor = explained < (1.0 if rough else _RATHER) * missed[main].sum()
     minor |= bool(_kind(term)) and explained < missed.sum()
     contacts = [t for t in search.terms if t.place[0] == Contact.id]
     return Check(
@@ -180,7 +182,7 @@ def check(search: Search, term: Term, found: Account) -> Check:
         _physical(search, term),
         bool(minor),
         _echo(search, term),
-        term.candidate.effect.steep,
+        rough,
         len(contacts) > _MOST_CONTACTS and term in contacts,
     )
 
