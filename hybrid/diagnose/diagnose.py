@@ -220,11 +220,10 @@ def _vetted(
     kinds: dict[Term, tuple[str, ...]] = {}
     while True:
         checks = {t: check(search, t, found) for t in search.terms}
-        echoes = any(x.echo for x in checks.values())
-        passing = [
-            t for t, x in checks.items()
-            if (not x.echo if echoes else x.passes(limits))
-        ]  # fmt: skip
+        echoes = [t for t, x in checks.items() if x.echo and x.sound(limits)]
+        passing = [t for t, x in checks.items() if x.passes(limits)]
+        if echoes:
+            passing = [t for t in search.terms if t not in echoes]
         kinds |= {t: alternatives(search, t, limits) for t in passing if t not in kinds}
         if len(passing) == len(search.terms):
             return found, kinds, reached

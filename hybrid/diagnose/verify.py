@@ -35,12 +35,12 @@ class Check:
         remains: Squares of its torque and of another's together, over those of each,
             for the term of its kind at its joint that undoes it most.
         physical: Whether its gains are what such an effect may have.
-        minor: Whether much is missed at its joints beside what the terms there explain;
-            or more than that on the whole arm, if it is on signals, or a body: what
-            joint passes on to joint may look like one.
+        minor: Whether much is missed at its joints beside what the terms there explain,
+            all of whose laws are exact; or more than that on the whole arm, if it is on
+            signals, or a body: what joint passes on to joint may look like one.
         echo: Whether its evidence is in the upper half of the band, where it may be of
             noise that its columns and the gap share.
-        rough: Whether its law holds roughly, or one beside it, so that more is left.
+        rough: Whether its law holds roughly, so that it may leave more.
         recurs: Whether it is of what happens once, and there are many such.
     """
 
@@ -56,6 +56,10 @@ class Check:
 
     def passes(self, limits: Thresholds) -> bool:
         """Whether the term may be named."""
+        return self.sound(limits) and not self.echo
+
+    def sound(self, limits: Thresholds) -> bool:
+        """Whether it might be, were it not for noise that looks like it."""
         return (
             self.complete >= (limits.roughly if self.rough else limits.complete)
             and self.unsteady <= limits.steady
@@ -63,7 +67,6 @@ class Check:
             and self.remains >= limits.undone
             and self.physical
             and not self.minor
-            and not self.echo
             and not self.recurs
         )
 
@@ -182,7 +185,7 @@ def check(search: Search, term: Term, found: Account) -> Check:
         _physical(search, term),
         bool(minor),
         _echo(search, term),
-        rough,
+        term.candidate.effect.steep,
         len(contacts) > _MOST_CONTACTS and term in contacts,
     )
 
