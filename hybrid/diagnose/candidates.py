@@ -12,6 +12,7 @@ from hybrid.diagnose.background import link_spread
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.effects import Effect, effect_classes
 from hybrid.effects.effect import Port, Quantity, Scale
+from hybrid.effects.torque_gain import TorqueGain
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 
@@ -150,6 +151,8 @@ def mere(robot: Robot, effect: Effect) -> bool:
         effect: The effect with its gains.
     """
     known = declared(robot).get(effect.id)
+    if effect.id == TorqueGain.id:  # of all numbers outward
+        known = np.ones(robot.size)
     if known is None:
         return False
     return bool(abs(effect.gain_values[0]) < _MERE * known[effect.joints[0]])
