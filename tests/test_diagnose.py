@@ -129,7 +129,7 @@ class TestGap:
         assert not mere(robot, Coulomb((1,), {"level": 0.08}))
         assert mere(robot, TorqueGain((0,), {"gain": -0.03}))
         assert not mere(robot, TorqueGain((0,), {"gain": 0.08}))
-        assert not mere(robot, Viscous((0,), {"coefficient": 0.001}))
+        assert not mere(robot, TorqueRipple((0,), {"sine": 0.001}))
 
     def test_a_drive_without_a_stated_limit_gives_what_the_logs_show(self):
         robot, recordings = logs([TorqueRipple((1,), {"sine": 3.0, "periods": 12.0})])
