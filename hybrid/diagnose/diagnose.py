@@ -220,17 +220,24 @@ def _vetted(
     kinds: dict[Term, tuple[str, ...]] = {}
     while True:
         checks = {t: check(search, t, found) for t in search.terms}
-        echoes = [t for t, x in checks.items() if x.echo and x.sound(limits)]
-        passing = [t for t, x in checks.items() if x.passes(limits)]
-        if echoes:
-            passing = [t for t in search.terms if t not in echoes]
-        kinds |= {t: alternatives(search, t, limits) for t in passing if t not in kinds}
-        if len(passing) == len(search.terms):
+        failing = [t for t, x in checks.items() if not x.passes(limits)]
+        kinds |= {
+            t: alternatives(search, t, limits)
+            for t in checks if t not in failing and t not in kinds
+        }  # fmt: skip
+        if not failing:
             return found, kinds, reached
-        search.terms = passing
+        # One after the other: what is left fits anew, and may well pass then.
+        out = min(failing, key=search.loss)
+        recur = checks[out].recurs
+        search.terms = [
+            t for t in search.terms
+            if t is not out and not (recur and checks[t].recurs)
+        ]  # fmt: skip
         search.prune()
         without = account(gap, search, limits, reached)
-        if echoes:  # what noise looks like is not missed
+        if checks[out].echo and checks[out].sound(limits):
+            # What noise looks like is not missed.
             reached = reached + without.after - found.after
             without = account(gap, search, limits, reached)
         found = without
