@@ -236,6 +236,11 @@ def test_a_tone_at_one_frequency_is_held_against_other_gains_of_the_servo():
     assert "gains of the servo at half" in unexplained("lines in time").experiment
 
 
+@pytest.mark.parametrize("depends", ["events", "what does not recur"])
+def test_whether_it_recurs_is_seen_by_moving_twice(depends):
+    assert "twice" in unexplained(depends).experiment
+
+
 def test_a_lag_is_held_against_a_multisine():
     assert "multisine" in unexplained("past of speed").experiment
 

@@ -44,6 +44,8 @@ _ALIKE = {
 # What a residual depends on (see `ceiling`), and which experiment isolates that.
 _SHOWS = (
     ("past", "a multisine"),
+    ("recur", "a random motion of all joints twice"),
+    ("events", "a random motion of all joints twice"),
     ("lines in time", "a random motion of all joints twice"),
     ("time", "a random motion of all joints again"),
     ("wave", "a ladder of speeds"),
