@@ -22,7 +22,6 @@ class Thresholds:
             band, beyond what is in the upper.
         evident: Least squares that it must recover at a joint, in units of noise.
         negligible: RMS that is not worth a cause, over that of the measured torque.
-        matters: The same of what only effects explain that do not hold.
         complete: Least part of what is explainable at a joint that its terms explain.
         roughly: The same where they are of laws that hold roughly: of play and springs.
         steady: Most that gains of their own on each fold may take from the gap, over
@@ -40,7 +39,6 @@ class Thresholds:
     coloured: float
     evident: float
     negligible: float
-    matters: float
     complete: float
     roughly: float
     steady: float

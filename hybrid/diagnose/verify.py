@@ -140,14 +140,14 @@ def account(
         if colour > limits.coloured * float(rest @ rest):
             squares, of = squares + colour, of or "what does not recur"
         tau = gap.measured[rows, i]
-        least = max(limits.evident * noise, limits.negligible**2 * float(tau @ tau))
+        small = limits.negligible**2 * float(tau @ tau)
+        least = max(limits.evident * noise, small)
         parts = [
             (x, name) for x, name in ((squares, of), (events, "events")) if x > least
         ]
         missed[i] = sum(x for x, _ in parts) / weight[i]
         depends.append(max(parts)[1] if parts else "")
-        least = limits.matters**2 * float(tau @ tau) / weight[i]
-        if refused[i] > max(missed[i], least):
+        if refused[i] > max(missed[i], small / weight[i]):
             missed[i], depends[i] = refused[i], depends[i] or "what no known law fits"
     return Account(
         before, after, recovered, missed, refused, tuple(depends), after - missed
