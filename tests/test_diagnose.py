@@ -238,6 +238,16 @@ class TestCause:
         result = examine(frictional, recordings)
         assert ("torque_gain", ("elbow",)) in named(result)
 
+    def test_what_is_not_explained_elsewhere_is_unexplained(self):
+        """The fourth recording is for scoring only: there friction is another."""
+        robot, recordings = logs([Viscous((0,), {"coefficient": 4.0})])
+        _, others = logs([Viscous((0,), {"coefficient": 7.0})])
+        right = examine(robot, recordings).diagnosis
+        assert right.verdict == "explained" and right.unexplained < 0.05
+        wrong = examine(robot, [*recordings[:3], others[3]]).diagnosis
+        assert wrong.verdict == "partly_explained"
+        assert wrong.unexplained == pytest.approx((3 / 7) ** 2, rel=0.3)
+
     def test_the_gains_are_within_their_intervals(self):
         """Eight noise seeds of a linear effect: one at most may miss at 95 %."""
         truth, hits = 0.25, 0

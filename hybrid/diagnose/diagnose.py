@@ -34,6 +34,7 @@ Progress = Callable[[str], None]
 _SMALLEST = 0.001  # of the measured torque, RMS
 _LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
 _DOUBT = 0.05  # of what a term removes: most that its interval says it may add
+_BEYOND = 2.0  # times the squares of noise
 _FEWEST_BLOCKS = 6  # of a second, for an interval that tells
 _LEAST_KEPT = 0.5  # of the fall that a term's torque promises: as likely as nothing
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
@@ -126,7 +127,7 @@ def examine(
         found = account(gap, search, limits, reached)
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
-    verdict, unexplained = _verdict(found, causes, limits)
+    verdict, unexplained = _verdict(found, causes, limits, _left_unseen(found, scored))
     if useless and verdict == "no_gap":
         verdict, unexplained = "unexplained", 1.0  # there is something, unlike all laws
     if too_little(gap):
@@ -243,14 +244,33 @@ def _vetted(
         found = without
 
 
+def _left_unseen(found: Account, scored: Explanation) -> float:
+    """Part of the gap on unseen motions that is left, where that is not noise.
+
+    What is explained where it was learnt may not be explained elsewhere.
+    """
+    noise, seen = scored.evidence.noise, scored.learnt
+    left = whole = 0.0
+    for i, after in enumerate(scored.after):
+        learnt = 0 if seen is None else len(seen.evidence.rows[i])
+        if not len(after) or not learnt:
+            continue
+        usual = len(after) / learnt * found.noise[i]
+        squares, before = after @ after / noise[i], scored.before[i] @ scored.before[i]
+        left += squares - usual if squares > _BEYOND * usual else 0.0
+        whole += max(before / noise[i] - usual, squares - usual, 0.0)
+    return float(left / whole) if whole > 0 else 0.0
+
+
 def _verdict(
-    found: Account, effects: Sequence[Finding], limits: Thresholds
+    found: Account, effects: Sequence[Finding], limits: Thresholds, left: float
 ) -> tuple[Verdict, float]:
     """What it comes to, and the unexplained share of the explainable gap."""
     explained, missed = found.explained.sum(), found.missed.sum()
     share = float(missed / (explained + missed)) if explained + missed > 0 else 0.0
     if not effects:
         return ("unexplained", 1.0) if missed > 0 else ("no_gap", 0.0)
+    share = max(share, left)
     if 1.0 - share >= limits.explained:
         return "explained", share
     return "partly_explained", share
