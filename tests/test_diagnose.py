@@ -336,6 +336,16 @@ class TestSilence:
         assert any("frozen" in w for w in result.diagnosis.warnings)
 
 
+    def test_a_log_whose_position_is_frozen_nearly_throughout_is_no_cause(self):
+        robot, recordings = logs([STRIBECK], count=1)
+        q = recordings[0].q.copy()
+        q[len(q) // 25 :, 0] = q[len(q) // 25, 0]
+        with pytest.warns(HybridWarning, match="frozen"):
+            result = examine(robot, [replace(recordings[0], q=q, v=None)])
+        assert result.diagnosis.verdict == "not_excited"
+        assert result.diagnosis.findings == ()
+
+
 class TestEvents:
     def test_a_contact_is_found_by_its_time(self):
         push = {"force_x": 12.0, "force_z": -9.0, "start": 2.2, "duration": 0.7}

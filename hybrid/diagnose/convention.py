@@ -100,6 +100,8 @@ def find_convention(gap: Gap, recordings: Sequence[Recording | Motion]) -> Conve
     lower = max(_LOWER * gap.cutoff, FEWEST_PERIODS / shortest)
     gap = measure_gap(robot, recordings, cutoff=lower)
     joints = [j for j in range(robot.size) if gap.moving[:, j].any()]
+    if not joints:
+        return Convention()
     steps = sorted(x for x in {1.0 / gap.motions[0].rate, robot.timestep} if x > 0)
     kd = np.where(robot.kd > 0, robot.kd, 0.0)[joints]
     late = step = 0.0
