@@ -16,6 +16,7 @@ from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.explanation import between, split
 from hybrid.diagnose.gap import measure_gap
 from hybrid.diagnose.refine import shape_steps
+from hybrid.diagnose.shapes import nudges, shape_units
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact
@@ -51,6 +52,20 @@ class TestShapes:
         steps = shape_steps(search.evidence, search.base(), placed)
         assert sorted(map(len, steps)) == [1, 2]
         assert np.abs(np.concatenate(steps)).max() < 0.01
+
+    @pytest.mark.parametrize("periods", [6.0, 40.0, 200.0])
+    def test_the_change_with_the_order_of_a_ripple_is_its_derivative(self, periods):
+        robot, recordings = logs([], count=1, quiet=True)
+        gap = measure_gap(robot, recordings)
+        ripple = TorqueRipple((1,), {"sine": 2.0, "cosine": 1.0, "periods": periods})
+        near = [
+            gap.columns(ripple.at({"periods": periods + x}))[1] @ ripple.gain_values
+            for x in (-1e-3, 1e-3)
+        ]
+        (unit,), (nudge,) = shape_units(gap, ripple), nudges(gap, ripple)
+        expected = (near[1] - near[0]) / 2e-3 * unit
+        error = nudge[1][:, 0] - expected
+        assert np.linalg.norm(error) < 0.05 * np.linalg.norm(expected)
 
 
 class TestGap:
@@ -334,7 +349,6 @@ class TestSilence:
             result = examine(robot, spoilt)
         assert named(result) == {("stribeck", ("elbow",))}
         assert any("frozen" in w for w in result.diagnosis.warnings)
-
 
     def test_a_log_whose_position_is_frozen_nearly_throughout_is_no_cause(self):
         robot, recordings = logs([STRIBECK], count=1)

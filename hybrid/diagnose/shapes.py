@@ -21,7 +21,7 @@ _REACH = 0.2  # of a shape's range, to either side
 _WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
 _MOST_TRIALS = 40
 _ENDLESS = 1e4  # s
-_NUDGE = 0.01  # of a range, for a derivative
+_NUDGE = 0.05  # of the reach, for a derivative
 
 
 def price(effect: Effect) -> float:
@@ -129,7 +129,8 @@ def nudges(gap: Gap, effect: Effect) -> list[Columns]:
     blocks: list[Columns] = []
     for r in _ranges(gap, effect):
         place = r.place(effect.values[r.shape.name])
-        step = _NUDGE if place + _NUDGE <= 1.0 else -_NUDGE
+        step = _NUDGE * _reach(effect, r)
+        step = step if place + step <= 1.0 else -step
         then = gap.columns(effect.at({r.shape.name: r.value(place + step)}))
         blocks.append({j: ((then[j] - now[j]) @ gains / step)[:, None] for j in now})
     return blocks
@@ -150,7 +151,8 @@ def shape_units(gap: Gap, effect: Effect) -> list[float]:
     units = []
     for r in _ranges(gap, effect):
         place = r.place(effect.values[r.shape.name])
-        low, high = max(place - _NUDGE, 0.0), min(place + _NUDGE, 1.0)
+        step = _NUDGE * _reach(effect, r)
+        low, high = max(place - step, 0.0), min(place + step, 1.0)
         units.append((r.value(high) - r.value(low)) / (high - low))
     return units
 
