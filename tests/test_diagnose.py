@@ -283,6 +283,16 @@ class TestSilence:
         robot, recordings = logs([], seed=20 + seed, duration=3.0)
         assert examine(robot, recordings).diagnosis.verdict == "no_gap"
 
+    @pytest.mark.parametrize("lag", [0.0, 0.005])
+    def test_two_solvers_that_differ_at_rest_are_no_cause(self, lag):
+        """Without noise, what their ways through dry friction leave is all there is."""
+        robot = Robot.load(MODELS / "scara.xml")
+        effects = [ActuatorLag((1,), {"time": lag})] if lag else []
+        plant = Plant(robot, effects, nominal=robot, noise=Noise.none(2))
+        found = examine(robot, simulate(plant, trajectories=4, duration=6.0, seed=1))
+        expected = {("actuator_lag", robot.joints[1:])} if lag else set()
+        assert named(found) == expected
+
     def test_an_effect_out_of_the_library_is_unexplained(self):
         robot, recordings = logs([RIPPLE])
         diagnosis = examine(robot, recordings, without=["torque_ripple"]).diagnosis

@@ -22,6 +22,7 @@ def problem(seed=0, widths=(2, 1, 3)):
         robot=SimpleNamespace(size=2),
         left=rng.standard_normal((M, 2)),
         moving=rng.random((M, 2)) < 0.9,
+        measured=rng.standard_normal((M, 2)),
         fold=np.arange(M) // 10 % 3,
         rate=100.0,
     )
@@ -116,6 +117,7 @@ def test_noise_is_found_beside_many_columns():
             robot=SimpleNamespace(size=1),
             left=left[:, None],
             moving=np.ones((600, 1), dtype=bool),
+            measured=np.ones((600, 1)),
             fold=np.arange(600) // 50 % 4,
             rate=100.0,
         )
@@ -136,6 +138,7 @@ def test_noise_is_not_what_happened_once():
         robot=SimpleNamespace(size=1),
         left=left[:, None],
         moving=np.ones((1200, 1), dtype=bool),
+        measured=np.ones((1200, 1)),
         fold=np.arange(1200) // 100 % 4,
         rate=100.0,
     )
@@ -143,6 +146,9 @@ def test_noise_is_not_what_happened_once():
     (index,) = evidence.add([{0: X}], [np.ones(10)])
     evidence.estimate_noise(index)
     assert evidence.noise[0] == pytest.approx(0.09, rel=0.3)
+    gap.measured[:] = 1000.0  # of which solvers are a part in five hundred off
+    evidence.estimate_noise(index)
+    assert evidence.noise[0] >= 4.0
 
 
 def test_a_gain_stays_within_its_physical_bound():

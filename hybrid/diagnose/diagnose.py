@@ -32,6 +32,7 @@ from hybrid.signals import Motion
 Progress = Callable[[str], None]
 
 _SMALLEST = 0.001  # of the measured torque, RMS
+_LEAST_GAP = 0.002  # the same: two solvers differ by as much
 _LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
 _DOUBT = 0.05  # of what a term removes: most that its interval says it may add
 _BEYOND = 2.0  # times the squares of noise
@@ -188,13 +189,18 @@ def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
 
 
 def _negligible(scored: Explanation, kept: list[Term]) -> bool:
-    """Whether all terms that go are too small to matter beside the torque itself."""
+    """Whether all terms that go are too small to matter beside the torque itself.
+
+    Or the gap is, in which a term and a declared number may undo one another.
+    """
     gap, left = scored.gap, [k for k, t in enumerate(scored.terms) if t not in kept]
     before = scored.left(scored.without(*left))
     for i, rows in enumerate(scored.evidence.rows):
         tau = gap.measured[rows, i]
         fall = before[i] @ before[i] - scored.after[i] @ scored.after[i]
-        if fall > (_SMALLEST * np.linalg.norm(tau)) ** 2:
+        size = float(np.linalg.norm(tau))
+        whole = float(scored.evidence.power[i].sum())
+        if fall > (_SMALLEST * size) ** 2 and whole > (_LEAST_GAP * size) ** 2:
             return False
     return True
 

@@ -23,6 +23,7 @@ from hybrid.robot.chain import Array
 
 Index = NDArray[np.intp]
 
+_EXACT = 0.002  # of the torque: nearer than that no two solvers are
 _TAIL = 0.01  # of the squares of a column
 # For columns of unit length.
 _RIDGES = np.array([1e-5, 1e-4, 1e-3, 1e-2]).reshape(-1, 1, 1)
@@ -317,7 +318,8 @@ class Evidence:
         """Noise of each joint: what all columns together miss on folds left out.
 
         The variance counts as often as the residual is alike in a row: the weights then
-        belong to independent samples.
+        belong to independent samples. It is never less than what the integration of
+        the same model by other steps is off by.
         """
         for i, (row, owner) in enumerate(zip(self.rows, self._owner, strict=True)):
             if not len(row):
@@ -326,14 +328,16 @@ class Evidence:
             variance, weights = self._flexible(i, here)
             rest = self._left[i] - self._columns[i][0][:, here] @ weights
             back = np.argsort(row)
-            noise = variance * memory(rest[back], row[back])
+            alike = memory(rest[back], row[back])
+            noise = variance * alike
             # A few events may be all of that, and spoil the regression as well.
             for x in (rest[back], self._left[i][back]):
                 calm = quiet(x, row[back], self.gap.rate)
                 if not calm.all():
                     usual = memory(x[calm], row[back][calm]) * np.mean(x[calm] ** 2)
                     noise = min(noise, float(usual))
-            self.noise[i] = max(noise, 1e-12)
+            least = _EXACT**2 * np.mean(self.gap.measured[row, i] ** 2) * alike
+            self.noise[i] = max(noise, float(least), 1e-12)
 
     def _flexible(self, i: int, here: Index) -> tuple[float, Array]:
         """Ridge regression of a joint's gap on many columns.
