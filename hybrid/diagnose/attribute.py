@@ -40,6 +40,7 @@ _MOST_TERMS, _MOST_THERE = 40, 9  # in all, and at one joint
 _NEAR = 10.0
 _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _MENDING = 0.015  # of the evidence for the largest term at a joint
+_ONE = 0.9  # of the evidence for two forms of one law, by one of them
 _ALIKE = 3.0  # nats that do not settle which of two effects it is
 # Sizes of the background that are tried: one standard deviation, relative.
 _OFF = (0.003, 0.01, 0.03)
@@ -219,7 +220,8 @@ class Search:
         """The candidate that adds most evidence, with its shapes fitted.
 
         A law gives way to the simpler one that it becomes at a bound of its shapes, and
-        to one that explains the sign of its gain better.
+        to one that explains the sign of its gain better; a link that would be another
+        one altogether, to whatever explains half as much.
         """
         ranked = self.ranked(base)[:_SHORTLIST]
         if not ranked or ranked[0][1] < _WORTH / 2:
@@ -233,6 +235,7 @@ class Search:
         ]
         if not refined:
             return None
+        refined = [x for x in refined if self._likely(base, x[0])] or refined
         best, most = max(refined, key=lambda x: x[1])
         name, slack = simpler(best.effect)
         near = [
@@ -241,6 +244,10 @@ class Search:
             and x[1] > most - max(_ALIKE, slack * most)
         ]  # fmt: skip
         return near[0] if near else (best, most)
+
+    def _likely(self, base: Index, c: Candidate) -> bool:
+        columns = self.gap.columns(c.effect)
+        return c.likely(self.evidence.trial(base, columns, c.std, c.lower)[1])
 
     def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
         """The best shape of each form of an effect at a place, most evidence first."""
@@ -306,9 +313,9 @@ class Search:
                 main = fall >= 0.2 * fall.max()
                 left = max(without[main].sum(), 1e-300)
                 part = 1.0 - np.sqrt(whole[main].sum() / left)
+                if term.place[0] == Contact.id or evidence.folds_with(term.index) == 1:
+                    part = _LEAST_REMOVED * self.loss(term) / (2 * _WORTH)  # it is rare
                 worth.append(min(fall.sum() / _WORTH, part / _LEAST_REMOVED))
-                if evidence.folds_with(term.index) == 1:  # it happened once
-                    worth[-1] = self.loss(term) / (2 * _WORTH)
             weakest = int(np.argmin(worth))
             if worth[weakest] >= 1.0:
                 return
@@ -375,6 +382,8 @@ class Search:
             base = np.concatenate([self.background, *rest])
             whole = self.evidence.solve(self.base()).evidence
             wanted = whole - self.evidence.solve(base).evidence - _WORTH
+            if simpler(term.candidate.effect)[0] == other.place[0]:
+                wanted *= _ONE  # a law and what it becomes at a bound of its shapes
             if gain(self.evidence, base, term.candidate) < wanted - _NEAR:
                 continue
             alone, found = self.refine(base, term.candidate)

@@ -12,6 +12,7 @@ from hybrid.diagnose.background import link_spread
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.effects import Effect, effect_classes
 from hybrid.effects.effect import Port, Quantity, Scale
+from hybrid.effects.payload import LinkInertia, Payload
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
@@ -32,6 +33,7 @@ _EARLY = {"delay": "actuator_lag", "actuator_lag": "delay"}  # if time is negati
 _EARLY_SLACK = 0.08  # of the evidence: noise of positions costs a lag that much
 _MERE = 0.05  # of a number of the file
 _LINK_OFF = 0.15  # a link that is wrong is so by this much
+_LINK_MOST = 1.0  # and hardly ever by more than all that it is
 
 # Of the mass of a middling link: what an arm usually carries, within a hand's breadth.
 _PAYLOAD = (1.0, *[0.1] * 3, *[0.02] * 6)
@@ -56,6 +58,11 @@ class Candidate:
         """Which effect, and where."""
         return self.effect.id, self.effect.joints
 
+    def likely(self, gains: Array) -> bool:
+        """Whether some gains leave a link one that the file might have meant."""
+        most = _LINK_MOST / _LINK_OFF * self.std
+        return self.effect.id != LinkInertia.id or bool(np.all(np.abs(gains) < most))
+
 
 def candidates(gap: Gap, without: Sequence[str] = ()) -> list[Candidate]:
     """All effects that leave a trace in torque, but ripples; see :mod:`.ripples`.
@@ -79,9 +86,9 @@ def candidate(gap: Gap, effect: Effect) -> Candidate:
     gains = [g.scaled(scale) for g in effect.gains]
     std = np.array([_spread(g) for g in gains])
     lower = effect.least_gains
-    if effect.id == "payload":
+    if effect.id == Payload.id:
         std = np.array(_PAYLOAD) * max(np.median(gap.robot.chain.inertial[:, 0]), 0.1)
-    if effect.id == "link_inertia":
+    if effect.id == LinkInertia.id:
         std = _LINK_OFF * link_spread(gap.robot.chain.inertial)[effect.joints[-1]]
         lower = np.full(len(std), -np.inf)
     return Candidate(effect, std, lower)
@@ -101,7 +108,7 @@ def places(cls: type[Effect], size: int) -> Iterator[tuple[int, ...]]:
         yield from ((j,) for j in range(size))
     elif cls.scope == "arm":
         yield tuple(range(size))
-    elif cls.id == "link_inertia":
+    elif cls.id == LinkInertia.id:
         yield from (tuple(range(k + 1)) for k in range(size))
     else:
         yield from ((j, j + 1) for j in range(size - 1))

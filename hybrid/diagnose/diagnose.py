@@ -37,6 +37,7 @@ _LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
 _DOUBT = 0.05  # of what a term removes: most that its interval says it may add
 _BEYOND = 2.0  # times the squares of noise
 _FEWEST_BLOCKS = 6  # of a second, for an interval that tells
+_MUCH = 0.3  # of the gap's RMS, where a term was learnt
 _LEAST_KEPT = 0.5  # of the fall that a term's torque promises: as likely as nothing
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ONCE = (
@@ -165,7 +166,8 @@ def since_first(
 def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
     """Terms whose effect, and whose joint, leaves less of the gap on unseen motions.
 
-    Two effects of one joint may each seem to help, and only undo one another.
+    Two effects of one joint may each seem to help, and only undo one another. Of what
+    is large where it was learnt, few unseen seconds prove nothing unless they are sure.
     """
     useless: set[int] = set()
     joints = range(scored.gap.robot.size)
@@ -180,12 +182,23 @@ def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
             if scored.where_seen(members) is not scored:
                 continue
             shrink = torque_shrink(scored, members, rng)
+            if not enough and _large(scored.learnt, members, rng):
+                if shrink.interval[1] <= 0:
+                    useless |= {*members}
+                continue
             lost = shrink.removed <= _LEAST_REMOVED * kind
             doubtful = enough and shrink.interval[0] < -_DOUBT * shrink.removed
             lost |= doubtful and scored.kept(members) < _LEAST_KEPT
             if lost or _negligible(scored, rest):
                 useless |= {*members}
     return [t for k, t in enumerate(scored.terms) if k not in useless]
+
+
+def _large(
+    learnt: Explanation | None, members: Sequence[int], rng: np.random.Generator
+) -> bool:
+    """Whether some terms remove much of the gap where they were learnt."""
+    return learnt is not None and torque_shrink(learnt, members, rng).removed > _MUCH
 
 
 def _negligible(scored: Explanation, kept: list[Term]) -> bool:
