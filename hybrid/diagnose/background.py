@@ -12,6 +12,7 @@ import numpy as np
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.delay import Delay
 from hybrid.effects.viscous import Viscous
 from hybrid.robot.chain import Array
 from hybrid.robot.spatial import central_inertia
@@ -58,6 +59,21 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
         blocks.append({int(j): soft})
         sizes.append(np.full(soft.shape[1], 1.0 / _USUALLY_OFF))
     return blocks, sizes
+
+
+def clocks(gap: Gap) -> tuple[list[Columns], list[Array]]:
+    """Columns of torque that is logged between two samples, and how late it may be.
+
+    A drive holds its torque from one sample to the next, and no log says when in between
+    it was read: a shift of up to half a sample either way is no cause.
+
+    Returns:
+        A block of one column for each joint that moves, and the size of its gain.
+    """
+    joints = np.flatnonzero(gap.moving.any(axis=0))
+    size = 1.0 / gap.motions[0].rate / np.sqrt(12.0)
+    blocks = [gap.columns(Delay((int(j),))) for j in joints]
+    return blocks, [np.array([size])] * len(joints)
 
 
 def soft_friction(

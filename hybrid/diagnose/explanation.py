@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.diagnose.attribute import Search, Term
-from hybrid.diagnose.background import background
+from hybrid.diagnose.background import background, clocks
 from hybrid.diagnose.candidates import with_gains
 from hybrid.diagnose.evidence import Evidence, Index, Solution
 from hybrid.diagnose.gap import Gap, block_seconds
@@ -231,15 +231,25 @@ def refit(gap: Gap, search: Search) -> Refit:
     for i in own:
         # Values lean on their priors; what the data leave open the intervals show.
         evidence.spread(i, _OPEN)
-    whole = evidence.solve(np.concatenate([solution.index, *shapes]))
+    # Nor do these tell when between two samples torque was read.
+    shifts = evidence.add(*clocks(gap))
+    whole = evidence.solve(np.concatenate([solution.index, *shapes, *shifts]))
     place = {int(k): i for i, k in enumerate(whole.index)}
     certain = []
     for effect, i, s in zip(effects, own, shapes, strict=True):
         here = [place[int(k)] for k in (*i, *s)]
         unit = np.array([*np.ones(len(i)), *shape_units(gap, effect)])
         covariance = whole.covariance[np.ix_(here, here)] * np.outer(unit, unit)
+        covariance[np.diag_indices(len(here))] += _between_samples(gap, effect)
         certain.append(_reported(effect, covariance))
     return Refit(solution, tuple(certain))
+
+
+def _between_samples(gap: Gap, effect: Effect) -> Array:
+    """Variance of a time at which something happens between two samples, shape (p,)."""
+    numbers = [*effect.gains, *(x for x in effect.shapes if not x.whole)]
+    step = 1.0 / gap.motions[0].rate
+    return np.array([step**2 / 12.0 if x.unit == "s" else 0.0 for x in numbers])
 
 
 def _reported(effect: Effect, covariance: Array) -> Effect:

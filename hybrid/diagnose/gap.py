@@ -175,10 +175,9 @@ class Gap:
         parts = []
         for m, sampler in zip(self.motions, self.samplers, strict=True):
             low = partial(butterworth, rate=m.rate, cutoff=_CALM * self.cutoff)
-            slow = replace(m, q=low(m.q), v=low(m.v), a=low(m.a))
-            body = RigidBody(self.robot.chain, slow)
-            tau = simulated_torque(self.robot, slow, body)
-            parts.append((replace(slow, tau=tau), body, sampler))
+            # Its torque is filtered, not made anew: dry friction would turn elsewhere.
+            slow = replace(m, q=low(m.q), v=low(m.v), a=low(m.a), tau=low(m.tau))
+            parts.append((slow, RigidBody(self.robot.chain, slow), sampler))
         return parts
 
     def __iter__(self) -> Iterator[tuple[Motion, RigidBody, Sampler]]:

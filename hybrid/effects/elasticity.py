@@ -76,7 +76,7 @@ class Elasticity(Effect):
         push[:, j] = 1.0
         inertia = float(np.mean(body.response(none, none, push)[:, j]))
         step = float(np.median(np.diff(motion.t)))
-        drag = max(damping * soft, 2 * _LEAST_DAMPING * np.sqrt(inertia * soft))
+        drag = np.hypot(damping * soft, 2 * _LEAST_DAMPING * np.sqrt(inertia * soft))
         load = body.load[:, j]
         # Continued by its point reflection, which keeps value and slope at the ends.
         N, reach = len(load), min(len(load) - 1, round(_REACH / step))
