@@ -1,17 +1,21 @@
 """The blind benchmark: plants are sealed, physical, and scored as they should be."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from diagnosed import RIPPLE, STRIBECK, planar
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hybrid.benchmark.baselines import baselines
 from hybrid.benchmark.case import STRATA, Case, plan
 from hybrid.benchmark.draw import command_effects, draw, torque_effects
 from hybrid.benchmark.generate import generate
 from hybrid.benchmark.independent import INDEPENDENT
 from hybrid.benchmark.measures import MEASURES, Ratio, confusion, size
+from hybrid.benchmark.motions import motion_error
 from hybrid.benchmark.robots import complete, load_arm, off_by
 from hybrid.benchmark.run import read_open, read_rows, run_cases
 from hybrid.benchmark.score import Named, covered, score
@@ -19,10 +23,12 @@ from hybrid.benchmark.size import Rig
 from hybrid.benchmark.strangers import STRANGERS
 from hybrid.benchmark.tables import by_robot, targets_table, write_benchmark
 from hybrid.cli.command import main
+from hybrid.diagnose.diagnose import examine
 from hybrid.effects import effect_classes
 from hybrid.effects.effect import JointState
+from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
-from hybrid.plant import Noise, Plant, random_fourier
+from hybrid.plant import Noise, Plant, random_fourier, simulate
 from hybrid.robot import Robot
 from hybrid.robot.spatial import central_inertia
 
@@ -261,7 +267,7 @@ def test_a_plant_without_effects_is_no_alarm_and_is_not_answered_twice(tmp_path)
     log, case = tmp_path / "cases.jsonl", Case(PLANAR, "none", 1, 0)
     (first,) = run_cases([case], log)
     assert first["named"] == [] and first["declared"]
-    assert set(first["baselines"]) == {"ranking", "stepwise", "stlsq"}
+    assert set(first["baselines"]) == {"ranking", "stepwise", "stlsq", "fixed"}
     told = []
     assert run_cases([case], log, tell=told.append) == [read_rows(log)[case.key]]
     assert told == []
@@ -328,6 +334,25 @@ def test_an_interval_covers_only_gains_named_at_their_joint():
     assert covered(true, [finding("elbow", 0.9, 1.1)]) == (1, 1)
     assert covered(true, [finding("elbow", 1.1, 1.3)]) == (0, 1)
     assert covered(true, [finding("wrist", 0.9, 1.1)]) == (0, 0)
+
+
+# Baselines and oracle
+
+
+def test_a_fit_of_fixed_structure_names_the_numbers_that_changed():
+    robot = load_arm(PLANAR)
+    plant = Plant(robot, [Viscous((0,), {"coefficient": 2.0})], nominal=robot)
+    result = examine(robot, simulate(plant, trajectories=4, duration=6.0, seed=0))
+    first = baselines(result)["fixed"][0]
+    assert (first.effect, first.joints[0]) == ("viscous", robot.joints[0])
+
+
+def test_the_motion_error_falls_as_far_as_with_the_truth():
+    error = motion_error(planar(), [RIPPLE, STRIBECK])
+    assert error.oracle < 0.5 * error.before
+    assert error.share == pytest.approx(1.0, abs=0.1)
+    nothing = replace(planar(), search=planar().search.having([]))
+    assert motion_error(nothing, [RIPPLE, STRIBECK]).share == 0.0
 
 
 # Measures

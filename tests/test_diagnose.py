@@ -1,6 +1,7 @@
 """The diagnosis: right cause, right joint, right size; and silence where it must be."""
 
 from dataclasses import replace
+from importlib import import_module
 
 import mujoco
 import numpy as np
@@ -10,9 +11,10 @@ from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from simulated import arm
 
 from hybrid.diagnose.attribute import Search
-from hybrid.diagnose.candidates import mere
+from hybrid.diagnose.candidates import candidate, mere
 from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.diagnose import examine
+from hybrid.diagnose.diagnosis import Shrink
 from hybrid.diagnose.explanation import between, split
 from hybrid.diagnose.gap import measure_gap
 from hybrid.diagnose.refine import shape_steps
@@ -21,7 +23,10 @@ from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.counterbalance import Counterbalance
 from hybrid.effects.delay import Delay
+from hybrid.effects.payload import LinkInertia, Payload
+from hybrid.effects.spring import Spring
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
@@ -31,6 +36,9 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import butterworth
 
+ATTRIBUTE, DIAGNOSE = (
+    import_module(f"hybrid.diagnose.{x}") for x in ("attribute", "diagnose")
+)
 PUSH = {"force_x": 8.0, "force_y": -5.0, "start": 2.0, "duration": 0.8}
 
 
@@ -136,6 +144,15 @@ class TestGap:
         robot, recordings = logs([effect], duration=10.0)
         (finding,) = examine(robot, recordings).diagnosis.findings
         assert finding.effect == effect.id
+
+    @pytest.mark.parametrize("time", [0.005, 0.02, 0.04])
+    def test_the_columns_of_a_lag_turn_round_where_dry_friction_does(self, time):
+        robot, lag = arm("coman_like"), ActuatorLag((2,), {"time": time})
+        plant = Plant(robot, [lag], nominal=robot, noise=Noise.none(robot.size))
+        gap = measure_gap(robot, simulate(plant, trajectories=2, duration=6.0, seed=1))
+        column, here = gap.columns(lag)[2][:, 0], gap.moving[:, 2]
+        found = column[here] @ gap.left[here, 2] / (column[here] @ column[here])
+        assert found == pytest.approx(time, rel=0.012)
 
     def test_a_number_that_is_a_little_off_is_background(self):
         robot = replace(arm("planar"), frictionloss=np.array([2.0, 0.0]))
@@ -276,6 +293,53 @@ class TestCause:
             hits += own.interval[0] <= truth <= own.interval[1]
         assert hits >= 7
 
+    def test_a_time_is_known_no_better_than_the_clock(self):
+        robot, recordings = logs([Delay((0,), {"time": 0.01})], duration=10.0)
+        (finding,) = examine(robot, recordings).diagnosis.findings
+        low, high = finding.parameters[0].interval
+        step = np.median(np.diff(recordings[0].t))
+        assert high - low > 3.9 * step / np.sqrt(12.0)
+
+    @pytest.mark.parametrize("arm_carries", [Payload, LinkInertia])
+    def test_a_link_is_hardly_another_one_but_a_payload_may_be_anything(
+        self, arm_carries
+    ):
+        given = candidate(faultless().gap, arm_carries((0, 1)))
+        assert given.likely(given.std) and given.likely(-6.0 * given.std)
+        assert given.likely(10.0 * given.std) is (arm_carries is Payload)
+
+    def test_a_spring_and_a_counterbalance_at_a_joint_are_one_cause(self):
+        spring = Spring((0,), {"stiffness": 1.0, "preload": 2.0})
+        cylinder = {"spring": 10.0, "preload": 20.0, "dead_centre": 0.4}
+        balance = Counterbalance((0,), {**cylinder, "crank_ratio": 0.5})
+        robot, recordings = logs([spring, balance], duration=10.0)
+        gap = measure_gap(robot, recordings)
+        search = Search(gap)
+        search.terms = search.having([candidate(gap, balance)]).terms
+        search.terms += search.having([candidate(gap, spring)]).terms
+        assert min(map(search.loss, search.terms)) > 10.0
+        assert search._exchange()
+        assert {t.place for t in search.terms} == {("counterbalance", (0,))}
+
+    @pytest.mark.parametrize(
+        ("learnt", "high", "kept"),
+        [(0.8, 0.3, True), (0.1, 0.3, False), (0.8, 0, False)],
+    )
+    def test_few_unseen_seconds_do_not_prove_that_a_large_term_is_useless(
+        self, monkeypatch, learnt, high, kept
+    ):
+        robot, recordings = logs([STRIBECK], count=1, duration=10.0)
+        scored = examine(robot, recordings).scored
+
+        def shrink(of, members, rng):
+            if of is scored:
+                return Shrink(1.0, 1.05, -0.05, (-0.4, high), None)
+            return Shrink(1.0, 1.0 - learnt, learnt, (learnt, learnt), None)
+
+        monkeypatch.setattr(DIAGNOSE, "torque_shrink", shrink)
+        useful = DIAGNOSE._useful(scored, np.random.default_rng(0))
+        assert useful == (list(scored.terms) if kept else [])
+
 
 class TestSilence:
     @pytest.mark.parametrize("seed", range(4))
@@ -399,6 +463,17 @@ class TestEvents:
         assert finding.effect == "contact" and values["recording"] == number
         assert values["start"] == pytest.approx(PUSH["start"], abs=0.02)
         assert values["duration"] == pytest.approx(PUSH["duration"], abs=0.03)
+
+    def test_a_contact_is_weighed_by_its_evidence_however_rare(self, monkeypatch):
+        robot, recordings = logs(
+            [Contact((0, 1), PUSH), Viscous((0,), {"coefficient": 1.0})]
+        )
+        search = Search(measure_gap(robot, recordings))
+        search.run()
+        assert {t.place[0] for t in search.terms} == {"contact", "viscous"}
+        monkeypatch.setattr(ATTRIBUTE, "_LEAST_REMOVED", 1.0)  # of no other term true
+        search.prune()
+        assert {t.place[0] for t in search.terms} == {"contact"}
 
     def test_no_contact_is_seen_where_there_is_none(self):
         gap = faultless().gap

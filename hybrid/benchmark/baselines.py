@@ -4,9 +4,12 @@
 - ``stepwise``: forward selection by an F-test for independent errors, at 1 % over all.
 - ``stlsq``: sequentially thresholded least squares over all candidates at once
   (Brunton et al. 2016, doi 10.1073/pnas.1517384113).
+- ``fixed``: a fit of rotors, damping, dry friction and the last link's mass, and of
+  nothing else, as tools of system identification make; each number whose interval
+  excludes the file's.
 
-All free the rigid parameters without a prior, as is usual. None abstains unless its own
-rule says so.
+All others free the rigid parameters without a prior, as is usual. None abstains unless
+its own rule says so.
 """
 
 from __future__ import annotations
@@ -26,6 +29,8 @@ from hybrid.robot.chain import Array
 _RIDGE = 1e-6  # of the largest diagonal entry
 _LEVEL = 0.01
 _MOST = 10
+_NORMAL = 1.96
+_NUMBERS = {"armature", "viscous", "coulomb", "payload"}
 _SMALL = 0.1  # of a joint's largest contribution: what STLSQ throws out
 
 
@@ -37,6 +42,7 @@ def baselines(result: Result) -> Mapping[str, tuple[Named, ...]]:
         "ranking": _named(_ranking(evidence, base, tried), robot),
         "stepwise": _named(_stepwise(evidence, base, tried), robot),
         "stlsq": _named(_stlsq(evidence, base, tried), robot),
+        "fixed": _named(_fixed(evidence, tried), robot),
     }
 
 
@@ -118,6 +124,20 @@ def _stlsq(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Term]
             break
         kept = fewer
     return [tried[k] for k in sorted(kept, key=lambda k: -worth[k])][:_MOST]
+
+
+def _fixed(evidence: Evidence, tried: Sequence[Term]) -> list[Term]:
+    """Numbers of the file that a fit of these alone takes to be off, largest first."""
+    own = [t for t in tried if t.place[0] in _NUMBERS]
+    index = np.array([t.index[0] for t in own], dtype=np.intp)  # of a payload its mass
+    A, b = evidence.normal(index)
+    inverse = np.linalg.inv(A + _RIDGE * np.diag(np.diag(A)) + 1e-12 * np.eye(len(b)))
+    values = inverse @ b
+    whole = float((evidence.power.sum(axis=1) / evidence.noise).sum())
+    each = (whole - b @ values) / max(int(evidence.count.sum()) - len(b), 1)
+    telling = values**2 / np.diag(inverse) / max(each, 1e-300)
+    order = np.argsort(-telling)
+    return [own[k] for k in order if telling[k] > _NORMAL**2]
 
 
 def _schur(

@@ -18,6 +18,7 @@ from typing import Any
 from hybrid.benchmark.baselines import baselines
 from hybrid.benchmark.case import Case
 from hybrid.benchmark.generate import IMPOSSIBLE
+from hybrid.benchmark.motions import motion_error
 from hybrid.benchmark.oracle import shrinkage
 from hybrid.benchmark.robots import load_arm
 from hybrid.benchmark.score import covered, named_causes, score
@@ -163,6 +164,8 @@ def _scored(answer: tuple[Result, float], sealed: Path) -> Row:
             "share": shrunk.share(shrunk.found),
             "black_box_share": shrunk.share(shrunk.black_box),
         }
+        moved = motion_error(result, effects)
+        row["motion"] = asdict(moved) | {"share": moved.share} if moved else None
     return row
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,6 +95,12 @@ class Search:
         self.evidence.estimate_noise(np.arange(self.evidence.size))
         self._take_contacts()  # in units of noise; without them it would hold them
         self.evidence.estimate_noise(np.arange(self.evidence.size))
+
+    def having(self, chosen: Sequence[Candidate]) -> Search:
+        """The same with other terms, of shapes as they are."""
+        other = copy(self)
+        other.terms = [self._term(c) for c in chosen]
+        return other
 
     def run(self) -> list[Term]:
         """Terms for the background that makes the gap most probable.

@@ -64,8 +64,8 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
 def clocks(gap: Gap) -> tuple[list[Columns], list[Array]]:
     """Columns of torque that is logged between two samples, and how late it may be.
 
-    A drive holds its torque from one sample to the next, and no log says when in between
-    it was read: a shift of up to half a sample either way is no cause.
+    A drive holds its torque from one sample to the next, and no log says when in
+    between it was read: a shift of up to half a sample either way is no cause.
 
     Returns:
         A block of one column for each joint that moves, and the size of its gain.

@@ -96,7 +96,11 @@ class Replay:
 
     def has(self, horizon: float) -> bool:
         """Whether enough windows are as long as a horizon."""
-        return int(self.fits[HORIZONS.index(horizon)].sum()) >= _FEWEST_WINDOWS
+        return len(self.fit(horizon)) >= _FEWEST_WINDOWS
+
+    def fit(self, horizon: float) -> NDArray[np.intp]:
+        """Windows that are as long as a horizon, shape (W',)."""
+        return np.flatnonzero(self.fits[HORIZONS.index(horizon)])
 
     def where(self, members: Iterable[int], horizon: float) -> NDArray[np.intp]:
         """Windows that fit a horizon and in which some terms act, shape (W',)."""

@@ -1,0 +1,71 @@
+"""How far the error of the simulated motion shrinks, against the truth's structure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.diagnose.candidates import Candidate, candidate
+from hybrid.diagnose.explanation import explain, split
+from hybrid.diagnose.motion import Replay
+from hybrid.diagnose.result import Result
+from hybrid.effects import Effect
+from hybrid.errors import EffectError
+
+_HORIZON = 0.5  # s
+_WORTH = 0.1  # of the error: less than this cannot be shared out
+
+
+@dataclass(frozen=True)
+class MotionError:
+    """Error of half a second's simulation, median over windows of the RMS, [rad].
+
+    Attributes:
+        before: With the file's numbers corrected.
+        found: And the effects that were found.
+        oracle: And the true effects instead, with their true shapes.
+    """
+
+    before: float
+    found: float
+    oracle: float
+
+    @property
+    def share(self) -> float | None:
+        """Part of the oracle's shrinkage; nothing where there is none to have."""
+        most = self.before - self.oracle
+        if most < _WORTH * self.before:
+            return None
+        return (self.before - self.found) / most
+
+
+def motion_error(result: Result, truth: Sequence[Effect]) -> MotionError | None:
+    """Simulate the motions kept for scoring with three models fitted alike.
+
+    Args:
+        result: A diagnosis.
+        truth: The effects of the plant.
+
+    Returns:
+        The errors of the joints of the true effects; nothing if what was kept for
+        scoring is too short, or an effect cannot be simulated.
+    """
+    gap, search = result.gap, result.search
+    joints = sorted({j for effect in truth for j in effect.joints})
+    true = [candidate(gap, effect) for effect in truth]
+    found = [term.candidate for term in search.terms]
+
+    def error(chosen: Sequence[Candidate]) -> float:
+        replay = Replay(explain(gap, search.having(chosen), split(gap)))
+        pick = replay.fit(_HORIZON)
+        squares = replay.squares(replay.all_terms)
+        errors = replay.error(squares, joints, _HORIZON)[pick]
+        return float(np.median(errors)) if len(pick) else np.nan
+
+    try:
+        errors = [error(chosen) for chosen in ([], found, true)]
+    except EffectError:
+        return None
+    return MotionError(*errors) if np.all(np.isfinite(errors)) else None
