@@ -134,7 +134,7 @@ def _fixed(evidence: Evidence, tried: Sequence[Term]) -> list[Term]:
     inverse = np.linalg.inv(A + _RIDGE * np.diag(np.diag(A)) + 1e-12 * np.eye(len(b)))
     values = inverse @ b
     whole = float((evidence.power.sum(axis=1) / evidence.noise).sum())
-    each = (whole - b @ values) / max(int(evidence.count.sum()) - len(b), 1)
+    each = (whole - float(b @ values)) / max(int(evidence.count.sum()) - len(b), 1)
     telling = values**2 / np.diag(inverse) / max(each, 1e-300)
     order = np.argsort(-telling)
     return [own[k] for k in order if telling[k] > _NORMAL**2]
