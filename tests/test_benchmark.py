@@ -71,7 +71,7 @@ def row(stratum, true, named, **more):
     }  # fmt: skip
     recipe = {"noise": 1.0, "off": 0.0, "recordings": 4, "integrator": "euler"}
     content["truth"]["recipe"] = recipe
-    methods = ("ranking", "stepwise", "stlsq")
+    methods = ("ranking", "stepwise", "stlsq", "fixed")
     content["baselines"] = {m: score(truth(*true), []) for m in methods}
     return content | more
 

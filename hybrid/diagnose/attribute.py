@@ -41,6 +41,7 @@ _MOST_TERMS, _MOST_THERE = 40, 9  # in all, and at one joint
 _NEAR = 10.0
 _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _MENDING = 0.015  # of the evidence for the largest term at a joint
+_FAR = 0.5  # of the gain that columns are made at
 _ONE = 0.9  # of the evidence for two forms of one law, by one of them
 _ALIKE = 3.0  # nats that do not settle which of two effects it is
 # Sizes of the background that are tried: one standard deviation, relative.
@@ -230,16 +231,15 @@ class Search:
         to one that explains the sign of its gain better; a link that would be another
         one altogether, to whatever explains half as much.
         """
-        ranked = self.ranked(base)[:_SHORTLIST]
-        if not ranked or ranked[0][1] < _WORTH / 2:
-            return None
-        top = ranked[0][1]
-        close = [c for c, gain in ranked if gain > 0.5 * top]
-        refined = [
-            (c, worth)
-            for c, worth in (self.refine(base, c) for c in close)
-            if all(c.effect.holds(motion) for motion in self.gap.motions)
-        ]
+        refined: list[tuple[Candidate, float]] = []
+        top = _WORTH
+        for c, first in self.ranked(base):
+            if first <= 0.5 * top or len(refined) == _SHORTLIST:
+                break
+            found = self.refine(base, c)
+            if all(found[0].effect.holds(motion) for motion in self.gap.motions):
+                top = top if refined else first
+                refined.append(found)
         if not refined:
             return None
         refined = [x for x in refined if self._likely(base, x[0])] or refined
@@ -320,13 +320,22 @@ class Search:
                 main = fall >= 0.2 * fall.max()
                 left = max(without[main].sum(), 1e-300)
                 part = 1.0 - np.sqrt(whole[main].sum() / left)
-                if term.place[0] == Contact.id or evidence.folds_with(term.index) == 1:
-                    part = _LEAST_REMOVED * self.loss(term) / (2 * _WORTH)  # it is rare
                 worth.append(min(fall.sum() / _WORTH, part / _LEAST_REMOVED))
+                if self._is_rare(term):
+                    worth[-1] = self.loss(term) / (2 * _WORTH)
             weakest = int(np.argmin(worth))
             if worth[weakest] >= 1.0:
                 return
             del self.terms[weakest]
+
+    def _is_rare(self, term: Term) -> bool:
+        """Whether a term happened once; or now and then, and mends no other's law."""
+        if self.evidence.folds_with(term.index) == 1:
+            return True
+        own = self.loss(term)
+        return term.place[0] == Contact.id and all(
+            self.loss(t) < own for t in self.terms if t is not term
+        )
 
     def _polish(self) -> None:
         """Fit the shapes of all terms together, by Gauss-Newton steps.
@@ -371,11 +380,24 @@ class Search:
             best = self.best(base)
             if best is not None and best[1] > now + _ALIKE:
                 own, now = best
-            before = self.loss(term)
+            before = self.loss(term) if self._holds_gain(term) else -np.inf
             if now > before + 0.5:
                 self.terms[self.terms.index(term)] = self._term(own)
                 changed = changed or own.place != term.place or now > before + 3.0
         return changed
+
+    def _holds_gain(self, term: Term) -> bool:
+        """Whether a term's gain is near the one that its columns are made at.
+
+        Those of an effect on signals are not linear: far off they are another law's.
+        """
+        effect = term.candidate.effect
+        made = effect.gain_values[0] if len(effect.gains) == 1 else 0.0
+        if effect.steep or made == 0.0 or not (effect.observes or effect.reports):
+            return True
+        solution = self.evidence.solve(self.base())
+        (now,) = solution.gains[np.isin(solution.index, term.index)]
+        return bool(abs(now - made) <= _FAR * abs(made))
 
     def _merge(self, term: Term) -> bool:
         """Let a term take over what another at the same joint explains.
@@ -389,7 +411,7 @@ class Search:
             base = np.concatenate([self.background, *rest])
             whole = self.evidence.solve(self.base()).evidence
             wanted = whole - self.evidence.solve(base).evidence - _WORTH
-            if simpler(term.candidate.effect)[0] == other.place[0]:
+            if simpler(term.candidate.effect) == (other.place[0], 0.0):
                 wanted *= _ONE  # a law and what it becomes at a bound of its shapes
             if gain(self.evidence, base, term.candidate) < wanted - _NEAR:
                 continue

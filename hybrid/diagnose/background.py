@@ -65,7 +65,7 @@ def clocks(gap: Gap) -> tuple[list[Columns], list[Array]]:
     """Columns of torque that is logged between two samples, and how late it may be.
 
     A drive holds its torque from one sample to the next, and no log says when in
-    between it was read: a shift of up to half a sample either way is no cause.
+    between it was read: all times are known to within half a sample either way.
 
     Returns:
         A block of one column for each joint that moves, and the size of its gain.

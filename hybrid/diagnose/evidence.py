@@ -105,6 +105,8 @@ class Evidence:
         Returns:
             Index of the columns of each block.
         """
+        if not blocks:
+            return []
         index, start = [], self.size
         fresh: list[list[Array]] = [[] for _ in self.rows]
         names: list[list[int]] = [[] for _ in self.rows]
