@@ -130,10 +130,8 @@ class Search:
         """
         evidence, robot = self.evidence, self.gap.robot
         solution = evidence.solve(self.base())
-        gains = dict(zip(solution.index.tolist(), solution.gains, strict=True))
         effects = [
-            with_gains(t.candidate.effect, [gains[k] for k in t.index])
-            for t in self.terms
+            with_gains(t.candidate.effect, solution.of(t.index)) for t in self.terms
         ]
         links = [t for t in self.terms if t.place[0] == LinkInertia.id]
         evidence.spread(self.background, _OFF[-1])
@@ -395,8 +393,7 @@ class Search:
         made = effect.gain_values[0] if len(effect.gains) == 1 else 0.0
         if effect.steep or made == 0.0 or not (effect.observes or effect.reports):
             return True
-        solution = self.evidence.solve(self.base())
-        (now,) = solution.gains[np.isin(solution.index, term.index)]
+        (now,) = self.evidence.solve(self.base()).of(term.index)
         return bool(abs(now - made) <= _FAR * abs(made))
 
     def _merge(self, term: Term) -> bool:

@@ -110,7 +110,7 @@ def examine(
     if not doubts:
         search.run()
     tell("asking what is left")
-    found, kinds, reached = _vetted(gap, search, limits)
+    found, kinds, reached = vetted(gap, search, limits)
     if strange := another_arm(gap, search.terms):
         doubts, search.terms = [strange], []
     foreign = bool(doubts)
@@ -226,7 +226,7 @@ def _once(finding: Finding, scored: Explanation) -> bool:
     return scored.where_seen(scored.members(finding.effect)) is not scored
 
 
-def _vetted(
+def vetted(
     gap: Gap, search: Search, limits: Thresholds
 ) -> tuple[Account, dict[Term, tuple[str, ...]], Array]:
     """Leave a search the terms that pass all checks beside each other.

@@ -45,6 +45,11 @@ class Solution:
     covariance: Array
     evidence: float
 
+    def of(self, columns: Index) -> Array:
+        """Gains of some of the columns, in their order."""
+        order = np.argsort(self.index)
+        return self.gains[order[np.searchsorted(self.index[order], columns)]]
+
 
 class Evidence:
     """Cross-products of the gap with every column that might explain it.

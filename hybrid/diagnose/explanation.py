@@ -222,9 +222,8 @@ def refit(gap: Gap, search: Search) -> Refit:
     evidence, index, own = _fresh(gap, search, np.ones(len(gap.fold), dtype=bool))
     evidence.noise = search.evidence.noise
     solution = evidence.solve(index)
-    gains = dict(zip(solution.index.tolist(), solution.gains, strict=True))
     effects = [
-        with_gains(t.candidate.effect, [gains[k] for k in i])
+        with_gains(t.candidate.effect, solution.of(i))
         for t, i in zip(search.terms, own, strict=True)
     ]
     shapes = [take_nudges(evidence, effect) for effect in effects]

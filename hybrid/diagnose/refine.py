@@ -116,13 +116,11 @@ def shape_steps(
         none, shape (0,), of an effect that is scanned.
     """
     solution = evidence.solve(base)
-    gains = dict(zip(solution.index.tolist(), solution.gains, strict=True))
     index = [
         np.zeros(0, dtype=np.intp)
         if c.effect.steep
-        else take_nudges(evidence, with_gains(c.effect, [gains[k] for k in own]))
+        else take_nudges(evidence, with_gains(c.effect, solution.of(own)))
         for c, own in placed
     ]
     whole = evidence.solve(np.concatenate([base, *index]))
-    step = dict(zip(whole.index.tolist(), whole.gains, strict=True))
-    return [np.array([step[k] for k in own]) for own in index]
+    return [whole.of(own) for own in index]

@@ -200,7 +200,7 @@ def _physical(search: Search, term: Term) -> bool:
     if effect.port is Port.BODY:
         return True
     solution = search.evidence.solve(search.base())
-    gains = solution.gains[np.isin(solution.index, term.index)]
+    gains = solution.of(term.index)
     least = term.candidate.lower
     if np.any((least > 0) & (gains < least)):
         return False
