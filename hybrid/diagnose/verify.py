@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ _SLACK = 0.02  # of the range of a gain
 _CALM = 0.25  # of the cut-off: the band in which events are looked for
 _RATHER = 3.0  # times what is missed there is explained by a cause
 _MOST_CONTACTS = 3  # what happens more often is no contact
+_MOST_TOUCHED = 0.6  # of the time; what lasts longer is none
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ class Check:
         echo: Whether its evidence is in the upper half of the band, where it may be of
             noise that its columns and the gap share.
         rough: Whether its law holds roughly, so that it may leave more.
-        recurs: Whether it is of what happens once, and there are many such.
+        recurs: Whether it is of what happens once, and there are many such, or it lasts
+            nearly all the time.
     """
 
     complete: float
@@ -186,8 +189,23 @@ def check(search: Search, term: Term, found: Account) -> Check:
         bool(minor),
         _echo(search, term),
         term.candidate.effect.steep,
-        len(contacts) > _MOST_CONTACTS and term in contacts,
+        term in contacts and _all_along(search.gap, contacts),
     )
+
+
+def _all_along(gap: Gap, contacts: Sequence[Term]) -> bool:
+    """Whether contacts are too many, or fill one of the recordings."""
+    if len(contacts) > _MOST_CONTACTS:
+        return True
+    for motion in gap.motions:
+        here = [
+            c.candidate.effect.values["duration"]
+            for c in contacts
+            if c.candidate.effect.values["recording"] in (-1.0, motion.number)
+        ]
+        if sum(here) > _MOST_TOUCHED * (motion.t[-1] - motion.t[0]):
+            return True
+    return False
 
 
 def _physical(search: Search, term: Term) -> bool:
