@@ -31,7 +31,7 @@ TRIALS: tuple[tuple[str, float], ...] = (
             "coloured": (0.2, 0.5),
             "evident": (12.0, 48.0),
             "negligible": (0.002, 0.01),
-            "complete": (0.8, 0.95),
+            "complete": (0.85, 0.9, 0.96),
             "roughly": (0.7, 0.9),
             "steady": (0.1, 0.5),
             "crowded": (5, 40),

@@ -262,7 +262,10 @@ class Search:
             if t.place not in taken or t.place[0] in _REPEATED
         ]  # fmt: skip
         gains = self.evidence.screen(
-            base, [t.index for t in terms], [t.candidate.lower for t in terms]
+            base,
+            [t.index for t in terms],
+            [t.candidate.lower for t in terms],
+            [t.candidate.made_at for t in terms],
         )
         best: dict[tuple[object, ...], tuple[Candidate, float]] = {}
         for term, worth in zip(terms, gains, strict=True):

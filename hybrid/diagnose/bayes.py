@@ -8,13 +8,18 @@ from numpy.typing import NDArray
 from hybrid.robot.chain import Array
 from hybrid.signals import butterworth
 
+_OWN = 0.3  # of the gain that columns are of; noise of positions lessens it
 _STRETCH = 0.5  # s, in which noise is as large as ever
 _EVENT = 8.0  # times the usual mean square
 _HALF, _EDGE = 0.5, 0.85  # of the cut-off; there the filter is felt
 
 
 def log_bayes(
-    H: Array, s: Array, precision: Array, lower: Array
+    H: Array,
+    s: Array,
+    precision: Array,
+    lower: Array,
+    made_at: Array | None = None,
 ) -> tuple[float, Array]:
     """Log Bayes factor and gains with a Gaussian prior, cut at their lower bounds.
 
@@ -23,6 +28,8 @@ def log_bayes(
         s: Its right-hand side, shape (p,).
         precision: Inverse variance of each gain's prior, shape (p,).
         lower: Smallest value of each gain, shape (p,).
+        made_at: The gains that the columns are of alone, shape (p,): where the most
+            probable ones are far off, these count instead.
 
     Returns:
         Logarithm of the evidence with the columns over that without, [nat], and the
@@ -38,6 +45,8 @@ def log_bayes(
         if free.any():
             x[free] = np.linalg.solve(A[np.ix_(free, free)], b[free])
             x = np.maximum(x, lower * np.sqrt(precision))
+    if made_at is not None and np.any(unit * x < _OWN * made_at):
+        return float(made_at @ s - 0.5 * made_at @ H @ made_at), made_at
     _, occam = np.linalg.slogdet(A)
     return float(b @ x - 0.5 * x @ A @ x - 0.5 * occam), unit * x
 

@@ -58,6 +58,11 @@ class Candidate:
         """Which effect, and where."""
         return self.effect.id, self.effect.joints
 
+    @property
+    def made_at(self) -> Array | None:
+        """Its gains, where its columns are of these alone, shape (p,)."""
+        return self.effect.gain_values if self.effect.steep else None
+
     def likely(self, gains: Array) -> bool:
         """Whether some gains leave a link one that the file might have meant."""
         most = _LINK_MOST / _LINK_OFF * self.std

@@ -250,7 +250,11 @@ class Evidence:
         return np.asarray(left - self._columns[i][0] @ full[self._owner[i]])
 
     def screen(
-        self, base: Index, blocks: Sequence[Index], lower: Sequence[Array]
+        self,
+        base: Index,
+        blocks: Sequence[Index],
+        lower: Sequence[Array],
+        made_at: Sequence[Array | None] | None = None,
     ) -> Array:
         """Gain in evidence by each block of columns on top of others, [nat].
 
@@ -258,6 +262,7 @@ class Evidence:
             base: Columns that are in already.
             blocks: Candidates.
             lower: Smallest physical value of each gain of a candidate.
+            made_at: Its gains, where its columns are of these alone; of each.
         """
         wanted = np.concatenate([base, *blocks])
         A, b = self.normal(wanted)
@@ -269,16 +274,31 @@ class Evidence:
         H = A[k:, k:] - across.T @ cho_solve(factor, across)
         s = b[k:] - across.T @ cho_solve(factor, unit * b[:k])
         gains, start = np.empty(len(blocks)), 0
-        for m, (block, low) in enumerate(zip(blocks, lower, strict=True)):
+        known = made_at or [None] * len(blocks)
+        for m, (block, low, x) in enumerate(zip(blocks, lower, known, strict=True)):
             own = slice(start, start + len(block))
             start += len(block)
-            gains[m], _ = log_bayes(H[own, own], s[own], self.precision[block], low)
+            weight = self.precision[block]
+            gains[m], _ = log_bayes(H[own, own], s[own], weight, low, x)
         return gains
 
     def trial(
-        self, base: Index, columns: Columns, std: Array, lower: Array
+        self,
+        base: Index,
+        columns: Columns,
+        std: Array,
+        lower: Array,
+        made_at: Array | None = None,
     ) -> tuple[float, Array]:
-        """Gain in evidence, [nat], by columns that are not in, and their gains (p,)."""
+        """Gain in evidence, [nat], by columns that are not in, and their gains (p,).
+
+        Args:
+            base: Columns that are in already.
+            columns: Columns by joint, shape (M, p) each.
+            std: Prior standard deviation of their gains, shape (p,).
+            lower: Smallest physical values of these, shape (p,).
+            made_at: Their values, shape (p,), where the columns are of these alone.
+        """
         p = len(std)
         H, s = np.zeros((p, p)), np.zeros(p)
         across = np.zeros((len(base), p))
@@ -292,7 +312,7 @@ class Evidence:
         across /= np.sqrt(self.precision[base])[:, None]
         H -= across.T @ cho_solve(factor, across)
         s -= across.T @ cho_solve(factor, b)
-        return log_bayes(H, s, 1.0 / np.maximum(std, 1e-12) ** 2, lower)
+        return log_bayes(H, s, 1.0 / np.maximum(std, 1e-12) ** 2, lower, made_at)
 
     def _known(self, base: Index, i: int) -> tuple[Index, Array]:
         """Columns of a joint that are in a base, with their place in it; kept."""

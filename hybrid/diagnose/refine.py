@@ -48,7 +48,8 @@ def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, fl
 def gain(evidence: Evidence, base: Index, c: Candidate) -> float:
     """Evidence that a candidate adds, less the price of its shapes, [nat]."""
     columns = evidence.gap.columns(c.effect)
-    return evidence.trial(base, columns, c.std, c.lower)[0] - price(c.effect)
+    trial = evidence.trial(base, columns, c.std, c.lower, c.made_at)
+    return trial[0] - price(c.effect)
 
 
 def _exact(evidence: Evidence, base: Index, c: Candidate) -> tuple[Effect, float]:
