@@ -36,8 +36,8 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import butterworth
 
-ATTRIBUTE, DIAGNOSE = (
-    import_module(f"hybrid.diagnose.{x}") for x in ("attribute", "diagnose")
+ATTRIBUTE, DIAGNOSE, VERIFY = (
+    import_module(f"hybrid.diagnose.{x}") for x in ("attribute", "diagnose", "verify")
 )
 PUSH = {"force_x": 8.0, "force_y": -5.0, "start": 2.0, "duration": 0.8}
 
@@ -474,6 +474,26 @@ class TestEvents:
         monkeypatch.setattr(ATTRIBUTE, "_LEAST_REMOVED", 1.0)  # of no other term true
         search.prune()
         assert {t.place[0] for t in search.terms} == {"contact"}
+
+    @pytest.mark.parametrize(
+        ("count", "part", "recording", "all_along"),
+        [
+            (3, 0.1, -1.0, False),
+            (4, 0.1, -1.0, True),
+            (3, 0.3, -1.0, True),
+            (3, 0.3, 1.0, True),
+            (1, 0.5, 1.0, False),
+        ],
+    )
+    def test_what_lasts_nearly_all_the_time_is_no_contact(
+        self, count, part, recording, all_along
+    ):
+        gap = faultless().gap
+        t = gap.motions[1].t
+        touch = {"start": 0.0, "duration": part * np.ptp(t), "recording": recording}
+        contact = candidate(gap, Contact((0, 1), touch))
+        search = Search(gap).having([contact] * count)
+        assert VERIFY._all_along(gap, search.terms) is all_along
 
     def test_no_contact_is_seen_where_there_is_none(self):
         gap = faultless().gap

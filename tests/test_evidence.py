@@ -198,3 +198,22 @@ def test_gains_beside_known_ones_are_those_of_what_these_leave():
         A = X[fit, 2:].T / noise[fit] @ X[fit, 2:] + np.diag(1 / prior[2:])
         gains = np.linalg.solve(A, X[fit, 2:].T @ (left / noise[fit]))
         np.testing.assert_allclose(found[f], [*known[f], *gains])
+
+
+@pytest.mark.parametrize(("made_at", "its_own"), [(1.0, True), (10.0, False)])
+def test_columns_of_one_gain_do_not_explain_at_quite_another(made_at, its_own):
+    H, s, one = np.array([[4.0]]), np.array([4.0]), np.ones(1)
+    free, best = log_bayes(H, s, one, np.zeros(1))
+    worth, gains = log_bayes(H, s, one, np.zeros(1), np.array([made_at]))
+    pinned = made_at * 4.0 - 0.5 * made_at**2 * 4.0
+    assert worth == pytest.approx(free if its_own else pinned)
+    assert gains == pytest.approx(best if its_own else [made_at])
+
+
+def test_the_gains_of_some_columns_are_in_their_order():
+    *_, evidence, index = problem()
+    solution = evidence.solve(np.concatenate(index[::-1]))
+    together = dict(zip(solution.index.tolist(), solution.gains, strict=True))
+    wanted = np.concatenate([index[1], index[2][::-1]])
+    assert solution.of(wanted).tolist() == [together[int(k)] for k in wanted]
+    assert evidence.add([], []) == []
