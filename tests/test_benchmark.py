@@ -355,6 +355,13 @@ def test_the_motion_error_falls_as_far_as_with_the_truth():
     assert motion_error(nothing, [RIPPLE, STRIBECK]).share == 0.0
 
 
+def test_what_is_too_short_has_no_motion_error():
+    robot = load_arm(PLANAR)
+    plant = Plant(robot, [Viscous((0,), {"coefficient": 2.0})], nominal=robot)
+    result = examine(robot, simulate(plant, trajectories=1, duration=4.0, seed=0))
+    assert motion_error(result, [Viscous((0,), {"coefficient": 2.0})]) is None
+
+
 # Measures
 
 

@@ -59,10 +59,11 @@ def motion_error(result: Result, truth: Sequence[Effect]) -> MotionError | None:
 
     def error(chosen: Sequence[Candidate]) -> float:
         replay = Replay(explain(gap, search.having(chosen), split(gap)))
-        pick = replay.fit(_HORIZON)
+        if not replay.has(_HORIZON):
+            return np.nan
         squares = replay.squares(replay.all_terms)
-        errors = replay.error(squares, joints, _HORIZON)[pick]
-        return float(np.median(errors)) if len(pick) else np.nan
+        errors = replay.error(squares, joints, _HORIZON)
+        return float(np.median(errors[replay.fit(_HORIZON)]))
 
     try:
         errors = [error(chosen) for chosen in ([], found, true)]
