@@ -71,7 +71,7 @@ def main() -> None:
         nested += worths[own, choice].tolist()
     picked = best(worths)
     lines = tuple(
-        (name, f"{x:.3f}", chosen[name] or "")
+        (name, f"{x:.3f}", str(chosen[name] or ""))
         for name, x in zip(NAMES, worths.mean(axis=0), strict=True)
     )
     heading = f"Worth of an answer to {len(rows)} cases, by limits"
