@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hybrid.diagnose.faults import find_faults
@@ -29,6 +29,7 @@ def log(noise=1e-5, seed=0):
     torque=st.sampled_from([1e-3, 0.05, 0.3]),
 )
 @settings(max_examples=25, deadline=None)
+@example(seed=87, encoder=1e-6, torque=0.3)  # holds its highest level for a second
 def test_a_sound_log_has_none_however_coarse_its_sensors(seed, encoder, torque):
     sound = log(seed=seed)
     q = encoder * np.round(sound.q / encoder)
@@ -53,6 +54,14 @@ def test_a_frozen_torque_is_found():
     np.testing.assert_array_equal(np.flatnonzero(found.torque[:, 1]), range(1000, 1500))
     assert not found.torque[:, 0].any()
     assert found.notes == ("torque of joint_2 is frozen for 20%",)
+
+
+def test_a_frozen_torque_of_a_coarse_sensor_is_found():
+    sound = log(seed=1)
+    tau = 0.3 * np.round(sound.tau / 0.3)
+    tau[500:1500, 1] = tau[500, 1]
+    found = find_faults(replace(sound, tau=tau))
+    assert found.torque[500:1500, 1].all() and not found.torque[:, 0].any()
 
 
 def test_a_frozen_encoder_spoils_every_joint():

@@ -14,6 +14,7 @@ _LONGEST_REPEAT = 0.2  # s; quantised torque repeats for less while an arm moves
 _FEWEST = 10  # samples
 _SHARE = 0.01  # of a log, at its extreme value: a peak is a sample or two
 _COARSE = 0.1  # distinct values of a torque that a sensor has rounded, per sample
+_UNUSUAL = 3.0  # times the third longest run
 _ALONE = 5.0  # times the samples of the next level
 _JUMP = 5.0  # times the usual step, by which a frozen encoder is left
 
@@ -45,7 +46,8 @@ def find_faults(recording: Recording) -> Faults:
             posture |= frozen
             notes.append(f"position of {name} is frozen for {frozen.mean():.0%}")
         coarse = len(np.unique(tau[:, j])) < _COARSE * len(t)
-        stuck = _moving(q, _runs(tau[:, j], 5 * least if coarse else least))
+        longest = max(5 * least, _usual_run(tau[:, j])) if coarse else least
+        stuck = _moving(q, _runs(tau[:, j], longest))
         clipped = _clipped(tau[:, j], coarse)
         for bad, word in ((stuck & ~clipped, "frozen"), (clipped, "saturated")):
             if bad.any():
@@ -53,6 +55,16 @@ def find_faults(recording: Recording) -> Faults:
                 notes.append(f"torque of {name} is {word} for {bad.mean():.0%}")
     place = f"{recording.source}: " if recording.source else ""
     return Faults(posture, torque, tuple(place + note for note in notes))
+
+
+def _usual_run(x: Array) -> int:
+    """Length of runs of equal values from which on one is out of the ordinary.
+
+    A coarse sensor holds its level wherever torque hardly changes. A few times what it
+    does otherwise is too long; it may have been stuck twice.
+    """
+    lengths = np.diff(np.flatnonzero(np.diff(x)), prepend=0)
+    return int(_UNUSUAL * np.sort(lengths)[-3]) if len(lengths) > 2 else 0
 
 
 def _runs(x: Array, least: int) -> NDArray[np.bool_]:
