@@ -25,7 +25,7 @@ from tune_thresholds_cases import TRIALS, checked_cases
 from hybrid.benchmark.case import TUNED, plan
 from hybrid.benchmark.score import Named, score
 from hybrid.diagnose.thresholds import thresholds
-from hybrid.files import write_json
+from hybrid.files import atomic_path, write_json
 from hybrid.report import Table, markdown_table, provenance, write_results
 
 ROOT = Path(__file__).parents[1]
@@ -87,9 +87,10 @@ def main() -> None:
     )
     content = {"provenance": provenance(command=command), "names": NAMES}
     write_results(REPORT / "results.json", content | {"worths": worths})
-    (REPORT / "table.md").write_text(
-        f"{heading}.\n\n{markdown_table(table)}\n{said}\n\n    {command}\n"
-    )
+    with atomic_path(REPORT / "table.md") as path:
+        path.write_text(
+            f"{heading}.\n\n{markdown_table(table)}\n{said}\n\n    {command}\n"
+        )
     if args.write and picked:
         name, value = TRIALS[picked]
         write_json(FILE, vars(thresholds()) | {name: value})
