@@ -24,7 +24,7 @@ from hybrid.effects.loop import Loop, commanded_torque
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.identify import DynamicModel
-from hybrid.plant import Plant, simulate
+from hybrid.plant import Noise, Plant, simulate
 from hybrid.report.diagnosis import render_diagnosis
 from hybrid.report.diagnosis_text import verdict_lines
 from hybrid.robot import Robot
@@ -86,6 +86,23 @@ def test_wrong_gains_are_found_where_gains_are_declared():
         half = (parameter.interval[1] - parameter.interval[0]) / 2
         assert abs(parameter.value - truth) < 2 * half < 0.2
     assert link_of(undeclared(robot), recordings).findings == ()
+
+
+@pytest.mark.parametrize("damping", [0.0, -0.4])
+def test_noise_of_the_speed_is_no_lack_of_damping(damping):
+    """Noise in a signal makes the gain on it seem lower than it is."""
+    usual = Noise.typical(arm("planar"))
+    noise = replace(
+        usual,
+        speed_std=30.0 * usual.speed_std,
+        torque_covariance=0.09 * usual.torque_covariance,
+    )
+    effects = [ControllerGain((0,), {"damping": damping})] if damping else []
+    plant = Plant(arm("planar"), effects, noise=noise)
+    for seed in (1, 2):
+        recordings = simulate(plant, trajectories=4, duration=5.0, seed=seed)
+        found = [e.joints for e in link_of(declared(plant), recordings).effects]
+        assert found == ([(0,)] if damping else [])
 
 
 def test_latency_and_gains_of_one_joint_are_told_apart():

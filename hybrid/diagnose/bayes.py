@@ -114,9 +114,32 @@ def coloured(x: Array, row: NDArray[np.intp], rate: float, cutoff: float) -> flo
         rate: Samples per second, [Hz].
         cutoff: End of its band, [Hz].
     """
+    power, f = _spectrum(x, row, rate)
+    lower, upper = power[f < _HALF * cutoff], _upper(power, f / cutoff)
+    return float(lower.sum() - len(lower) * upper.mean()) if len(upper) else 0.0
+
+
+def most_noise(x: Array, row: NDArray[np.intp], rate: float, cutoff: float) -> float:
+    """Mean square of a signal's noise at most, as its upper half band has it.
+
+    Args:
+        x: The signal, shape (R,).
+        row: Place of each sample in time, shape (R,), ascending.
+        rate: Samples per second, [Hz].
+        cutoff: End of its band, [Hz].
+    """
+    power, f = _spectrum(x, row, rate)
+    upper = _upper(power, f / cutoff)
+    return float(np.sum(f < cutoff) * upper.mean() / len(x)) if len(upper) else 0.0
+
+
+def _spectrum(x: Array, row: NDArray[np.intp], rate: float) -> tuple[Array, Array]:
+    """Squares of a residual at each frequency of both signs, and these, [Hz]."""
     full = np.zeros(row[-1] - row[0] + 1)
     full[row - row[0]] = x
-    power = 2 * np.abs(np.fft.rfft(full)) ** 2 / len(full)  # of both signs
-    f = np.fft.rfftfreq(len(full), 1.0 / rate) / cutoff
-    lower, upper = power[f < _HALF], power[(f >= _HALF) & (f < _EDGE)]
-    return float(lower.sum() - len(lower) * upper.mean()) if len(upper) else 0.0
+    power = 2 * np.abs(np.fft.rfft(full)) ** 2 / len(full)
+    return power, np.asarray(np.fft.rfftfreq(len(full), 1.0 / rate))
+
+
+def _upper(power: Array, f: Array) -> Array:
+    return power[(f >= _HALF) & (f < _EDGE)]

@@ -17,7 +17,7 @@ from hybrid.diagnose.explanation import between, split
 from hybrid.diagnose.findings import listed, values
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.servo import FEWEST, Law, ServoLog, laws, servo_logs
-from hybrid.diagnose.servo_fit import WORTH, Fit, at_once, evidence, fit
+from hybrid.diagnose.servo_fit import WORTH, Fit, at_once, blur, evidence, fit
 from hybrid.effects import Effect
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
@@ -177,7 +177,10 @@ def _examined(
         alike = [law for law in stated if law.scaled == whole.law.scaled]
         fits[True, False] = fit(own, alike, prompt=False)
         off, std = _off(whole, gap, i)
-        wrong = np.abs(off) - _NORMAL * std > _LEAST_GAIN
+        hidden = np.array(
+            [0.0, (1.0 + off[1]) * blur(own, whole, gap.rate, gap.cutoff)]
+        )
+        wrong = np.maximum(off, -off - hidden) - _NORMAL * std > _LEAST_GAIN
         bounds = [
             (g.lower < x < g.upper)
             for g, x in zip(ControllerGain.gains, off, strict=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.diagnose.bayes import memory
+from hybrid.diagnose.bayes import memory, most_noise
 from hybrid.diagnose.servo import LATENCIES, MOST_SHIFT, SIGNALS, SLOPE, Law, ServoLog
 from hybrid.robot.chain import Array
 
@@ -110,6 +110,25 @@ def at_once(servo: ServoLog, choice: Sequence[Law], found: Fit) -> Fit:
         if law.scaled == found.law.scaled
     ]
     return min(fits, key=lambda x: float(x.left @ x.left))
+
+
+def blur(servo: ServoLog, found: Fit, rate: float, cutoff: float) -> float:
+    """Part of the damping, at most, that noise of the speed hides.
+
+    A gain on a noisy signal comes out low by the noise in what only that signal tells.
+
+    Args:
+        servo: Signals of a joint.
+        found: Its servo law.
+        rate: Samples per second, [Hz].
+        cutoff: End of the signals' band, [Hz].
+    """
+    X = servo.signals(found.late, found.shift) @ found.law.columns
+    at = 2 if found.law.scaled else 1
+    speed, rest = X[:, at], np.delete(X, at, axis=1)
+    own = speed - rest @ _least(rest, speed)
+    noise = most_noise(speed, servo.row, rate, cutoff)
+    return min(1.0, noise / max(float(own @ own) / len(own), 1e-300))
 
 
 def evidence(servo: ServoLog, without: Fit, with_: Fit) -> float:
