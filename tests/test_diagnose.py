@@ -18,6 +18,7 @@ from hybrid.diagnose.diagnosis import Shrink
 from hybrid.diagnose.explanation import between, split
 from hybrid.diagnose.gap import measure_gap
 from hybrid.diagnose.refine import shape_steps
+from hybrid.diagnose.refit import refit
 from hybrid.diagnose.shapes import nudges, shape_units
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash
@@ -307,6 +308,54 @@ class TestCause:
         given = candidate(faultless().gap, arm_carries((0, 1)))
         assert given.likely(given.std) and given.likely(-6.0 * given.std)
         assert given.likely(10.0 * given.std) is (arm_carries is Payload)
+
+    def test_a_play_is_found_between_the_widths_of_a_coarse_grid(self):
+        """Its link lands at other times with each width: a peak 10 % wide."""
+        robot, recordings = logs([Backlash((0,), {"half_width": 0.005})])
+        search = Search(measure_gap(robot, recordings))
+        found, worth = search.best(search.background)
+        assert found.place == ("backlash", (0,))
+        assert found.effect.values["half_width"] == pytest.approx(0.005, rel=0.15)
+        assert worth > 2.0 * max(
+            x for c, x in search.ranked(search.background) if c.place != found.place
+        )
+
+    def test_shapes_that_fit_best_are_found_however_far(self):
+        values = {"spring": -4.0, "preload": 6.0}
+        true = {"dead_centre": -1.5, "crank_ratio": 0.4}
+        robot, recordings = logs([Counterbalance((0,), values | true)])
+        search = Search(measure_gap(robot, recordings))
+        far = Counterbalance((0,), {"dead_centre": 1.35, "crank_ratio": 0.07})
+        search.terms = search.having([candidate(search.gap, far)]).terms
+        before = search.loss(search.terms[0])
+        search._scan()
+        (term,) = search.terms
+        assert search.loss(term) > before + 10.0
+        assert term.candidate.effect.values["dead_centre"] == pytest.approx(
+            -1.5, abs=0.05
+        )
+
+    @pytest.mark.parametrize("size", [1.0, 5.0])
+    def test_shapes_apart_that_fit_alike_widen_the_intervals(self, size):
+        """A weak counterbalance whose spring and preload may undo one another."""
+        gains = {"spring": 0.06 * size, "preload": 0.05 * size}
+        weak = Counterbalance((0,), {**gains, "dead_centre": 1.4, "crank_ratio": 0.35})
+        robot, recordings = logs([weak])
+        gap = measure_gap(robot, recordings)
+        search = Search(gap)
+        search.terms = search.having([candidate(gap, weak)]).terms
+        search._polish()
+        (found,) = refit(gap, search)
+        for name, truth in weak.values.items():
+            assert abs(found.values[name] - truth) < 1.96 * found.std[name]
+
+    def test_columns_of_a_signal_are_made_at_the_gain_that_is_reported(self):
+        robot, recordings = logs([Delay((0,), {"time": 0.01})])
+        search = Search(measure_gap(robot, recordings))
+        search.run()
+        (term,) = search.terms
+        (gain,) = search.evidence.solve(search.base()).of(term.index)
+        assert term.candidate.effect.values["time"] == pytest.approx(gain, rel=0.01)
 
     def test_a_spring_and_a_counterbalance_at_a_joint_are_one_cause(self):
         spring = Spring((0,), {"stiffness": 1.0, "preload": 2.0})

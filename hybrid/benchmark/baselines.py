@@ -20,9 +20,9 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from hybrid.benchmark.score import Named
-from hybrid.diagnose.attribute import Term
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.result import Result
+from hybrid.diagnose.term import Term
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 
@@ -37,7 +37,7 @@ _SMALL = 0.1  # of a joint's largest contribution: what STLSQ throws out
 def baselines(result: Result) -> Mapping[str, tuple[Named, ...]]:
     """Causes that each method names, most important first."""
     search, robot = result.search, result.gap.robot
-    evidence, base, tried = search.evidence, search.background, search.tried
+    evidence, base, tried = search.evidence, search.background, search.pool.tried
     return {
         "ranking": _named(_ranking(evidence, base, tried), robot),
         "stepwise": _named(_stepwise(evidence, base, tried), robot),

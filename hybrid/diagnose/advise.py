@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybrid.diagnose.along import Along, coarse
-from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.diagnosis import Advice
 from hybrid.diagnose.menu import Experiment, Menu, gap_along
 from hybrid.diagnose.separation import Outlook, Rival, fit_rival, needed, shapes_of
+from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.effects import effect_class
 from hybrid.effects.effect import Port

@@ -5,65 +5,39 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import (
-    Candidate,
-    candidate,
-    candidates,
-    mere,
-    same,
-    simpler,
-    with_gains,
-)
-from hybrid.diagnose.contacts import Contacts
+from hybrid.diagnose.candidates import Candidate, mere, simpler, with_gains
 from hybrid.diagnose.evidence import Evidence, Index
-from hybrid.diagnose.gap import Columns, Gap
-from hybrid.diagnose.refine import gain, refine, shape_steps
-from hybrid.diagnose.ripples import ripple_orders
-from hybrid.diagnose.shapes import moved, price
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.pool import REPEATED, Pool
+from hybrid.diagnose.refine import gain, modes, refine, shape_steps
+from hybrid.diagnose.shapes import at_places, places, price
+from hybrid.diagnose.term import Term
+from hybrid.effects import Effect
 from hybrid.effects.contact import Contact
 from hybrid.effects.payload import LinkInertia
-from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
 
 _WORTH = 10.0  # nats that a term must add
 _LEAST_REMOVED = 0.015  # of the RMS at a term's joints, on folds left out
-_RIPPLES = 3  # orders tried at each joint at a time
-_CONTACTS = 2  # stretches of time tried at a time
-_REPEATED = {TorqueRipple.id, Contact.id}  # may be there more than once
+_RIPPLES = 9  # orders tried at each joint at first
 _SHORTLIST = 4
 _MOST_TERMS, _MOST_THERE = 40, 9  # in all, and at one joint
 _NEAR = 10.0
 _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _MENDING = 0.015  # of the evidence for the largest term at a joint
 _FAR = 0.5  # of the gain that columns are made at
+_SAME = 0.01  # of it: no matter
 _ONE = 0.9  # of the evidence for two forms of one law, by one of them
 _ALIKE = 3.0  # nats that do not settle which of two effects it is
 # Sizes of the background that are tried: one standard deviation, relative.
 _OFF = (0.003, 0.01, 0.03)
-
-
-@dataclass(frozen=True, eq=False)
-class Term:
-    """An effect in the model of the gap.
-
-    Attributes:
-        candidate: The effect, with its shapes fitted.
-        index: Its columns in the evidence.
-    """
-
-    candidate: Candidate
-    index: Index
-
-    @property
-    def place(self) -> tuple[str, tuple[int, ...]]:
-        """Which effect, and where."""
-        return self.candidate.place
+WIDEST = _OFF[-1]
 
 
 class Search:
@@ -83,19 +57,18 @@ class Search:
         without: Sequence[str] = (),
     ) -> None:
         self.gap = gap
-        self.without = tuple(without)
         self.evidence = Evidence(gap, use)
         self.background = np.concatenate(self.evidence.add(*background(gap)))
-        self.tried: list[Term] = []
-        self._take(candidates(gap, without))
+        self.pool = Pool(self.evidence, without)
         self.terms: list[Term] = []
-        self.off = _OFF[-1]
+        self.off = WIDEST
         self.evidence.spread(self.background, self.off)
-        self._contacts = None if Contact.id in self.without else Contacts(gap)
-        self._take_ripples(3 * _RIPPLES)
+        self.pool.take_ripples(self.background, _RIPPLES)
         self.evidence.estimate_noise(np.arange(self.evidence.size))
-        self._take_contacts()  # in units of noise; without them it would hold them
+        # In units of noise; without them it would hold them.
+        self.pool.take_contacts(self.background)
         self.evidence.estimate_noise(np.arange(self.evidence.size))
+        self.pool.take_steep(self.background)
 
     def having(self, chosen: Sequence[Candidate]) -> Search:
         """The same with other terms, of shapes as they are."""
@@ -120,7 +93,9 @@ class Search:
         _, self.off, self.terms = max(usable or found[-1:], key=lambda x: x[0])
         self.evidence.spread(self.background, self.off)
         self.prune()
+        self._scan()
         self._polish()
+        self._settle()
         return self.terms
 
     def _any_mere(self, off: float) -> bool:
@@ -134,7 +109,7 @@ class Search:
             with_gains(t.candidate.effect, solution.of(t.index)) for t in self.terms
         ]
         links = [t for t in self.terms if t.place[0] == LinkInertia.id]
-        evidence.spread(self.background, _OFF[-1])
+        evidence.spread(self.background, WIDEST)
         idle = any(self.loss(t) < _WORTH for t in links)
         evidence.spread(self.background, off)
         return idle or any(mere(robot, e) for e in effects)
@@ -162,56 +137,11 @@ class Search:
         parts = [t.index for t in self.terms if t is not without]
         return np.concatenate([self.background, *parts])
 
-    def _take(self, found: Sequence[Candidate]) -> None:
-        blocks: list[Columns] = []
-        kept: list[Candidate] = []
-        for c in found:
-            columns = self.gap.columns(c.effect)
-            if blocks and kept[-1].place == c.place and same(columns, blocks[-1]):
-                continue  # this shape does not show in first order
-            blocks.append(columns)
-            kept.append(c)
-        if kept:
-            index = self.evidence.add(blocks, [c.std for c in kept])
-            self.tried += [Term(c, i) for c, i in zip(kept, index, strict=True)]
-
-    def _take_ripples(self, count: int = _RIPPLES) -> None:
-        if TorqueRipple.id in self.without:
-            return
-        known = {
-            (t.place, *t.candidate.effect.shape_values.values()) for t in self.tried
-        }
-        solution = self.evidence.solve(self.base())
-        sampled, found = self.gap.sampled, []
-        for j, rows in enumerate(self.evidence.rows):
-            left = self.evidence.residual(j, solution.index, solution.gains)
-            q, v = sampled.q[rows, j], sampled.v[rows, j]
-            for k in ripple_orders(left, q, v, self.gap.cutoff, count):
-                effect = TorqueRipple((j,), {"periods": float(k)})
-                new = candidate(self.gap, effect)
-                if (new.place, float(k)) not in known:
-                    found.append(new)
-        self._take(found)
-
-    def _take_contacts(self) -> None:
-        if self._contacts is None:
-            return
-        evidence, solution = self.evidence, self.evidence.solve(self.base())
-        left = [
-            evidence.residual(i, solution.index, solution.gains)
-            for i in range(len(evidence.rows))
-        ]
-        found = self._contacts.strongest(left, evidence.rows, evidence.noise, _CONTACTS)
-        known = [t.candidate.effect.shape_values for t in self.tried]
-        self._take(
-            [candidate(self.gap, c) for c in found if c.shape_values not in known]
-        )
-
     # Steps
 
     def _add(self) -> bool:
-        self._take_ripples()
-        self._take_contacts()
+        self.pool.take_ripples(self.base())
+        self.pool.take_contacts(self.base())
         best = self.best(self.base())
         if best is None or best[1] < _WORTH:
             return False
@@ -255,27 +185,9 @@ class Search:
         return c.likely(self.evidence.trial(base, columns, c.std, c.lower)[1])
 
     def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
-        """The best shape of each form of an effect at a place, most evidence first."""
+        """See :meth:`.Pool.ranked`."""
         taken = {t.place for t in self.terms if t.index[0] in base}
-        terms = [
-            t for t in self.tried
-            if t.place not in taken or t.place[0] in _REPEATED
-        ]  # fmt: skip
-        gains = self.evidence.screen(
-            base,
-            [t.index for t in terms],
-            [t.candidate.lower for t in terms],
-            [t.candidate.made_at for t in terms],
-        )
-        best: dict[tuple[object, ...], tuple[Candidate, float]] = {}
-        for term, worth in zip(terms, gains, strict=True):
-            effect = term.candidate.effect
-            inner = (x.name for x in effect.shapes if x.inner and x.whole)
-            form = *term.place, *(effect.values[name] for name in inner)
-            worth -= price(effect)
-            if form not in best or worth > best[form][1]:
-                best[form] = term.candidate, float(worth)
-        return sorted(best.values(), key=lambda x: -x[1])
+        return self.pool.ranked(base, taken)
 
     def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
         """See :func:`.refine.refine`."""
@@ -338,6 +250,24 @@ class Search:
             self.loss(t) < own for t in self.terms if t is not term
         )
 
+    def modes(self, term: Term) -> list[tuple[Candidate, float]]:
+        """See :func:`.refine.modes`; from all shapes that were tried and its own.
+
+        None of a term without shapes, or with such as come from the residual.
+        """
+        effect = term.candidate.effect
+        if effect.steep or effect.id in REPEATED or not effect.shapes:
+            return []
+        starts = [term.candidate, *self.pool.at(term.place)]
+        return modes(self.evidence, self.base(term), starts)
+
+    def _scan(self) -> None:
+        """Exchange the shapes of a term for others that fit better, however far."""
+        for k, term in enumerate(list(self.terms)):
+            found = self.modes(term)
+            if found and found[0][1] > self.loss(term) + _ALIKE:
+                self.terms[k] = self._term(found[0][0])
+
     def _polish(self) -> None:
         """Fit the shapes of all terms together, by Gauss-Newton steps.
 
@@ -360,11 +290,27 @@ class Search:
             if self._worth() < before + _SETTLED:
                 return
 
+    def _settle(self) -> None:
+        """Make the columns of effects on signals at the gains that all terms have."""
+        for _ in range(_POLISHINGS):
+            gains = self.evidence.solve(self.base())
+            far = [
+                k for k, t in enumerate(self.terms)
+                if _linearised(t.candidate.effect)
+                and abs(gains.of(t.index)[0] / t.candidate.effect.gain_values[0] - 1.0)
+                > _SAME
+            ]  # fmt: skip
+            for k in far:
+                c = self.terms[k].candidate
+                effect = with_gains(c.effect, gains.of(self.terms[k].index))
+                self.terms[k] = self._term(replace(c, effect=effect))
+
     def _worth(self) -> float:
         return self.evidence.solve(self.base()).evidence
 
     def _moved(self, term: Term, steps: Array) -> Term:
-        effect = moved(self.gap, term.candidate.effect, steps)
+        effect = term.candidate.effect
+        effect = at_places(self.gap, effect, places(self.gap, effect) + steps)
         return self._term(replace(term.candidate, effect=effect))
 
     def _exchange(self) -> bool:
@@ -393,9 +339,9 @@ class Search:
         Those of an effect on signals are not linear: far off they are another law's.
         """
         effect = term.candidate.effect
-        made = effect.gain_values[0] if len(effect.gains) == 1 else 0.0
-        if effect.steep or made == 0.0 or not (effect.observes or effect.reports):
+        if not _linearised(effect):
             return True
+        (made,) = effect.gain_values
         (now,) = self.evidence.solve(self.base()).of(term.index)
         return bool(abs(now - made) <= _FAR * abs(made))
 
@@ -421,3 +367,10 @@ class Search:
                 self.terms.append(self._term(alone))
                 return True
         return False
+
+
+def _linearised(effect: Effect) -> bool:
+    """Whether an effect's columns are made at its gain, and hold near it."""
+    signal = effect.observes or effect.reports
+    one = len(effect.gains) == 1 and effect.gain_values[0] != 0.0
+    return signal and one and not effect.steep

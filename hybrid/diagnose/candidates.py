@@ -22,7 +22,7 @@ _COMPOSITE = {"threshold_friction", "improved_stribeck"}
 _SEARCHED = {"torque_ripple", "contact"}  # their shapes come from the residual
 _GRID = 7
 _COARSE = 4
-_GAINS = 12  # of an effect that is scanned over its gain
+_GAINS, _FINE = 12, 45  # of an effect that is scanned over its gain
 # Laws that another becomes at a bound of its shapes.
 _SIMPLER = {
     "presliding": "coulomb",
@@ -99,6 +99,16 @@ def candidate(gap: Gap, effect: Effect) -> Candidate:
     return Candidate(effect, std, lower)
 
 
+def fine_candidates(
+    gap: Gap, cls: type[Effect], joints: tuple[int, ...]
+) -> list[Candidate]:
+    """A steep effect at one place, on a grid of gains that misses no peak.
+
+    The link behind a play lands at other times with each width.
+    """
+    return [candidate(gap, e) for e in _grid(cls, joints, gap, gains=_FINE)]
+
+
 def _spread(gain: Quantity) -> float:
     """Prior standard deviation: twice the usual size, or a third of the largest."""
     if gain.spread is not None:
@@ -119,7 +129,9 @@ def places(cls: type[Effect], size: int) -> Iterator[tuple[int, ...]]:
         yield from ((j, j + 1) for j in range(size - 1))
 
 
-def _grid(cls: type[Effect], joints: tuple[int, ...], gap: Gap) -> Iterator[Effect]:
+def _grid(
+    cls: type[Effect], joints: tuple[int, ...], gap: Gap, *, gains: int = _GAINS
+) -> Iterator[Effect]:
     scale = gap.scales[joints[-1]]
     shapes = [s.scaled(scale) for s in cls.shapes]
     count = _GRID if sum(not s.whole for s in shapes) == 1 else _COARSE
@@ -128,7 +140,7 @@ def _grid(cls: type[Effect], joints: tuple[int, ...], gap: Gap) -> Iterator[Effe
         # Its shapes are fitted once it is on the shortlist.
         (gain,) = (g.scaled(scale) for g in cls.gains)
         axes = [np.array([s.typical]) for s in shapes]
-        axes += [np.geomspace(gain.typical / 10, gain.upper, _GAINS)]
+        axes += [np.geomspace(gain.typical / 10, gain.upper, gains)]
         shapes.append(gain)
     for values in product(*axes):
         named = {s.name: float(x) for s, x in zip(shapes, values, strict=True)}

@@ -9,18 +9,20 @@ from functools import partial
 import numpy as np
 
 from hybrid.diagnose.advise import advise
-from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.command import Link, command_link
 from hybrid.diagnose.convention import find_convention
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
-from hybrid.diagnose.explanation import Explanation, explain, refit, shares, split
+from hybrid.diagnose.explanation import Explanation, explain, shares, split
 from hybrid.diagnose.findings import alternatives, findings, torque_shrink
 from hybrid.diagnose.gap import Gap, measure_gap
 from hybrid.diagnose.grounds import another_arm, too_little, unlike
 from hybrid.diagnose.links import joined
 from hybrid.diagnose.locate import locate
+from hybrid.diagnose.refit import refit
 from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.result import Result
+from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds, thresholds
 from hybrid.diagnose.verify import Account, account, check
 from hybrid.diagnose.visited import not_excited
@@ -118,7 +120,7 @@ def examine(
     useless = False
     while True:
         scored = explain(gap, search, learn)
-        effects = refit(gap, search).effects
+        effects = refit(gap, search)
         own = [kinds[t] for t in search.terms]
         causes = findings(scored, effects, own, shares(search, rng), rng)
         useful = _useful(scored, rng)

@@ -9,18 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.diagnose.attribute import Search, Term
-from hybrid.diagnose.background import background, clocks
-from hybrid.diagnose.candidates import with_gains
-from hybrid.diagnose.evidence import Evidence, Index, Solution
+from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.background import background
+from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.gap import Gap, block_seconds
-from hybrid.diagnose.refine import take_nudges
-from hybrid.diagnose.shapes import shape_units
-from hybrid.effects import Effect
+from hybrid.diagnose.term import Term
 from hybrid.robot.chain import Array
 
 _BLOCK_SECONDS = 1.0
-_OPEN = 10.0  # times a gain's prior deviation
 _TAIL = 0.02  # of a term's squares: no more than a filter spreads
 _ORDERS = 24  # of terms, and as many reversed
 
@@ -149,7 +145,7 @@ def explain(gap: Gap, search: Search, learn: NDArray[np.bool_]) -> Explanation:
         learn: Those samples, shape (M,).
     """
     found = search.evidence.solve(search.base())
-    evidence, index, own = _fresh(gap, search, ~learn & between(gap, learn))
+    evidence, index, own = fresh(gap, search, ~learn & between(gap, learn))
     evidence.noise = search.evidence.noise
     terms = tuple(search.terms)
     learnt = Explanation(
@@ -203,74 +199,19 @@ def shares(search: Search, rng: np.random.Generator) -> Array:
     return np.asarray(gain / max(gain.sum(), 1e-300))
 
 
-@dataclass(frozen=True, eq=False)
-class Refit:
-    """The terms of a search on all samples: the numbers that are reported.
-
-    Attributes:
-        solution: Gains of background and terms at the shapes that were found.
-        effects: The effects of the terms, with these gains and standard deviations.
-            Those of gains take into account that shapes are not known exactly.
-    """
-
-    solution: Solution
-    effects: tuple[Effect, ...]
-
-
-def refit(gap: Gap, search: Search) -> Refit:
-    """Fit the terms of a search to all samples."""
-    evidence, index, own = _fresh(gap, search, np.ones(len(gap.fold), dtype=bool))
-    evidence.noise = search.evidence.noise
-    solution = evidence.solve(index)
-    effects = [
-        with_gains(t.candidate.effect, solution.of(i))
-        for t, i in zip(search.terms, own, strict=True)
-    ]
-    shapes = [take_nudges(evidence, effect) for effect in effects]
-    for i in own:
-        # Values lean on their priors; what the data leave open the intervals show.
-        evidence.spread(i, _OPEN)
-    # Nor do these tell when between two samples torque was read.
-    shifts = evidence.add(*clocks(gap))
-    whole = evidence.solve(np.concatenate([solution.index, *shapes, *shifts]))
-    place = {int(k): i for i, k in enumerate(whole.index)}
-    certain = []
-    for effect, i, s in zip(effects, own, shapes, strict=True):
-        here = [place[int(k)] for k in (*i, *s)]
-        unit = np.array([*np.ones(len(i)), *shape_units(gap, effect)])
-        covariance = whole.covariance[np.ix_(here, here)] * np.outer(unit, unit)
-        covariance[np.diag_indices(len(here))] += _between_samples(gap, effect)
-        certain.append(_reported(effect, covariance))
-    return Refit(solution, tuple(certain))
-
-
-def _between_samples(gap: Gap, effect: Effect) -> Array:
-    """Variance of a time at which something happens between two samples, shape (p,)."""
-    numbers = [*effect.gains, *(x for x in effect.shapes if not x.whole)]
-    step = 1.0 / gap.motions[0].rate
-    return np.array([step**2 / 12.0 if x.unit == "s" else 0.0 for x in numbers])
-
-
-def _reported(effect: Effect, covariance: Array) -> Effect:
-    """An effect's law of the torque reported, with standard deviations."""
-    names = [x.name for x in (*effect.gains, *effect.shapes) if not x.whole]
-    law = effect.as_reported()
-    if law is effect:
-        std = np.sqrt(np.diag(covariance))
-        return law.at({}, dict(zip(names, map(float, std), strict=True)))
-    slopes = []
-    for name, spread in zip(names, np.sqrt(np.diag(covariance)), strict=True):
-        step = 1e-4 * float(spread) or 1e-9
-        then = effect.at({name: effect.values[name] + step}).as_reported()
-        slopes.append([(then.values[x] - law.values[x]) / step for x in names])
-    J = np.array(slopes).T
-    std = np.sqrt(np.diag(J @ covariance @ J.T))
-    return law.at({}, dict(zip(names, map(float, std), strict=True)))
-
-
-def _fresh(
+def fresh(
     gap: Gap, search: Search, use: NDArray[np.bool_]
 ) -> tuple[Evidence, Index, tuple[Index, ...]]:
+    """Evidence of other samples for the background and terms of a search.
+
+    Args:
+        gap: The gap.
+        search: The search.
+        use: The samples, shape (M,).
+
+    Returns:
+        The evidence, all columns, and those of each term.
+    """
     evidence = Evidence(gap, use)
     rigid = np.concatenate(evidence.add(*background(gap)))
     evidence.spread(rigid, search.off)

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import Candidate, same
 from hybrid.diagnose.diagnosis import Finding, Shrink, Value
 from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds
 from hybrid.effects import Effect
 from hybrid.robot.chain import Array
@@ -40,7 +41,7 @@ def _twins(search: Search, own: Candidate) -> list[str]:
     columns = search.gap.columns(own.effect)
     return [
         c.effect.id
-        for c in (t.candidate for t in search.tried)
+        for c in (t.candidate for t in search.pool.tried)
         if c.place != own.place
         and c.place[1] == own.place[1]
         and len(c.std) == len(own.std) > 1

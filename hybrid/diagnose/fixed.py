@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybrid.diagnose.explanation import Explanation, refit
+from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.express import express
 from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.refit import solve_all
 from hybrid.diagnose.simulator import corrected
 from hybrid.dynamics import stacked_base
 from hybrid.effects import Effect
@@ -94,7 +95,7 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
     """
     if not result.effects:
         return result.gap.robot, ()
-    solution = refit(result.gap, result.search).solution
+    _, solution, _ = solve_all(result.gap, result.search)
     rigid = len(result.search.background)
     scored: Explanation = result.scored
     return corrected(scored, result.effects, solution.gains[:rigid])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid.diagnose.attribute import Term
 from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.term import Term
 
 _FEWEST_SECONDS = 3.0
 _FEWEST_MOVING = 1.0  # s

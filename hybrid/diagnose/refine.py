@@ -10,13 +10,13 @@ from scipy.optimize import minimize_scalar
 
 from hybrid.diagnose.candidates import Candidate, scale_of, with_gains
 from hybrid.diagnose.evidence import Evidence, Index
-from hybrid.diagnose.shapes import fit_shapes, nudges, price
+from hybrid.diagnose.shapes import apart, fit_shapes, nudges, price
 from hybrid.effects import Effect
 from hybrid.robot.chain import Array
 
 _EXACT_PASSES = 4
 _SHAPE_SPREAD = 0.3  # prior deviation of a shape, of its range
-_STEP, _SCAN = 1.6, 9  # factor to either side of a steep gain; values tried
+_STEP, _SCAN = 1.15, 9  # factor to either side of a steep gain; values tried
 
 
 def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, float]:
@@ -68,7 +68,7 @@ def _exact(evidence: Evidence, base: Index, c: Candidate) -> tuple[Effect, float
 def _scanned(
     evidence: Evidence, c: Candidate, worth: Callable[[Effect], float]
 ) -> Effect:
-    """A steep effect at the best gain near its own, which is on a grid."""
+    """A steep effect at the best gain near its own, which is on a fine grid."""
     (own,), (now,) = c.effect.gains, c.effect.gain_values
     bounds = own.scaled(scale_of(evidence.gap, c.effect))
 
@@ -83,6 +83,29 @@ def _scanned(
         options={"maxiter": _SCAN, "xatol": 0.02},
     )
     return at(found.x)
+
+
+def modes(
+    evidence: Evidence, base: Index, starts: Sequence[Candidate]
+) -> list[tuple[Candidate, float]]:
+    """The candidates that some starts lead to, most evidence first.
+
+    Laws of more than one shape often fit about as well at places far apart.
+
+    Args:
+        evidence: Cross-products of the gap.
+        base: Columns that are in already, shape (k,).
+        starts: One candidate from different shapes.
+
+    Returns:
+        Candidates of different shapes, with the evidence that each adds, [nat].
+    """
+    found: list[tuple[Candidate, float]] = []
+    refined = [refine(evidence, base, c) for c in starts]
+    for c, worth in sorted(refined, key=lambda x: -x[1]):
+        if all(apart(evidence.gap, c.effect, x.effect) for x, _ in found):
+            found.append((c, worth))
+    return found
 
 
 def take_nudges(evidence: Evidence, effect: Effect) -> Index:

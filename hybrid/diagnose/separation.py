@@ -17,11 +17,12 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.diagnose.along import Along
-from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.bayes import log_bayes
 from hybrid.diagnose.candidates import Candidate, scale_of, with_gains
 from hybrid.diagnose.gap import Columns
 from hybrid.diagnose.shapes import fit_shapes, nudges, price
+from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.effects import Effect
 from hybrid.effects.torque_ripple import TorqueRipple
@@ -94,7 +95,7 @@ def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
 
 def shapes_of(search: Search) -> list[Candidate]:
     """All shapes that a search has tried, and long waves, which other data may show."""
-    tried = [t.candidate for t in search.tried]
+    tried = [t.candidate for t in search.pool.tried]
     ripples = {c.place: c for c in tried if c.place[0] == TorqueRipple.id}
     for c in ripples.values():
         long = (c.effect.at({"periods": float(k)}) for k in range(1, _LONG_WAVES + 1))

@@ -22,6 +22,7 @@ _WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
 _MOST_TRIALS = 40
 _ENDLESS = 1e4  # s
 _NUDGE = 0.05  # of the reach, for a derivative
+_APART = 0.05  # of a shape's range
 
 
 def price(effect: Effect) -> float:
@@ -70,12 +71,11 @@ def fit_shapes(
         return effect, gain(effect)
 
     def at(x: Array) -> Effect:
-        places = zip(ranges, x, strict=True)
-        return effect.at({r.shape.name: r.value(float(y)) for r, y in places})
+        return at_places(gap, effect, x)
 
-    start = np.array([r.place(effect.values[r.shape.name]) for r in ranges])
     search = _one if len(ranges) == 1 else _several
-    best = at(search(lambda x: -gain(at(x)), start, _reach(effect, ranges[0])))
+    start, reach = places(gap, effect), _reach(effect, ranges[0])
+    best = at(search(lambda x: -gain(at(x)), start, reach))
     return best, gain(best)
 
 
@@ -136,14 +136,17 @@ def nudges(gap: Gap, effect: Effect) -> list[Columns]:
     return blocks
 
 
-def moved(gap: Gap, effect: Effect, steps: Array) -> Effect:
-    """An effect with each shape moved by a part of its range, within the range."""
-    ranges = _ranges(gap, effect)
-    values = {
-        r.shape.name: r.value(r.place(effect.values[r.shape.name]) + float(step))
-        for r, step in zip(ranges, steps, strict=True)
-    }
-    return effect.at(values)
+def places(gap: Gap, effect: Effect) -> Array:
+    """Places of an effect's shapes in their ranges, 0 to 1, shape (s,)."""
+    return np.array(
+        [r.place(effect.values[r.shape.name]) for r in _ranges(gap, effect)]
+    )
+
+
+def at_places(gap: Gap, effect: Effect, at: Array) -> Effect:
+    """An effect with its shapes at places in their ranges, or at the nearest end."""
+    values = zip(_ranges(gap, effect), at, strict=True)
+    return effect.at({r.shape.name: r.value(float(x)) for r, x in values})
 
 
 def shape_units(gap: Gap, effect: Effect) -> list[float]:
@@ -155,6 +158,14 @@ def shape_units(gap: Gap, effect: Effect) -> list[float]:
         low, high = max(place - step, 0.0), min(place + step, 1.0)
         units.append((r.value(high) - r.value(low)) / (high - low))
     return units
+
+
+def apart(gap: Gap, effect: Effect, other: Effect) -> bool:
+    """Whether shapes of two effects of a kind are not the same but for rounding."""
+    forms = [s.name for s in effect.shapes if s.whole]
+    return any(effect.values[x] != other.values[x] for x in forms) or bool(
+        np.any(np.abs(places(gap, effect) - places(gap, other)) > _APART)
+    )
 
 
 def _ranges(gap: Gap, effect: Effect) -> list[_Range]:

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.diagnose.attribute import Search, Term
+from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.bayes import coloured, memory, quiet
 from hybrid.diagnose.candidates import scale_of, with_gains
 from hybrid.diagnose.ceiling import recoverable
 from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds
 from hybrid.effects.contact import Contact
 from hybrid.effects.effect import Port

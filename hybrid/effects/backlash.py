@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -21,7 +21,7 @@ _CONTACT_TIME = 0.002  # s
 _USUAL_FLIGHT = 64  # samples
 # The knock of a landing turns the motor as well. Accelerations made from positions
 # smear it over the end of the flight, which is smoothed by as much, s.
-_SMEAR = 0.008
+_SMEAR = 0.011
 # Inertia of what lies between play and motor, of the rotor's: a gear that twists as
 # well would otherwise have a massless part between its spring and its stops.
 _GEAR = 0.01
@@ -39,6 +39,7 @@ class Backlash(Effect):
     port = Port.TRANSMISSION
     not_in_loop = "it needs the load that comes next, to know when the gap is crossed"
     steep = True
+    inexact: ClassVar[Mapping[str, float]] = {"half_width": 0.05}  # how soft stops are
     gains = (Quantity("half_width", "rad", 0.001, 0.0, 0.01),)
     equation = "τ = rigid(θ + d); d = −b sgn(τ_load) at a stop, d̈ = −τ_load/M between"
     source = "Nordin and Gutman 2002, doi 10.1016/S0005-1098(02)00047-X"

@@ -82,6 +82,9 @@ class Effect(Instant, ABC):
     # Whether noise of positions, which is in the torque that it is held against too,
     # may be taken for it.
     echoes: ClassVar[bool] = False
+    # What its law leaves out: relative standard deviation of values fitted to motion of
+    # an exact plant, beyond what noise leaves open.
+    inexact: ClassVar[Mapping[str, float]] = {}
     equation: ClassVar[str]
     source: ClassVar[str]
     sentence: ClassVar[str]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -31,6 +31,8 @@ class Elasticity(Effect):
     port = Port.TRANSMISSION
     steep = True
     echoes = True
+    # Noise of positions is largest where it swings, which looks like damping.
+    inexact: ClassVar[Mapping[str, float]] = {"compliance": 0.05, "damping": 0.5}
     not_in_loop = "its link swings by the load that comes next"
     gains = (Quantity("compliance", "rad/(N·m)", 0.01, 0.0, 0.2, per=(-1, 0)),)
     shapes = (Quantity("damping", "N·m·s/rad", 0.02, 0.0, 1.0, per=(1, -1)),)

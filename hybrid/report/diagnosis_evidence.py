@@ -58,7 +58,7 @@ def evidence_matrix(search: Search) -> Matrix:
         found[t.place] = max(found.get(t.place, 0.0), search.loss(t))
     alone = {c.place: gain for c, gain in search.ranked(search.background)}
     beside = {c.place: gain for c, gain in search.ranked(search.base())} | found
-    scopes = {t.place: t.candidate.effect for t in (*search.tried, *search.terms)}
+    scopes = {t.place: t.candidate.effect for t in (*search.pool.tried, *search.terms)}
     cells: dict[str, dict[int, Cell]] = {}
     for place, effect in scopes.items():
         column, width = _columns(effect, len(joints))
