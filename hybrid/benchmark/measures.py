@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.benchmark.score import EQUIVALENT
+
 Row = Mapping[str, Any]
 
 _NORMAL = 1.96
@@ -104,6 +106,10 @@ def _shrinks(row: Row) -> bool:
     return row.get("shrinkage", {}).get("share") is not None
 
 
+def _unlike_any(row: Row) -> bool:
+    return not any(e["means"] in EQUIVALENT for e in row["truth"]["effects"])
+
+
 def _answers(row: Row) -> bool:
     return bool(row["named"])
 
@@ -134,10 +140,6 @@ MEASURES = (
     Measure("the same, ≥ 1×, strict", _large("single"), lambda r: r["strict"], 0.88),
     Measure("right cause first, 0.3×", _small, lambda r: r["in_class"], 0.75),
     Measure(
-        "the same, where the truth shrinks the gap on unseen motions, 0.3×",
-        lambda r: _small(r) and _shrinks(r), lambda r: r["in_class"],
-    ),
-    Measure(
         "joint localised, of those that name something, ≥ 1×",
         lambda r: _large("single")(r) and _answers(r), lambda r: r["localised"], 0.98,
     ),
@@ -152,6 +154,10 @@ MEASURES = (
         _large("withheld"), lambda r: r["declared"], 0.95,
     ),
     Measure("the same: abstains", _large("withheld"), _silent, 0.85),
+    Measure(
+        "the same, of effects to which none is declared equivalent",
+        lambda r: _large("withheld")(r) and _unlike_any(r), _silent,
+    ),
     Measure("no file describes it: abstains, ≥ 1×", _large("unknown"), _silent, 0.85),
     Measure(
         "its place, withheld or in no file",
