@@ -22,7 +22,8 @@ _COMPOSITE = {"threshold_friction", "improved_stribeck"}
 _SEARCHED = {"torque_ripple", "contact"}  # their shapes come from the residual
 _GRID = 7
 _COARSE = 4
-_GAINS, _FINE = 12, 45  # of an effect that is scanned over its gain
+_GAINS, _FINE = 14, 55  # of an effect that is scanned over its gain
+_LEAST_GAIN = 30.0  # its usual gain over the least that is tried
 # Laws that another becomes at a bound of its shapes.
 _SIMPLER = {
     "presliding": "coulomb",
@@ -140,7 +141,7 @@ def _grid(
         # Its shapes are fitted once it is on the shortlist.
         (gain,) = (g.scaled(scale) for g in cls.gains)
         axes = [np.array([s.typical]) for s in shapes]
-        axes += [np.geomspace(gain.typical / 10, gain.upper, gains)]
+        axes += [np.geomspace(gain.typical / _LEAST_GAIN, gain.upper, gains)]
         shapes.append(gain)
     for values in product(*axes):
         named = {s.name: float(x) for s, x in zip(shapes, values, strict=True)}

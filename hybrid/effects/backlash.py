@@ -39,7 +39,7 @@ class Backlash(Effect):
     port = Port.TRANSMISSION
     not_in_loop = "it needs the load that comes next, to know when the gap is crossed"
     steep = True
-    inexact: ClassVar[Mapping[str, float]] = {"half_width": 0.05}  # how soft stops are
+    inexact: ClassVar[Mapping[str, float]] = {"half_width": 0.1}  # how soft stops are
     gains = (Quantity("half_width", "rad", 0.001, 0.0, 0.01),)
     equation = "τ = rigid(θ + d); d = −b sgn(τ_load) at a stop, d̈ = −τ_load/M between"
     source = "Nordin and Gutman 2002, doi 10.1016/S0005-1098(02)00047-X"
