@@ -106,6 +106,16 @@ class TestGap:
         rest = np.sqrt(np.mean(bare.left[here, j] ** 2))
         assert np.sqrt(np.mean((seen - shown) ** 2)) < 0.1 * scale + 2 * rest
 
+    @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+    @pytest.mark.parametrize("duration", [5.0, 8.0])
+    def test_of_any_number_of_logs_some_part_is_kept_for_scoring(self, count, duration):
+        robot, recordings = logs([], count=count, duration=duration)
+        gap = measure_gap(robot, recordings)
+        learn = split(gap)
+        unseen = ~learn & between(gap, learn)
+        assert learn.mean() > 0.5
+        assert 0.05 < unseen.mean() < 0.35
+
     def test_what_surrounds_a_fault_is_left_out_as_far_as_the_filter_carries_it(self):
         robot, clean = logs([])
         tau = clean[0].tau.copy()
@@ -308,6 +318,10 @@ class TestCause:
         given = candidate(faultless().gap, arm_carries((0, 1)))
         assert given.likely(given.std) and given.likely(-6.0 * given.std)
         assert given.likely(10.0 * given.std) is (arm_carries is Payload)
+
+    def test_three_logs_are_as_good_as_four(self):
+        robot, recordings = logs([STRIBECK], count=3)
+        assert named(examine(robot, recordings)) == {("stribeck", robot.joints[1:2])}
 
     def test_a_play_is_found_between_the_widths_of_a_coarse_grid(self):
         """Its link lands at other times with each width: a peak 10 % wide."""

@@ -122,8 +122,12 @@ def split(gap: Gap) -> NDArray[np.bool_]:
     count = gap.trajectory.max() + 1
     if count >= 4:
         return np.asarray(gap.trajectory % 4 != 3)
-    # Not the same one of each: trajectories often end alike.
-    return np.asarray((gap.fold + gap.trajectory) % 4 != 3)
+    # Not the same one of each: trajectories often end alike. Nor none at all.
+    for turn in (1, 2, 0):
+        learn = (gap.fold + turn * gap.trajectory) % 4 != 3
+        if not learn.all():
+            break
+    return np.asarray(learn)
 
 
 def between(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -103,10 +103,10 @@ class Pool:
         Only at joints where there is a gap: their grid is too fine for all.
         """
         worth = {c.place: x for c, x in reversed(self.ranked(base))}
-        odd = {place[1] for place, x in worth.items() if x > _ODD}
+        odd = {joints[-1] for (_, joints), x in worth.items() if x > _ODD}
         for effect_id, joints in worth:
             cls = effect_classes()[effect_id]
-            if cls.steep and joints in odd:
+            if cls.steep and joints[-1] in odd:
                 fine = fine_candidates(self.gap, cls, joints)
                 self._take([max(fine, key=lambda c: gain(self.evidence, base, c))])
 
