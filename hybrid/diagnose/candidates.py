@@ -22,7 +22,7 @@ _COMPOSITE = {"threshold_friction", "improved_stribeck"}
 _SEARCHED = {"torque_ripple", "contact"}  # their shapes come from the residual
 _GRID = 7
 _COARSE = 4
-_GAINS, _FINE = 14, 55  # of an effect that is scanned over its gain
+_GAINS, _FINE = 14, 40  # of an effect that is scanned over its gain
 _LEAST_GAIN = 30.0  # its usual gain over the least that is tried
 # Laws that another becomes at a bound of its shapes.
 _SIMPLER = {
