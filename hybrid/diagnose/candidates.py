@@ -23,6 +23,7 @@ _SEARCHED = {"torque_ripple", "contact"}  # their shapes come from the residual
 _GRID = 7
 _COARSE = 4
 _GAINS, _FINE = 14, 40  # of an effect that is scanned over its gain
+_EFFORT = 8e5  # samples times gains; of long logs fewer are tried
 _LEAST_GAIN = 30.0  # its usual gain over the least that is tried
 # Laws that another becomes at a bound of its shapes.
 _SIMPLER = {
@@ -107,7 +108,9 @@ def fine_candidates(
 
     The link behind a play lands at other times with each width.
     """
-    return [candidate(gap, e) for e in _grid(cls, joints, gap, gains=_FINE)]
+    samples = sum(len(motion.t) for motion in gap.motions)
+    count = int(np.clip(_EFFORT / samples, _FINE / 2, _FINE))
+    return [candidate(gap, e) for e in _grid(cls, joints, gap, gains=count)]
 
 
 def _spread(gain: Quantity) -> float:
