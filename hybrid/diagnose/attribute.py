@@ -15,7 +15,7 @@ from hybrid.diagnose.candidates import Candidate, mere, simpler, with_gains
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.pool import REPEATED, Pool
-from hybrid.diagnose.refine import gain, modes, refine, shape_steps
+from hybrid.diagnose.refine import gain, refine, shape_steps
 from hybrid.diagnose.shapes import at_places, places, price
 from hybrid.diagnose.term import Term
 from hybrid.effects import Effect
@@ -250,23 +250,21 @@ class Search:
             self.loss(t) < own for t in self.terms if t is not term
         )
 
-    def modes(self, term: Term) -> list[tuple[Candidate, float]]:
-        """See :func:`.refine.modes`; from all shapes that were tried and its own.
-
-        None of a term without shapes, or with such as come from the residual.
-        """
-        effect = term.candidate.effect
-        if effect.steep or effect.id in REPEATED or not effect.shapes:
-            return []
-        starts = [term.candidate, *self.pool.at(term.place)]
-        return modes(self.evidence, self.base(term), starts)
-
     def _scan(self) -> None:
-        """Exchange the shapes of a term for others that fit better, however far."""
+        """Exchange the shapes of a term for others that fit better, however far.
+
+        All that were tried are refined. Laws of more than one shape often fit about as
+        well at places far apart.
+        """
         for k, term in enumerate(list(self.terms)):
-            found = self.modes(term)
-            if found and found[0][1] > self.loss(term) + _ALIKE:
-                self.terms[k] = self._term(found[0][0])
+            effect, base = term.candidate.effect, self.base(term)
+            if effect.steep or effect.id in REPEATED or not effect.shapes:
+                continue
+            starts = [term.candidate, *self.pool.at(term.place)]
+            refined = [self.refine(base, c) for c in starts]
+            best, worth = max(refined, key=lambda x: x[1])
+            if worth > self.loss(term) + _ALIKE:
+                self.terms[k] = self._term(best)
 
     def _polish(self) -> None:
         """Fit the shapes of all terms together, by Gauss-Newton steps.

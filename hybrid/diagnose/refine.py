@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 
 from hybrid.diagnose.candidates import Candidate, scale_of, with_gains
 from hybrid.diagnose.evidence import Evidence, Index
-from hybrid.diagnose.shapes import apart, fit_shapes, nudges, price
+from hybrid.diagnose.shapes import fit_shapes, nudges, price
 from hybrid.effects import Effect
 from hybrid.robot.chain import Array
 
@@ -83,29 +83,6 @@ def _scanned(
         options={"maxiter": _SCAN, "xatol": 0.02},
     )
     return at(found.x)
-
-
-def modes(
-    evidence: Evidence, base: Index, starts: Sequence[Candidate]
-) -> list[tuple[Candidate, float]]:
-    """The candidates that some starts lead to, most evidence first.
-
-    Laws of more than one shape often fit about as well at places far apart.
-
-    Args:
-        evidence: Cross-products of the gap.
-        base: Columns that are in already, shape (k,).
-        starts: One candidate from different shapes.
-
-    Returns:
-        Candidates of different shapes, with the evidence that each adds, [nat].
-    """
-    found: list[tuple[Candidate, float]] = []
-    refined = [refine(evidence, base, c) for c in starts]
-    for c, worth in sorted(refined, key=lambda x: -x[1]):
-        if all(apart(evidence.gap, c.effect, x.effect) for x, _ in found):
-            found.append((c, worth))
-    return found
 
 
 def take_nudges(evidence: Evidence, effect: Effect) -> Index:

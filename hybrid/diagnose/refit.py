@@ -50,7 +50,7 @@ def refit(gap: Gap, search: Search) -> tuple[Effect, ...]:
     ]
     shapes = [take_nudges(evidence, effect) for effect in effects]
     # How far the file's numbers are off was chosen by the same data.
-    evidence.spread(np.setdiff1d(index, np.concatenate([*own, index[:0]])), WIDEST)
+    evidence.spread(index[: len(search.background)], WIDEST)
     for i in own:
         # Values lean on their priors; what the data leave open the intervals show.
         evidence.spread(i, _OPEN)

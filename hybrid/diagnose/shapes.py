@@ -22,7 +22,6 @@ _WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
 _MOST_TRIALS = 40
 _ENDLESS = 1e4  # s
 _NUDGE = 0.05  # of the reach, for a derivative
-_APART = 0.05  # of a shape's range
 
 
 def price(effect: Effect) -> float:
@@ -158,14 +157,6 @@ def shape_units(gap: Gap, effect: Effect) -> list[float]:
         low, high = max(place - step, 0.0), min(place + step, 1.0)
         units.append((r.value(high) - r.value(low)) / (high - low))
     return units
-
-
-def apart(gap: Gap, effect: Effect, other: Effect) -> bool:
-    """Whether shapes of two effects of a kind are not the same but for rounding."""
-    forms = [s.name for s in effect.shapes if s.whole]
-    return any(effect.values[x] != other.values[x] for x in forms) or bool(
-        np.any(np.abs(places(gap, effect) - places(gap, other)) > _APART)
-    )
 
 
 def _ranges(gap: Gap, effect: Effect) -> list[_Range]:
