@@ -68,7 +68,10 @@ class Search:
         # In units of noise; without them it would hold them.
         self.pool.take_contacts(self.background)
         self.evidence.estimate_noise(np.arange(self.evidence.size))
+        # Where the file's numbers may be far off, these would seem to be the cause.
+        self.evidence.spread(self.background, _OFF[0])
         self.pool.take_steep(self.background)
+        self.evidence.spread(self.background, self.off)
 
     def having(self, chosen: Sequence[Candidate]) -> Search:
         """The same with other terms, of shapes as they are."""
