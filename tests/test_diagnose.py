@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from importlib import import_module
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -15,7 +16,7 @@ from hybrid.diagnose.candidates import candidate, mere
 from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.diagnosis import Shrink
-from hybrid.diagnose.explanation import between, split
+from hybrid.diagnose.explanation import Explanation, between, split
 from hybrid.diagnose.gap import measure_gap
 from hybrid.diagnose.refine import shape_steps
 from hybrid.diagnose.refit import refit
@@ -201,8 +202,29 @@ class TestGap:
         for k in range(len(scored.terms)):
             gains = scored.gains.copy()
             gains[np.isin(scored.index, scored.own[k])] *= 2.0
-            assert abs(scored.kept([k]) - 1.0) < 0.05
-            assert abs(replace(scored, gains=gains).kept([k])) < 0.05
+            assert abs(scored.kept([k])[0] - 1.0) < 0.05
+            assert abs(replace(scored, gains=gains).kept([k])[0]) < 0.05
+
+    def test_noise_moves_the_fall_that_is_kept_by_as_much_as_is_said(self):
+        rng, torque = np.random.default_rng(0), np.sin(np.arange(200.0))
+        found = []
+        for noise in rng.normal(scale=2.0, size=(500, 200)):
+            scored = SimpleNamespace(
+                left=lambda gains, x=noise: [torque + x],
+                without=lambda *terms: None,
+                after=[noise],
+                evidence=SimpleNamespace(noise=[4.0]),
+            )
+            found.append(Explanation.kept(scored, [0]))
+        parts, deviations = np.transpose(found)
+        assert abs(parts.mean() - 1.0) < 0.06
+        assert np.allclose(deviations, parts.std(), rtol=0.1)
+
+    def test_a_term_goes_only_where_noise_cannot_be_why_it_does_little(self):
+        assert DIAGNOSE._vanished(0.3, 0.1)
+        assert not DIAGNOSE._vanished(0.6, 0.1)
+        assert not DIAGNOSE._vanished(0.3, 0.4)
+        assert DIAGNOSE._vanished(-0.3, 0.4)
 
     def test_small_effects_are_found_where_much_is_logged(self):
         floor = faultless().diagnosis.noise_floor[1]

@@ -41,6 +41,7 @@ _BEYOND = 2.0  # times the squares of noise
 _FEWEST_BLOCKS = 6  # of a second, for an interval that tells
 _MUCH = 0.3  # of the gap's RMS, where a term was learnt
 _LEAST_KEPT = 0.5  # of the fall that a term's torque promises: as likely as nothing
+_SURE = 2.0  # standard deviations
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
@@ -190,10 +191,15 @@ def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
                 continue
             lost = shrink.removed <= _LEAST_REMOVED * kind
             doubtful = enough and shrink.interval[0] < -_DOUBT * shrink.removed
-            lost |= doubtful and scored.kept(members) < _LEAST_KEPT
+            lost |= doubtful and _vanished(*scored.kept(members))
             if lost or _negligible(scored, rest):
                 useless |= {*members}
     return [t for k, t in enumerate(scored.terms) if k not in useless]
+
+
+def _vanished(kept: float, deviation: float) -> bool:
+    """Whether a term does less than it promised, and no noise can be why."""
+    return kept < min(_LEAST_KEPT, 1.0 - _SURE * deviation)
 
 
 def _large(
@@ -241,7 +247,7 @@ def vetted(
     reached = found.after
     kinds: dict[Term, tuple[str, ...]] = {}
     while True:
-        checks = {t: check(search, t, found) for t in search.terms}
+        checks = {t: check(search, t, found, limits) for t in search.terms}
         failing = [t for t, x in checks.items() if not x.passes(limits)]
         kinds |= {
             t: alternatives(search, t, limits)

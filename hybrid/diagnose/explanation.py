@@ -81,17 +81,22 @@ class Explanation:
         """Terms that are of one effect."""
         return [k for k, t in enumerate(self.terms) if t.place[0] == effect_id]
 
-    def kept(self, members: Sequence[int]) -> float:
+    def kept(self, members: Sequence[int]) -> tuple[float, float]:
         """Fall of the squares by some terms, over the fall if their torque were right.
 
         It is one on the mean for what is there, and zero for what is not.
+
+        Returns:
+            That part, and its standard deviation by noise.
         """
         left = self.left(self.without(*members))
         fall = promised = 0.0
         for x, y, noise in zip(left, self.after, self.evidence.noise, strict=True):
             fall += float(x @ x - y @ y) / noise
             promised += float((x - y) @ (x - y)) / noise
-        return fall / promised if promised > 0 else 0.0
+        if promised <= 0:
+            return 0.0, 0.0
+        return fall / promised, 2.0 / promised**0.5
 
     def where_seen(self, members: Sequence[int]) -> Explanation:
         """This, or :attr:`learnt` if some terms hardly act on the scored samples.

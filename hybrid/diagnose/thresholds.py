@@ -29,7 +29,8 @@ class Thresholds:
         crowded: Most terms at one joint that still make a cause.
         undone: Least that remains of two like effects at one joint together, of the
             squares of each.
-        explained: Least part of the whole gap explained for the verdict ``explained``.
+        explained: Least part of the whole gap explained for the verdict ``explained``;
+            and of the gap at a joint, beside what is missed there, to name its causes.
     """
 
     version: str

@@ -21,7 +21,7 @@ from hybrid.robot.chain import Array
 _ECHO = 0.1  # of the evidence, least in the lower half of the band
 _SLACK = 0.02  # of the range of a gain
 _CALM = 0.25  # of the cut-off: the band in which events are looked for
-_RATHER = 3.0  # times what is missed there is explained by a cause
+_HALF = 0.5  # of what is there, explained by laws that hold roughly
 _MOST_CONTACTS = 3  # what happens more often is no contact
 _MOST_TOUCHED = 0.6  # of the time; what lasts longer is none
 
@@ -38,9 +38,9 @@ class Check:
         remains: Squares of its torque and of another's together, over those of each,
             for the term of its kind at its joint that undoes it most.
         physical: Whether its gains are what such an effect may have.
-        minor: Whether much is missed at its joints beside what the terms there explain,
-            all of whose laws are exact; or more than that on the whole arm, if it is on
-            signals, or a body: what joint passes on to joint may look like one.
+        minor: Whether the terms at its joints do not explain all that is there, or not
+            half of it if some law holds roughly; or not half of the whole arm's, if it
+            is on signals, or a body: what joint passes on to joint may look like one.
         echo: Whether its evidence is in the upper half of the band, where it may be of
             noise that its columns and the gap share.
         rough: Whether its law holds roughly, so that it may leave more.
@@ -158,13 +158,14 @@ def account(
     )
 
 
-def check(search: Search, term: Term, found: Account) -> Check:
+def check(search: Search, term: Term, found: Account, limits: Thresholds) -> Check:
     """What speaks against a term of a search.
 
     Args:
         search: The search.
         term: One of its terms.
         found: The account of its gap.
+        limits: How much of a gap is all of it.
     """
     evidence = search.evidence
     without = evidence.solve(search.base(term))
@@ -178,7 +179,8 @@ def check(search: Search, term: Term, found: Account) -> Check:
     crowd = sum(t.place[1] == joint for t in search.terms)
     missed = np.maximum(found.missed, found.refused)
     rough = any(t.candidate.effect.steep for t in search.terms)
-    minor = explained < (1.0 if rough else _RATHER) * missed[main].sum()
+    least = _HALF if rough else limits.explained
+    minor = explained < least * (explained + missed[main].sum())
     minor |= bool(_kind(term)) and explained < missed.sum()
     contacts = [t for t in search.terms if t.place[0] == Contact.id]
     return Check(
