@@ -226,6 +226,24 @@ class TestGap:
         assert not DIAGNOSE._vanished(0.3, 0.4)
         assert DIAGNOSE._vanished(-0.3, 0.4)
 
+    @pytest.mark.parametrize(
+        ("large", "small", "goes"),
+        [
+            (Backlash((1,)), Delay((1,)), True),
+            (Backlash((1,)), Delay((0,)), False),
+            (Backlash((1,)), Coulomb((1,)), False),
+            (Viscous((1,)), Delay((1,)), False),
+        ],
+    )
+    def test_a_delay_that_mends_a_play_goes(self, large, small, goes):
+        both = [SimpleNamespace(candidate=candidate(planar().gap, large)),
+                SimpleNamespace(candidate=candidate(planar().gap, small))]  # fmt: skip
+        for term, worth in zip(both, (490.0, 50.0), strict=True):
+            term.place, term.worth = term.candidate.place, worth
+        search = SimpleNamespace(terms=[*both], loss=lambda term: term.worth)
+        Search._remove(search)
+        assert search.terms == (both[:1] if goes else both)
+
     def test_small_effects_are_found_where_much_is_logged(self):
         floor = faultless().diagnosis.noise_floor[1]
         ripple = TorqueRipple((1,), {"sine": 0.45 * floor, "periods": 3.0})

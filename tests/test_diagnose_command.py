@@ -105,6 +105,23 @@ def test_noise_of_the_speed_is_no_lack_of_damping(damping):
         assert found == ([(0,)] if damping else [])
 
 
+def test_intervals_of_gains_hold_the_truth():
+    inside = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        truth = dict(zip(("stiffness", "damping"), rng.uniform(0.1, 0.4, 2) *
+                         rng.choice([-1, 1], 2), strict=True))  # fmt: skip
+        usual = Noise.typical(arm("planar"))
+        noise = replace(usual, speed_std=10.0 * usual.speed_std)
+        plant = Plant(arm("planar"), [ControllerGain((0,), truth)], noise=noise)
+        recordings = simulate(plant, trajectories=4, duration=5.0, seed=seed)
+        (found,) = link_of(declared(plant), recordings).findings
+        inside += [
+            x.interval[0] <= truth[x.name] <= x.interval[1] for x in found.parameters
+        ]
+    assert np.mean(inside) > 0.9
+
+
 def test_latency_and_gains_of_one_joint_are_told_apart():
     robot, recordings = logged(LATE, replace(SOFT, joints=(0,)))
     link = link_of(robot, recordings)

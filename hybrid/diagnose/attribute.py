@@ -31,6 +31,7 @@ _MOST_TERMS, _MOST_THERE = 40, 9  # in all, and at one joint
 _NEAR = 10.0
 _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _MENDING = 0.015  # of the evidence for the largest term at a joint
+_MENDING_ROUGH = 0.2  # if the law of that one holds roughly, and in time at that
 _FAR = 0.5  # of the gain that columns are made at
 _SAME = 0.01  # of it: no matter
 _ONE = 0.9  # of the evidence for two forms of one law, by one of them
@@ -207,8 +208,8 @@ class Search:
             losses = np.array([self.loss(t) for t in self.terms])
             # Beside a large one at the same joint, a small term mends an inexact law.
             least = [
-                _MENDING * max(x for o, x in zip(self.terms, losses, strict=True)
-                               if o.place[1][-1] == t.place[1][-1])
+                max(_mending(t, o) * x for o, x in zip(self.terms, losses, strict=True)
+                    if o.place[1][-1] == t.place[1][-1])
                 for t in self.terms
             ]  # fmt: skip
             margin = losses - np.maximum(least, _WORTH)
@@ -368,6 +369,17 @@ class Search:
                 self.terms.append(self._term(alone))
                 return True
         return False
+
+
+def _mending(small: Term, large: Term) -> float:
+    """Part of a term's evidence that another one needs, not to mend its law.
+
+    Play and springs are right but for when a link lands or swings: a delay makes up.
+    """
+    effect = small.candidate.effect
+    late = (effect.observes or effect.reports) and not effect.steep
+    rough = late and large.candidate.effect.steep
+    return _MENDING_ROUGH if rough else _MENDING
 
 
 def _linearised(effect: Effect) -> bool:

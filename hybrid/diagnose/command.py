@@ -247,7 +247,9 @@ def _fitted(gap: Gap, servo: _Servo) -> list[Effect]:
         if kind is CommandLatency:
             value, std = [found.latency], [found.latency_std]
         else:
-            value, std = (x.tolist() for x in _off(found, gap, servo.joint))
+            off, spread = _off(found, gap, servo.joint)
+            law = [kind.inexact.get(g.name, 0.0) for g in kind.gains]
+            value, std = off.tolist(), np.hypot(spread, law * (1.0 + off)).tolist()
         names = [g.name for g in kind.gains]
         effect = kind((servo.joint,), dict(zip(names, value, strict=True)))
         effects.append(effect.at({}, dict(zip(names, std, strict=True))))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 
 from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
@@ -17,6 +20,8 @@ class ControllerGain(Effect):
 
     id = "controller_gain"
     port = Port.COMMAND
+    # Parts of the whole gains; noise of the speed hides as much of the damping.
+    inexact: ClassVar[Mapping[str, float]] = {"damping": 0.03, "stiffness": 0.001}
     not_in_loop = "it lies between command and torque"
     gains = (
         Quantity("stiffness", "", -0.2, -0.9, 5.0),
