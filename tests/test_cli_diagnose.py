@@ -2,6 +2,7 @@
 
 import json
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import import_module
 from io import StringIO
 from pathlib import Path
@@ -118,6 +119,21 @@ def test_a_simulator_that_cannot_be_written_is_a_warning(
     assert out.splitlines()[-1].startswith("Report: ")
     assert err == "warning: no corrected simulator: hose cannot be simulated\n"
     assert set(tree(tmp_path / "out")) == {"report.html", "diagnosis.json"}
+
+
+def test_much_that_the_simulator_has_not_is_said_in_few_words(
+    diagnose, tmp_path, capsys, monkeypatch
+):
+    fixed = import_module("hybrid.diagnose.fixed")
+    notes = tuple(f"torque_ripple of joint_{k}" for k in range(9))
+    whole = fixed.write_fixed
+    monkeypatch.setattr(
+        fixed, "write_fixed", lambda *given: replace(whole(*given), notes=notes)
+    )
+    run(f"{diagnose} --out {tmp_path}/out")
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.endswith("joint_2, and 6 more, listed at its top")
+    assert "joint_3" not in last
 
 
 def test_it_says_how_the_result_came_about(diagnose, logs, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +25,8 @@ from hybrid.errors import EffectError, HybridWarning
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
     from hybrid.diagnose.result import Result
+
+_MOST_NOTES = 3
 
 HELP = """say what a simulator lacks: where, which effect, how far the gap shrinks
 reads logs of the real arm (time, position, torque; temperature where it is there) and
@@ -96,8 +99,14 @@ def run(args: Namespace, screen: Screen) -> None:
         screen.say(line)
     screen.say(f"Report: {args.out / PAGE}")
     if notes is not None and (result.effects or result.command):
-        lacks = f"; only in {MODEL}, or better: {', '.join(notes)}" if notes else ""
+        lacks = f"; only in {MODEL}, or better: {_few(notes)}" if notes else ""
         screen.say(f"Simulator with what was found: {args.out / SIMULATOR}{lacks}")
+
+
+def _few(notes: Sequence[str]) -> str:
+    shown = ", ".join(notes[:_MOST_NOTES])
+    more = len(notes) - _MOST_NOTES
+    return f"{shown}, and {more} more, listed at its top" if more > 0 else shown
 
 
 def _fix(result: Result, folder: Path) -> tuple[str, ...] | None:
