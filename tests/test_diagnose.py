@@ -227,22 +227,36 @@ class TestGap:
         assert DIAGNOSE._vanished(-0.3, 0.4)
 
     @pytest.mark.parametrize(
-        ("large", "small", "goes"),
+        ("large", "worth", "small", "goes"),
         [
-            (Backlash((1,)), Delay((1,)), True),
-            (Backlash((1,)), Delay((0,)), False),
-            (Backlash((1,)), Coulomb((1,)), False),
-            (Viscous((1,)), Delay((1,)), False),
+            (Backlash((1,)), 490.0, Delay((1,)), True),
+            (Backlash((1,)), 490.0, Delay((0,)), False),
+            (Backlash((1,)), 490.0, Coulomb((1,)), False),
+            (Viscous((1,)), 490.0, Delay((1,)), False),
+            (Viscous((0,)), 9e4, Contact((0, 1), PUSH), True),
+            (Viscous((0,)), 9e4, Delay((1,)), False),
         ],
     )
-    def test_a_delay_that_mends_a_play_goes(self, large, small, goes):
-        both = [SimpleNamespace(candidate=candidate(planar().gap, large)),
-                SimpleNamespace(candidate=candidate(planar().gap, small))]  # fmt: skip
-        for term, worth in zip(both, (490.0, 50.0), strict=True):
-            term.place, term.worth = term.candidate.place, worth
-        search = SimpleNamespace(terms=[*both], loss=lambda term: term.worth)
+    def test_what_mends_a_law_goes(self, large, worth, small, goes):
+        terms = []
+        for effect, nats in ((large, worth), (small, 50.0)):
+            place = candidate(planar().gap, effect)
+            terms.append(
+                SimpleNamespace(candidate=place, place=place.place, worth=nats)
+            )
+        search = SimpleNamespace(terms=[*terms], loss=lambda term: term.worth)
         Search._remove(search)
-        assert search.terms == (both[:1] if goes else both)
+        assert search.terms == (terms[:1] if goes else terms)
+
+    def test_a_contact_is_no_cause_of_what_is_there_without_it(self):
+        (robot, plain), (_, pushed) = logs([]), logs([Contact((0, 1), PUSH)])
+        once = [pushed[0], *plain[1:]]
+        assert named(examine(robot, once)) == {("contact", robot.joints)}
+        hum = np.sin(4 * np.pi * plain[3].t)[:, None] * [3.0, 3.0]
+        unseen = replace(plain[3], tau=plain[3].tau + hum)
+        result = examine(robot, [*once[:3], unseen])
+        assert named(result) == set()
+        assert result.diagnosis.verdict == "unexplained"
 
     def test_small_effects_are_found_where_much_is_logged(self):
         floor = faultless().diagnosis.noise_floor[1]

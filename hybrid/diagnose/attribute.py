@@ -100,6 +100,7 @@ class Search:
         self._scan()
         self._polish()
         self._settle()
+        self._remove()  # what mended shapes that were short of their best
         return self.terms
 
     def _any_mere(self, off: float) -> bool:
@@ -209,7 +210,7 @@ class Search:
             # Beside a large one at the same joint, a small term mends an inexact law.
             least = [
                 max(_mending(t, o) * x for o, x in zip(self.terms, losses, strict=True)
-                    if o.place[1][-1] == t.place[1][-1])
+                    if o.place[1][-1] == t.place[1][-1] or t.place[0] == Contact.id)
                 for t in self.terms
             ]  # fmt: skip
             margin = losses - np.maximum(least, _WORTH)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -40,8 +40,11 @@ _DOUBT = 0.05  # of what a term removes: most that its interval says it may add
 _BEYOND = 2.0  # times the squares of noise
 _FEWEST_BLOCKS = 6  # of a second, for an interval that tells
 _MUCH = 0.3  # of the gap's RMS, where a term was learnt
-_LEAST_KEPT = 0.5  # of the fall that a term's torque promises: as likely as nothing
+_LEAST_KEPT = 0.5  # of the fall that a term's torque promises: it is 3/4 of its size
+_LEAST_ROUGH = 0.0  # the same of a law that holds roughly: as likely as nothing
 _SURE = 2.0  # standard deviations
+_MAIN = 0.2  # of a term's squares at its main joint
+_HALF = 0.5  # of the gap on unseen motions, with a term that does not act there
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
@@ -124,7 +127,7 @@ def examine(
         effects = refit(gap, search)
         own = [kinds[t] for t in search.terms]
         causes = findings(scored, effects, own, shares(search, rng), rng)
-        useful = _useful(scored, rng)
+        useful = _useful(scored, found, rng)
         if len(useful) == len(search.terms):
             break
         useless |= not _negligible(scored, useful)
@@ -166,11 +169,14 @@ def since_first(
     return [replace(x, t=x.t - start) for x in recordings]
 
 
-def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
+def _useful(
+    scored: Explanation, found: Account, rng: np.random.Generator
+) -> list[Term]:
     """Terms whose effect, and whose joint, leaves less of the gap on unseen motions.
 
     Two effects of one joint may each seem to help, and only undo one another. Of what
     is large where it was learnt, few unseen seconds prove nothing unless they are sure.
+    What happened only once is no cause where the gap is there without it.
     """
     useless: set[int] = set()
     joints = range(scored.gap.robot.size)
@@ -183,6 +189,8 @@ def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
         for members in groups.values():
             rest = [t for k, t in enumerate(scored.terms) if k not in members]
             if scored.where_seen(members) is not scored:
+                if _left_unseen(found, scored, _where(scored, members)) > _HALF:
+                    useless |= {*members}
                 continue
             shrink = torque_shrink(scored, members, rng)
             if not enough and _large(scored.learnt, members, rng):
@@ -191,15 +199,25 @@ def _useful(scored: Explanation, rng: np.random.Generator) -> list[Term]:
                 continue
             lost = shrink.removed <= _LEAST_REMOVED * kind
             doubtful = enough and shrink.interval[0] < -_DOUBT * shrink.removed
-            lost |= doubtful and _vanished(*scored.kept(members))
+            rough = any(scored.terms[k].candidate.effect.steep for k in members)
+            least = _LEAST_ROUGH if rough else _LEAST_KEPT
+            lost |= doubtful and _vanished(*scored.kept(members), least)
             if lost or _negligible(scored, rest):
                 useless |= {*members}
     return [t for k, t in enumerate(scored.terms) if k not in useless]
 
 
-def _vanished(kept: float, deviation: float) -> bool:
+def _vanished(kept: float, deviation: float, least: float = _LEAST_KEPT) -> bool:
     """Whether a term does less than it promised, and no noise can be why."""
-    return kept < min(_LEAST_KEPT, 1.0 - _SURE * deviation)
+    return kept < min(least, 1.0 - _SURE * deviation)
+
+
+def _where(scored: Explanation, members: Sequence[int]) -> list[int]:
+    """Joints at which some terms act most, in units of noise, where they were seen."""
+    seen, squares = scored.where_seen(members), np.zeros(scored.gap.robot.size)
+    for k in members:
+        squares += [float(x @ x) for x in seen.contribution(k)] / seen.evidence.noise
+    return [i for i, x in enumerate(squares) if x > _MAIN * squares.max()]
 
 
 def _large(
@@ -271,14 +289,22 @@ def vetted(
         found = without
 
 
-def _left_unseen(found: Account, scored: Explanation) -> float:
+def _left_unseen(
+    found: Account, scored: Explanation, joints: Iterable[int] | None = None
+) -> float:
     """Part of the gap on unseen motions that is left, where that is not noise.
 
     What is explained where it was learnt may not be explained elsewhere.
+
+    Args:
+        found: The account of the gap where it was learnt.
+        scored: What explains it.
+        joints: Those that count; all by default.
     """
     noise, seen = scored.evidence.noise, scored.learnt
     left = whole = 0.0
-    for i, after in enumerate(scored.after):
+    for i in range(len(noise)) if joints is None else joints:
+        after = scored.after[i]
         learnt = 0 if seen is None else len(seen.evidence.rows[i])
         if not len(after) or not learnt:
             continue

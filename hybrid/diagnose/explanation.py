@@ -84,7 +84,8 @@ class Explanation:
     def kept(self, members: Sequence[int]) -> tuple[float, float]:
         """Fall of the squares by some terms, over the fall if their torque were right.
 
-        It is one on the mean for what is there, and zero for what is not.
+        It is one on the mean for what is there, zero for what is half as large, and −1
+        for what is not.
 
         Returns:
             That part, and its standard deviation by noise.

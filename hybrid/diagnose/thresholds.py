@@ -23,14 +23,14 @@ class Thresholds:
         evident: Least squares that it must recover at a joint, in units of noise.
         negligible: RMS that is not worth a cause, over that of the measured torque.
         complete: Least part of what is explainable at a joint that its terms explain.
-        roughly: The same where they are of laws that hold roughly: of play and springs.
+        roughly: The same where they are of laws that hold roughly: of play and springs;
+            and of exact laws, beside all that is missed there, explainable or not.
         steady: Most that gains of their own on each fold may take from the gap, over
             what the term takes.
         crowded: Most terms at one joint that still make a cause.
         undone: Least that remains of two like effects at one joint together, of the
             squares of each.
-        explained: Least part of the whole gap explained for the verdict ``explained``;
-            and of the gap at a joint, beside what is missed there, to name its causes.
+        explained: Least part of the whole gap explained for the verdict ``explained``.
     """
 
     version: str

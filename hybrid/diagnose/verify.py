@@ -38,7 +38,7 @@ class Check:
         remains: Squares of its torque and of another's together, over those of each,
             for the term of its kind at its joint that undoes it most.
         physical: Whether its gains are what such an effect may have.
-        minor: Whether the terms at its joints do not explain all that is there, or not
+        minor: Whether the terms at its joints do not explain what is there, or not
             half of it if some law holds roughly; or not half of the whole arm's, if it
             is on signals, or a body: what joint passes on to joint may look like one.
         echo: Whether its evidence is in the upper half of the band, where it may be of
@@ -165,7 +165,7 @@ def check(search: Search, term: Term, found: Account, limits: Thresholds) -> Che
         search: The search.
         term: One of its terms.
         found: The account of its gap.
-        limits: How much of a gap is all of it.
+        limits: How much of a gap is enough.
     """
     evidence = search.evidence
     without = evidence.solve(search.base(term))
@@ -179,7 +179,7 @@ def check(search: Search, term: Term, found: Account, limits: Thresholds) -> Che
     crowd = sum(t.place[1] == joint for t in search.terms)
     missed = np.maximum(found.missed, found.refused)
     rough = any(t.candidate.effect.steep for t in search.terms)
-    least = _HALF if rough else limits.explained
+    least = _HALF if rough else limits.roughly
     minor = explained < least * (explained + missed[main].sum())
     minor |= bool(_kind(term)) and explained < missed.sum()
     contacts = [t for t in search.terms if t.place[0] == Contact.id]
