@@ -38,8 +38,8 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import butterworth
 
-ATTRIBUTE, DIAGNOSE, VERIFY = (
-    import_module(f"hybrid.diagnose.{x}") for x in ("attribute", "diagnose", "verify")
+ATTRIBUTE, UNSEEN, VERIFY = (
+    import_module(f"hybrid.diagnose.{x}") for x in ("attribute", "unseen", "verify")
 )
 PUSH = {"force_x": 8.0, "force_y": -5.0, "start": 2.0, "duration": 0.8}
 
@@ -221,10 +221,10 @@ class TestGap:
         assert np.allclose(deviations, parts.std(), rtol=0.1)
 
     def test_a_term_goes_only_where_noise_cannot_be_why_it_does_little(self):
-        assert DIAGNOSE._vanished(0.3, 0.1)
-        assert not DIAGNOSE._vanished(0.6, 0.1)
-        assert not DIAGNOSE._vanished(0.3, 0.4)
-        assert DIAGNOSE._vanished(-0.3, 0.4)
+        assert UNSEEN._vanished(0.3, 0.1)
+        assert not UNSEEN._vanished(0.6, 0.1)
+        assert not UNSEEN._vanished(0.3, 0.4)
+        assert UNSEEN._vanished(-0.3, 0.4)
 
     @pytest.mark.parametrize(
         ("large", "worth", "small", "goes"),
@@ -446,15 +446,17 @@ class TestCause:
         self, monkeypatch, learnt, high, kept
     ):
         robot, recordings = logs([STRIBECK], count=1, duration=10.0)
-        scored = examine(robot, recordings).scored
+        result = examine(robot, recordings)
+        scored = result.scored
 
         def shrink(of, members, rng):
             if of is scored:
                 return Shrink(1.0, 1.05, -0.05, (-0.4, high), None)
             return Shrink(1.0, 1.0 - learnt, learnt, (learnt, learnt), None)
 
-        monkeypatch.setattr(DIAGNOSE, "torque_shrink", shrink)
-        useful = DIAGNOSE._useful(scored, np.random.default_rng(0))
+        monkeypatch.setattr(UNSEEN, "torque_shrink", shrink)
+        rng = np.random.default_rng(0)
+        useful = UNSEEN.useful_terms(scored, result.account, rng)
         assert useful == (list(scored.terms) if kept else [])
 
 

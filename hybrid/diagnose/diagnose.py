@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -14,7 +14,7 @@ from hybrid.diagnose.command import Link, command_link
 from hybrid.diagnose.convention import find_convention
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, shares, split
-from hybrid.diagnose.findings import alternatives, findings, torque_shrink
+from hybrid.diagnose.findings import alternatives, findings
 from hybrid.diagnose.gap import Gap, measure_gap
 from hybrid.diagnose.grounds import another_arm, too_little, unlike
 from hybrid.diagnose.links import joined
@@ -24,6 +24,7 @@ from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.result import Result
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds, thresholds
+from hybrid.diagnose.unseen import left_unseen, negligible, useful_terms
 from hybrid.diagnose.verify import Account, account, check
 from hybrid.diagnose.visited import not_excited
 from hybrid.recording import Recording
@@ -33,18 +34,6 @@ from hybrid.signals import Motion
 
 Progress = Callable[[str], None]
 
-_SMALLEST = 0.001  # of the measured torque, RMS
-_LEAST_GAP = 0.002  # the same: two solvers differ by as much
-_LEAST_REMOVED = 0.01  # of a joint's gap by all its terms, on unseen motions
-_DOUBT = 0.05  # of what a term removes: most that its interval says it may add
-_BEYOND = 2.0  # times the squares of noise
-_FEWEST_BLOCKS = 6  # of a second, for an interval that tells
-_MUCH = 0.3  # of the gap's RMS, where a term was learnt
-_LEAST_KEPT = 0.5  # of the fall that a term's torque promises: it is 3/4 of its size
-_LEAST_ROUGH = 0.0  # the same of a law that holds roughly: as likely as nothing
-_SURE = 2.0  # standard deviations
-_MAIN = 0.2  # of a term's squares at its main joint
-_HALF = 0.5  # of the gap on unseen motions, with a term that does not act there
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
@@ -127,15 +116,15 @@ def examine(
         effects = refit(gap, search)
         own = [kinds[t] for t in search.terms]
         causes = findings(scored, effects, own, shares(search, rng), rng)
-        useful = _useful(scored, found, rng)
+        useful = useful_terms(scored, found, rng)
         if len(useful) == len(search.terms):
             break
-        useless |= not _negligible(scored, useful)
+        useless |= not negligible(scored, useful)
         search.terms = useful
         found = account(gap, search, limits, reached)
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
-    verdict, unexplained = _verdict(found, causes, limits, _left_unseen(found, scored))
+    verdict, unexplained = _verdict(found, causes, limits, left_unseen(found, scored))
     if useless and verdict == "no_gap":
         verdict, unexplained = "unexplained", 1.0  # there is something, unlike all laws
     if too_little(gap):
@@ -167,81 +156,6 @@ def since_first(
     """
     start = min((float(x.t[0]) for x in recordings), default=0.0)
     return [replace(x, t=x.t - start) for x in recordings]
-
-
-def _useful(
-    scored: Explanation, found: Account, rng: np.random.Generator
-) -> list[Term]:
-    """Terms whose effect, and whose joint, leaves less of the gap on unseen motions.
-
-    Two effects of one joint may each seem to help, and only undo one another. Of what
-    is large where it was learnt, few unseen seconds prove nothing unless they are sure.
-    What happened only once is no cause where the gap is there without it.
-    """
-    useless: set[int] = set()
-    joints = range(scored.gap.robot.size)
-    blocks = np.unique(np.concatenate([scored.blocks(i) for i in joints]))
-    enough = len(blocks) >= _FEWEST_BLOCKS
-    for kind in range(2):  # effect, joints
-        groups: dict[object, list[int]] = {}
-        for k, term in enumerate(scored.terms):
-            groups.setdefault(term.place[kind], []).append(k)
-        for members in groups.values():
-            rest = [t for k, t in enumerate(scored.terms) if k not in members]
-            if scored.where_seen(members) is not scored:
-                if _left_unseen(found, scored, _where(scored, members)) > _HALF:
-                    useless |= {*members}
-                continue
-            shrink = torque_shrink(scored, members, rng)
-            if not enough and _large(scored.learnt, members, rng):
-                if shrink.interval[1] <= 0:
-                    useless |= {*members}
-                continue
-            lost = shrink.removed <= _LEAST_REMOVED * kind
-            doubtful = enough and shrink.interval[0] < -_DOUBT * shrink.removed
-            rough = any(scored.terms[k].candidate.effect.steep for k in members)
-            least = _LEAST_ROUGH if rough else _LEAST_KEPT
-            lost |= doubtful and _vanished(*scored.kept(members), least)
-            if lost or _negligible(scored, rest):
-                useless |= {*members}
-    return [t for k, t in enumerate(scored.terms) if k not in useless]
-
-
-def _vanished(kept: float, deviation: float, least: float = _LEAST_KEPT) -> bool:
-    """Whether a term does less than it promised, and no noise can be why."""
-    return kept < min(least, 1.0 - _SURE * deviation)
-
-
-def _where(scored: Explanation, members: Sequence[int]) -> list[int]:
-    """Joints at which some terms act most, in units of noise, where they were seen."""
-    seen, squares = scored.where_seen(members), np.zeros(scored.gap.robot.size)
-    for k in members:
-        squares += [float(x @ x) for x in seen.contribution(k)] / seen.evidence.noise
-    return [i for i, x in enumerate(squares) if x > _MAIN * squares.max()]
-
-
-def _large(
-    learnt: Explanation | None, members: Sequence[int], rng: np.random.Generator
-) -> bool:
-    """Whether some terms remove much of the gap where they were learnt."""
-    return learnt is not None and torque_shrink(learnt, members, rng).removed > _MUCH
-
-
-def _negligible(scored: Explanation, kept: list[Term]) -> bool:
-    """Whether all terms that go are too small to matter beside the torque itself.
-
-    Or the gap is, in which a term and a declared number may undo one another.
-    """
-    gap, left = scored.gap, [k for k, t in enumerate(scored.terms) if t not in kept]
-    before = scored.left(scored.without(*left))
-    for i, rows in enumerate(scored.evidence.rows):
-        tau = gap.measured[rows, i]
-        fall = before[i] @ before[i] - scored.after[i] @ scored.after[i]
-        size = float(np.linalg.norm(tau))
-        whole = float(scored.evidence.power[i].sum())
-        if fall > (_SMALLEST * size) ** 2 and whole > (_LEAST_GAP * size) ** 2:
-            return False
-    return True
 
 
 def _unsure(finding: Finding) -> bool:
@@ -287,32 +201,6 @@ def vetted(
             reached = reached + without.after - found.after
             without = account(gap, search, limits, reached)
         found = without
-
-
-def _left_unseen(
-    found: Account, scored: Explanation, joints: Iterable[int] | None = None
-) -> float:
-    """Part of the gap on unseen motions that is left, where that is not noise.
-
-    What is explained where it was learnt may not be explained elsewhere.
-
-    Args:
-        found: The account of the gap where it was learnt.
-        scored: What explains it.
-        joints: Those that count; all by default.
-    """
-    noise, seen = scored.evidence.noise, scored.learnt
-    left = whole = 0.0
-    for i in range(len(noise)) if joints is None else joints:
-        after = scored.after[i]
-        learnt = 0 if seen is None else len(seen.evidence.rows[i])
-        if not len(after) or not learnt:
-            continue
-        usual = len(after) / learnt * found.noise[i]
-        squares, before = after @ after / noise[i], scored.before[i] @ scored.before[i]
-        left += squares - usual if squares > _BEYOND * usual else 0.0
-        whole += max(before / noise[i] - usual, squares - usual, 0.0)
-    return float(left / whole) if whole > 0 else 0.0
 
 
 def _verdict(
