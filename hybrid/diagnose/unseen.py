@@ -22,7 +22,8 @@ _LEAST_KEPT = 0.5  # of the fall that a term's torque promises: it is 3/4 of its
 _LEAST_ROUGH = 0.0  # the same of a law that holds roughly: as likely as nothing
 _SURE = 2.0  # standard deviations
 _MAIN = 0.2  # of a term's squares at its main joint
-_HALF = 0.5  # of the gap on unseen motions, with a term that does not act there
+_MOST_LEFT = 0.8  # of the gap on unseen motions, where a term acts
+_MOST_LEFT_ONCE = 0.5  # the same if it does not act in these motions
 
 
 def useful_terms(
@@ -32,7 +33,8 @@ def useful_terms(
 
     Two effects of one joint may each seem to help, and only undo one another. Of what
     is large where it was learnt, few unseen seconds prove nothing unless they are sure.
-    What happened only once is no cause where the gap is there without it.
+    Nor is a cause what leaves nearly all of the gap on such motions where it acts, or
+    what happened only once and the gap is there without it.
     """
     useless: set[int] = set()
     joints = range(scored.gap.robot.size)
@@ -44,9 +46,11 @@ def useful_terms(
             groups.setdefault(term.place[kind], []).append(k)
         for members in groups.values():
             rest = [t for k, t in enumerate(scored.terms) if k not in members]
-            if scored.where_seen(members) is not scored:
-                if left_unseen(found, scored, _where(scored, members)) > _HALF:
-                    useless |= {*members}
+            once = scored.where_seen(members) is not scored
+            left = left_unseen(found, scored, _where(scored, members))
+            if left > (_MOST_LEFT_ONCE if once else _MOST_LEFT):
+                useless |= {*members}
+            if once:
                 continue
             shrink = torque_shrink(scored, members, rng)
             if not enough and _large(scored.learnt, members, rng):
