@@ -438,6 +438,17 @@ class TestCause:
         assert search._exchange()
         assert {t.place for t in search.terms} == {("counterbalance", (0,))}
 
+    def test_a_law_is_exchanged_for_the_fuller_one_if_that_fits_better(self):
+        spring = Spring((0,), {"stiffness": 10.0, "preload": 2.0})
+        cylinder = {"spring": 10.0, "preload": 20.0, "dead_centre": 0.4}
+        balance = Counterbalance((0,), {**cylinder, "crank_ratio": 0.5})
+        for truth, name in ((balance, "counterbalance"), (spring, "spring")):
+            robot, recordings = logs([truth])
+            search = Search(measure_gap(robot, recordings))
+            search.terms = search.having([candidate(search.gap, spring)]).terms
+            assert search.reform() == (name != "spring")
+            assert [t.place for t in search.terms] == [(name, (0,))]
+
     @pytest.mark.parametrize(
         ("learnt", "high", "kept"),
         [(0.8, 0.3, True), (0.1, 0.3, False), (0.8, 0, False)],

@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import Candidate, mere, simpler, with_gains
+from hybrid.diagnose.candidates import (
+    Candidate,
+    fuller,
+    mere,
+    simpler,
+    with_gains,
+)
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.pool import REPEATED, Pool
@@ -270,6 +276,23 @@ class Search:
             best, worth = max(refined, key=lambda x: x[1])
             if worth > self.loss(term) + _ALIKE:
                 self.terms[k] = self._term(best)
+
+    def reform(self) -> bool:
+        """Exchange laws for fuller ones that fit better; whether any was.
+
+        What a law left may have been another's, that is gone.
+        """
+        before = list(self.terms)
+        for k, term in enumerate(before):
+            place = fuller(term.candidate.effect), term.place[1]
+            if any(t.place == place for t in before):
+                continue
+            base = self.base(term)
+            refined = [self.refine(base, c) for c in self.pool.at(place)]
+            best, worth = max(refined, key=lambda x: x[1], default=(None, -np.inf))
+            if best is not None and worth > self.loss(term) + _ALIKE:
+                self.terms[k] = self._term(best)
+        return self.terms != before
 
     def _polish(self) -> None:
         """Fit the shapes of all terms together, by Gauss-Newton steps.

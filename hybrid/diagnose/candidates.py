@@ -212,6 +212,11 @@ def simpler(effect: Effect) -> tuple[str, float]:
     return _SIMPLER.get(effect.id, ""), 0.0
 
 
+def fuller(effect: Effect) -> str:
+    """Id of the law that becomes an effect's at a bound of its shapes, or nothing."""
+    return next((f for f, s in _SIMPLER.items() if s == effect.id), "")
+
+
 def same(a: Columns, b: Columns) -> bool:
     """Whether columns are the same at the same joints."""
     return (

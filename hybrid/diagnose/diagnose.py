@@ -178,6 +178,7 @@ def vetted(
     found = account(gap, search, limits)
     reached = found.after
     kinds: dict[Term, tuple[str, ...]] = {}
+    fewer = False
     while True:
         checks = {t: check(search, t, found, limits) for t in search.terms}
         failing = [t for t, x in checks.items() if not x.passes(limits)]
@@ -186,7 +187,11 @@ def vetted(
             for t in checks if t not in failing and t not in kinds
         }  # fmt: skip
         if not failing:
-            return found, kinds, reached
+            if not (fewer and search.reform()):
+                return found, kinds, reached
+            fewer, found = False, account(gap, search, limits, reached)
+            continue
+        fewer = True
         # One after the other: what is left fits anew, and may well pass then.
         out = min(failing, key=search.loss)
         recur = checks[out].recurs
