@@ -23,11 +23,13 @@ from hybrid.report import write_results
 
 REPORT = ROOT / "reports" / "compensation_in_the_loop"
 KEPT = REPORT / "diagnosed.json"
-# Effects that the three stages fit by themselves, or have a law in place of.
+# Effects that the three stages fit by themselves, or have a law in place of. A gain of
+# the torque that all numbers of a link share is in those numbers.
 IN_STAGES = (
     "armature", "torque_offset", "coulomb", "viscous", "threshold_friction",
     "load_friction", "torque_ripple", "stribeck", "nonlinear_viscous",
     "asymmetric_friction", "improved_stribeck", "presliding", "link_inertia",
+    "torque_gain",
 )  # fmt: skip
 
 
