@@ -24,6 +24,7 @@ _SURE = 2.0  # standard deviations
 _MAIN = 0.2  # of a term's squares at its main joint
 _MOST_LEFT = 0.8  # of the gap on unseen motions, where a term acts
 _MOST_LEFT_ONCE = 0.5  # the same if it does not act in these motions
+_AS_LARGE = 0.1  # mean squares left there over those of what a term does
 
 
 def useful_terms(
@@ -37,8 +38,8 @@ def useful_terms(
     what happened only once and the gap is there without it.
     """
     useless: set[int] = set()
-    joints = range(scored.gap.robot.size)
-    blocks = np.unique(np.concatenate([scored.blocks(i) for i in joints]))
+    size = scored.gap.robot.size
+    blocks = np.unique(np.concatenate([scored.blocks(i) for i in range(size)]))
     enough = len(blocks) >= _FEWEST_BLOCKS
     for kind in range(2):  # effect, joints
         groups: dict[object, list[int]] = {}
@@ -46,12 +47,14 @@ def useful_terms(
             groups.setdefault(term.place[kind], []).append(k)
         for members in groups.values():
             rest = [t for k, t in enumerate(scored.terms) if k not in members]
-            once = scored.where_seen(members) is not scored
-            left = left_unseen(found, scored, _where(scored, members))
-            if left > (_MOST_LEFT_ONCE if once else _MOST_LEFT):
-                useless |= {*members}
-            if once:
+            joints, seen = _where(scored, members), scored.where_seen(members)
+            left = left_unseen(found, scored, joints)
+            if seen is not scored:
+                if left > _MOST_LEFT_ONCE and _as_large(scored, seen, members, joints):
+                    useless |= {*members}
                 continue
+            if left > _MOST_LEFT:
+                useless |= {*members}
             shrink = torque_shrink(scored, members, rng)
             if not enough and _large(scored.learnt, members, rng):
                 if shrink.interval[1] <= 0:
@@ -78,6 +81,16 @@ def _where(scored: Explanation, members: Sequence[int]) -> list[int]:
     for k in members:
         squares += [float(x @ x) for x in seen.contribution(k)] / seen.evidence.noise
     return [i for i, x in enumerate(squares) if x > _MAIN * squares.max()]
+
+
+def _as_large(
+    scored: Explanation, seen: Explanation, members: Sequence[int], joints: list[int]
+) -> bool:
+    """Whether about as much is left on unseen motions as some terms do where seen."""
+    torque = [np.sum([seen.contribution(k)[i] for k in members], 0) for i in joints]
+    left = [scored.after[i] for i in joints]
+    sizes = [sum(np.mean(x**2) for x in parts if len(x)) for parts in (left, torque)]
+    return bool(sizes[0] > _AS_LARGE * sizes[1])
 
 
 def _large(
