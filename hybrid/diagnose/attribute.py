@@ -11,13 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import (
-    Candidate,
-    fuller,
-    mere,
-    simpler,
-    with_gains,
-)
+from hybrid.diagnose.candidates import Candidate, fuller, mere, simpler, with_gains
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.pool import REPEATED, Pool
@@ -268,14 +262,9 @@ class Search:
         well at places far apart.
         """
         for k, term in enumerate(list(self.terms)):
-            effect, base = term.candidate.effect, self.base(term)
-            if effect.steep or effect.id in REPEATED or not effect.shapes:
-                continue
-            starts = [term.candidate, *self.pool.at(term.place)]
-            refined = [self.refine(base, c) for c in starts]
-            best, worth = max(refined, key=lambda x: x[1])
-            if worth > self.loss(term) + _ALIKE:
-                self.terms[k] = self._term(best)
+            effect = term.candidate.effect
+            if not effect.steep and effect.id not in REPEATED and effect.shapes:
+                self._exchange_for(k, [term.candidate, *self.pool.at(term.place)])
 
     def reform(self) -> bool:
         """Exchange laws for fuller ones that fit better; whether any was.
@@ -285,14 +274,17 @@ class Search:
         before = list(self.terms)
         for k, term in enumerate(before):
             place = fuller(term.candidate.effect), term.place[1]
-            if any(t.place == place for t in before):
-                continue
-            base = self.base(term)
-            refined = [self.refine(base, c) for c in self.pool.at(place)]
-            best, worth = max(refined, key=lambda x: x[1], default=(None, -np.inf))
-            if best is not None and worth > self.loss(term) + _ALIKE:
-                self.terms[k] = self._term(best)
+            if all(t.place != place for t in before):
+                self._exchange_for(k, self.pool.at(place))
         return self.terms != before
+
+    def _exchange_for(self, k: int, starts: Sequence[Candidate]) -> None:
+        """Exchange a term for the best of some candidates, refined, if it is better."""
+        base = self.base(self.terms[k])
+        refined = [self.refine(base, c) for c in starts]
+        best = max(refined, key=lambda x: x[1], default=None)
+        if best is not None and best[1] > self.loss(self.terms[k]) + _ALIKE:
+            self.terms[k] = self._term(best[0])
 
     def _polish(self) -> None:
         """Fit the shapes of all terms together, by Gauss-Newton steps.

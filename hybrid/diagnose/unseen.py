@@ -36,6 +36,11 @@ def useful_terms(
     is large where it was learnt, few unseen seconds prove nothing unless they are sure.
     Nor is a cause what leaves nearly all of the gap on such motions where it acts, or
     what happened only once and the gap is there without it.
+
+    Args:
+        scored: The terms on motions that no step has seen.
+        found: The account of the gap where they were learnt, squares in noise units.
+        rng: Draws of the bootstrap.
     """
     useless: set[int] = set()
     size = scored.gap.robot.size
