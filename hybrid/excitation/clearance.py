@@ -58,10 +58,14 @@ class Clearance:
             RobotError: There is no geometry.
 
         Warns:
-            HybridWarning: Pairs are left out, as their capsules often touch.
+            HybridWarning: A moving link has no geometry, or pairs are left out, as
+                their capsules often touch.
         """
         capsules = capsules_from_robot(robot)
-        links = np.arange(-1, robot.size)
+        links = np.unique(capsules.link)
+        if bare := [x for k, x in enumerate(robot.joints) if k not in links]:
+            text = f"not kept apart, without collision geometry: {', '.join(bare)}"
+            warnings.warn(text, HybridWarning, stacklevel=2)
         pairs = [(i, j) for i in links for j in links if j > i + 1]
         every = cls(robot, capsules, np.array(pairs).reshape(-1, 2), margin)
         q = np.random.default_rng(0).uniform(
