@@ -62,6 +62,7 @@ class Search:
         self.background = np.concatenate(self.evidence.add(*background(gap)))
         self.pool = Pool(self.evidence, without)
         self.terms: list[Term] = []
+        self._gone: set[tuple[str, tuple[int, ...]]] = set()  # came, and did not stay
         self.off = WIDEST
         self.evidence.spread(self.background, self.off)
         self.pool.take_ripples(self.background, _RIPPLES)
@@ -121,15 +122,17 @@ class Search:
 
     def _grow(self) -> None:
         """Add, improve, exchange and remove terms until nothing is gained."""
-        self.terms = []
+        self.terms, self._gone = [], set()
         for _ in range(_MOST_TERMS):
             before = list(self.terms)
             there = Counter(t.place[1][-1] for t in before)
             if max(there.values(), default=0) > _MOST_THERE or not self._add():
                 break
+            came = self.terms[-1]
             self._remove()
             if self.terms == before:  # what comes is what goes
-                break
+                self._gone.add(came.place)
+        self._gone = set()
         for _ in range(2):
             if not self._exchange():
                 break
@@ -192,7 +195,8 @@ class Search:
     def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
         """See :meth:`.Pool.ranked`."""
         taken = {t.place for t in self.terms if t.index[0] in base}
-        return self.pool.ranked(base, taken)
+        ranked = self.pool.ranked(base, taken)
+        return [x for x in ranked if x[0].place not in self._gone]
 
     def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
         """See :func:`.refine.refine`."""

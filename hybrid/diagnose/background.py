@@ -23,15 +23,15 @@ _USUALLY_OFF = 0.01  # of the numbers, for which that holds
 
 
 def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
-    """Columns of link parameters and declared friction, and how far off they may be.
+    """Columns of link parameters and friction, and how far off they may be.
 
     Simulators, and arms, differ in how dry friction goes through rest; presliding that
     matters lasts for longer.
 
     Returns:
         A block of ten columns for each link, one for each declared armature, damping
-        and friction loss, and some of friction that is full from a small speed on; and
-        the size of each number: it may be a few per cent off.
+        and friction loss, and some of dry friction, declared or not, that is full from
+        a small speed on; and the size of each number: it may be a few per cent off.
     """
     robot = gap.robot
     n = robot.size
@@ -54,10 +54,10 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
         for j in np.flatnonzero(value):
             blocks.append(gap.columns(effect((int(j),))))
             sizes.append(np.array([value[j]]))
-    for j in np.flatnonzero(robot.frictionloss):
-        soft = robot.frictionloss[j] * soft_friction(gap, int(j), _KNEES, _LEADS)
-        blocks.append({int(j): soft})
-        sizes.append(np.full(soft.shape[1], 1.0 / _USUALLY_OFF))
+    for j, level in enumerate(dry_friction(gap)):
+        soft = soft_friction(gap, j, _KNEES, _LEADS)
+        blocks.append({j: soft})
+        sizes.append(np.full(soft.shape[1], level / _USUALLY_OFF))
     return blocks, sizes
 
 
@@ -74,6 +74,20 @@ def clocks(gap: Gap) -> tuple[list[Columns], list[Array]]:
     size = 1.0 / gap.motions[0].rate / np.sqrt(12.0)
     blocks = [gap.columns(Delay((int(j),))) for j in joints]
     return blocks, [np.array([size])] * len(joints)
+
+
+def dry_friction(gap: Gap) -> Array:
+    """Dry friction of each joint, as declared and as the gap has it, shape (n,), [N·m].
+
+    Many a file declares none, and what is there goes through rest as softly.
+    """
+    level = gap.robot.frictionloss.copy()
+    for j in range(gap.robot.size):
+        rows = gap.moving[:, j]
+        laws = (gap.columns(kind((j,)))[j][rows] for kind in (Coulomb, Viscous, Armature))
+        columns = np.hstack([*laws, np.ones((np.count_nonzero(rows), 1))])
+        level[j] += max(0.0, np.linalg.lstsq(columns, gap.left[rows, j])[0][0])
+    return level
 
 
 def soft_friction(
