@@ -246,7 +246,7 @@ class TestGap:
                 SimpleNamespace(candidate=place, place=place.place, worth=nats)
             )
         search = SimpleNamespace(terms=[*terms], loss=lambda term: term.worth)
-        Search._remove(search)
+        Search.remove(search)
         assert search.terms == (terms[:1] if goes else terms)
 
     @pytest.mark.parametrize(("harder", "hum"), [(1.0, 3.0), (8.0, 0.6)])

@@ -103,7 +103,7 @@ def test_links_whose_capsules_touch_almost_anywhere_are_left_out_and_named():
 
 def test_links_without_geometry_are_left_out_and_named():
     robot = public_arm("z1")  # of seven links five have any
-    with pytest.warns(HybridWarning, match="without collision geometry: joint1, joint5"):
+    with pytest.warns(HybridWarning, match="collision geometry: joint1, joint5"):
         clearance = Clearance.of(robot, Limits.of(robot))
     assert set(clearance.pairs.ravel()) == {-1, 1, 2, 3, 5, 6}
     distance = clearance.distance(np.zeros((2, robot.size)))

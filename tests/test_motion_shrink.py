@@ -64,7 +64,7 @@ def explained(effects, terms, noisy=False, trajectories=4):
     learn = split(gap)
     search = Search(gap, learn, without=list(effect_classes()))
     search.evidence.spread(search.background, 0.003)
-    search.terms = [search._term(candidate(gap, effect_of(name))) for name in terms]
+    search.terms = [search.term(candidate(gap, effect_of(name))) for name in terms]
     return explain(gap, search, learn)
 
 

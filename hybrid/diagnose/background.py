@@ -54,9 +54,9 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
         for j in np.flatnonzero(value):
             blocks.append(gap.columns(effect((int(j),))))
             sizes.append(np.array([value[j]]))
-    for j, level in enumerate(dry_friction(gap)):
-        soft = soft_friction(gap, j, _KNEES, _LEADS)
-        blocks.append({j: soft})
+    for joint, level in enumerate(dry_friction(gap)):
+        soft = soft_friction(gap, joint, _KNEES, _LEADS)
+        blocks.append({joint: soft})
         sizes.append(np.full(soft.shape[1], level / _USUALLY_OFF))
     return blocks, sizes
 
@@ -82,11 +82,10 @@ def dry_friction(gap: Gap) -> Array:
     Many a file declares none, and what is there goes through rest as softly.
     """
     level = gap.robot.frictionloss.copy()
-    for j in range(gap.robot.size):
-        rows = gap.moving[:, j]
-        laws = (gap.columns(kind((j,)))[j][rows] for kind in (Coulomb, Viscous, Armature))
-        columns = np.hstack([*laws, np.ones((np.count_nonzero(rows), 1))])
-        level[j] += max(0.0, np.linalg.lstsq(columns, gap.left[rows, j])[0][0])
+    for j, moving in enumerate(gap.moving.T):
+        laws = [gap.columns(kind((j,)))[j] for kind in (Coulomb, Viscous, Armature)]
+        columns = np.hstack([*laws, np.ones((len(moving), 1))])[moving]
+        level[j] += max(0.0, np.linalg.lstsq(columns, gap.left[moving, j])[0][0])
     return level
 
 

@@ -38,13 +38,14 @@ def log_bayes(
     unit = 1.0 / np.sqrt(precision)
     A = np.eye(len(s)) + unit[:, None] * H * unit
     b = unit * s
-    x = np.linalg.solve(A, b)
-    if np.any(x < lower * np.sqrt(precision)):
-        free = x >= lower * np.sqrt(precision)
-        x = np.zeros_like(x)
+    x, least = np.linalg.solve(A, b), lower * np.sqrt(precision)
+    if np.any(x < least):
+        free = x >= least
+        x = np.where(free, 0.0, least)
         if free.any():
-            x[free] = np.linalg.solve(A[np.ix_(free, free)], b[free])
-            x = np.maximum(x, lower * np.sqrt(precision))
+            rest = b[free] - A[free] @ x
+            x[free] = np.linalg.solve(A[np.ix_(free, free)], rest)
+            x = np.maximum(x, least)
     if made_at is not None and np.any(unit * x < _OWN * made_at):
         return float(made_at @ s - 0.5 * made_at @ H @ made_at), made_at
     _, occam = np.linalg.slogdet(A)

@@ -17,6 +17,8 @@ from hybrid.effects.torque_gain import TorqueGain
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 
+Place = tuple[str, tuple[int, ...]]  # id of an effect, and its joints
+
 # Laws that sum up others, for fitting.
 _COMPOSITE = {"threshold_friction", "improved_stribeck"}
 _SEARCHED = {"torque_ripple", "contact"}  # their shapes come from the residual
@@ -31,6 +33,8 @@ _SIMPLER = {
     "thermal_friction": "viscous",
     "counterbalance": "spring",
 }
+# Laws that say by how much friction differs from another, which they come on top of.
+_UPON = {"stribeck": "coulomb", "nonlinear_viscous": "viscous"}
 _EARLY = {"delay": "actuator_lag", "actuator_lag": "delay"}  # if time is negative
 _EARLY_SLACK = 0.08  # of the evidence: noise of positions costs a lag that much
 _MERE = 0.05  # of a number of the file
@@ -56,7 +60,7 @@ class Candidate:
     lower: Array
 
     @property
-    def place(self) -> tuple[str, tuple[int, ...]]:
+    def place(self) -> Place:
         """Which effect, and where."""
         return self.effect.id, self.effect.joints
 
@@ -93,6 +97,8 @@ def candidate(gap: Gap, effect: Effect) -> Candidate:
     gains = [g.scaled(scale) for g in effect.gains]
     std = np.array([_spread(g) for g in gains])
     lower = effect.least_gains
+    if effect.id in (known := declared(gap.robot)):
+        lower = -known[effect.id][list(effect.joints)]  # the file may say too much
     if effect.id == Payload.id:
         std = np.array(_PAYLOAD) * max(np.median(gap.robot.chain.inertial[:, 0]), 0.1)
     if effect.id == LinkInertia.id:
@@ -210,6 +216,11 @@ def simpler(effect: Effect) -> tuple[str, float]:
     if effect.id in _EARLY and effect.values["time"] < 0:
         return _EARLY[effect.id], _EARLY_SLACK
     return _SIMPLER.get(effect.id, ""), 0.0
+
+
+def plainer(effect: Effect) -> str:
+    """Id of a plainer law of the same kind, or nothing."""
+    return _UPON.get(effect.id) or _SIMPLER.get(effect.id, "")
 
 
 def fuller(effect: Effect) -> str:

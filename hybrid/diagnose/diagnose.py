@@ -16,7 +16,7 @@ from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, shares, split
 from hybrid.diagnose.findings import alternatives, findings
 from hybrid.diagnose.gap import Gap, measure_gap
-from hybrid.diagnose.grounds import another_arm, too_little, unlike
+from hybrid.diagnose.grounds import another_arm, far_off, too_little, unlike
 from hybrid.diagnose.links import joined
 from hybrid.diagnose.locate import locate
 from hybrid.diagnose.refit import refit
@@ -125,7 +125,9 @@ def examine(
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
     verdict, unexplained = _verdict(found, causes, limits, left_unseen(found, scored))
-    if useless and verdict == "no_gap":
+    if strained := far_off(search):
+        doubts.append(strained)
+    if (useless or strained) and verdict == "no_gap":
         verdict, unexplained = "unexplained", 1.0  # there is something, unlike all laws
     if too_little(gap):
         verdict, unexplained = "not_excited", 1.0

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.model import WIDEST, Model
 from hybrid.diagnose.term import Term
 
 _FEWEST_SECONDS = 3.0
 _FEWEST_MOVING = 1.0  # s
+_FAR = 5.0  # deviations of the widest background
 
 
 def too_little(gap: Gap) -> str | None:
@@ -56,4 +58,22 @@ def another_arm(gap: Gap, terms: list[Term]) -> str | None:
     return (
         f"the inertia of {len(wrong)} links is not the simulator's: is it the file of "
         "this robot?"
+    )
+
+
+def far_off(model: Model) -> str | None:
+    """A warning where numbers of the file explain the gap only if they are far off.
+
+    No more of a gap may be left then, but the file is not right.
+    """
+    evidence, rigid = model.evidence, model.background
+    evidence.spread(rigid, WIDEST)
+    gains = evidence.solve(model.base()).of(rigid)
+    worst = float(np.max(np.abs(gains) * np.sqrt(evidence.precision[rigid])))
+    evidence.spread(rigid, model.off)
+    if worst < _FAR:
+        return None
+    return (
+        f"what no effect explains would need numbers of the file to be off by "
+        f"{worst * WIDEST:.0%}"
     )

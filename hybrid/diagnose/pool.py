@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 
 from hybrid.diagnose.candidates import (
     Candidate,
+    Place,
     candidate,
     candidates,
     fine_candidates,
@@ -110,12 +111,12 @@ class Pool:
                 fine = fine_candidates(self.gap, cls, joints)
                 self._take([max(fine, key=lambda c: gain(self.evidence, base, c))])
 
-    def at(self, place: tuple[str, tuple[int, ...]]) -> list[Candidate]:
+    def at(self, place: Place) -> list[Candidate]:
         """All shapes of an effect that were tried at a place."""
         return [t.candidate for t in self.tried if t.place == place]
 
     def ranked(
-        self, base: Index, taken: Collection[tuple[str, tuple[int, ...]]] = ()
+        self, base: Index, taken: Collection[Place] = ()
     ) -> list[tuple[Candidate, float]]:
         """The best shape of each form of an effect at a place, most evidence first.
 

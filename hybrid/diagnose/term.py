@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hybrid.diagnose.candidates import Candidate
+from hybrid.diagnose.candidates import Candidate, Place
 from hybrid.diagnose.evidence import Index
 
 
@@ -21,6 +21,6 @@ class Term:
     index: Index
 
     @property
-    def place(self) -> tuple[str, tuple[int, ...]]:
+    def place(self) -> Place:
         """Which effect, and where."""
         return self.candidate.place

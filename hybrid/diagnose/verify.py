@@ -228,13 +228,14 @@ def _physical(search: Search, term: Term) -> bool:
     if not all(effect.holds(motion) for motion in search.gap.motions):
         return False
     law = with_gains(effect, gains).as_reported()
-    for gain in law.gains:
+    for gain, lowest in zip(law.gains, least, strict=True):
         bound = gain.scaled(scale_of(search.gap, law))
+        lowest = lowest if np.isfinite(lowest) else bound.lower
         value, slack = law.values[gain.name], _SLACK * (bound.upper - bound.lower)
         if effect.steep:
             if value > bound.upper - slack:
                 return False
-        elif value < bound.lower - slack:
+        elif value < lowest - slack:
             return False
         elif gain.per == (0, 0) and value > bound.upper + slack:
             return False

@@ -1,0 +1,206 @@
+"""The gap as what the file is a little off by, and the effects taken to be there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.diagnose.background import background
+from hybrid.diagnose.candidates import Candidate, Place, simpler
+from hybrid.diagnose.evidence import Evidence, Index
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.pool import Pool
+from hybrid.diagnose.refine import refine
+from hybrid.diagnose.shapes import price
+from hybrid.diagnose.term import Term
+from hybrid.effects import Effect
+from hybrid.effects.contact import Contact
+
+WORTH = 10.0  # nats that a term must add
+ALIKE = 3.0  # nats that do not settle which of two effects it is
+# Sizes of the background that are tried: one standard deviation, relative.
+OFF = (0.003, 0.01, 0.03)
+WIDEST = OFF[-1]
+
+_RIPPLES = 9  # orders tried at each joint at first
+_SHORTLIST = 4
+_MENDING = 0.015  # of the evidence for the largest term at a joint
+_MENDING_ROUGH = 0.2  # if the law of that one holds roughly, and in time at that
+_FAR = 0.5  # of the gain that columns are made at
+
+
+class Model:
+    """The terms found so far, and everything that might be added.
+
+    Args:
+        gap: The gap.
+        use: Samples to learn from, shape (M,); all by default.
+        without: Ids of effects to leave out of the library.
+    """
+
+    def __init__(
+        self,
+        gap: Gap,
+        use: NDArray[np.bool_] | None = None,
+        *,
+        without: Sequence[str] = (),
+    ) -> None:
+        self.gap = gap
+        self.evidence = Evidence(gap, use)
+        self.background = np.concatenate(self.evidence.add(*background(gap)))
+        self.pool = Pool(self.evidence, without)
+        self.terms: list[Term] = []
+        self.gone: set[Place] = set()  # came, and did not stay
+        self.off = WIDEST
+        self.evidence.spread(self.background, self.off)
+        self.pool.take_ripples(self.background, _RIPPLES)
+        self.evidence.estimate_noise(np.arange(self.evidence.size))
+        # In units of noise; without them it would hold them.
+        self.pool.take_contacts(self.background)
+        self.evidence.estimate_noise(np.arange(self.evidence.size))
+        # Where the file's numbers may be far off, these would seem to be the cause.
+        self.evidence.spread(self.background, OFF[0])
+        self.pool.take_steep(self.background)
+        self.evidence.spread(self.background, self.off)
+
+    def having(self, chosen: Sequence[Candidate]) -> Self:
+        """The same with other terms, of shapes as they are."""
+        other = copy(self)
+        other.terms = [self.term(c) for c in chosen]
+        return other
+
+    def base(self, without: Term | None = None) -> Index:
+        """Columns of the background and of all terms, or all but one."""
+        parts = [t.index for t in self.terms if t is not without]
+        return np.concatenate([self.background, *parts])
+
+    def term(self, c: Candidate) -> Term:
+        """A candidate as a term, with columns of its own."""
+        (index,) = self.evidence.add([self.gap.columns(c.effect)], [c.std])
+        return Term(c, index)
+
+    def loss(self, term: Term) -> float:
+        """Evidence that would be lost without a term, [nat]."""
+        without = self.evidence.solve(self.base(term)).evidence
+        return self.worth() - without - price(term.candidate.effect)
+
+    def worth(self) -> float:
+        """Evidence for all terms together, [nat]."""
+        return self.evidence.solve(self.base()).evidence
+
+    def total(self) -> float:
+        """The same less what each term must add, and its shapes cost, [nat]."""
+        prices = sum(WORTH + price(t.candidate.effect) for t in self.terms)
+        return self.worth() - prices
+
+    def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
+        """See :meth:`.Pool.ranked`."""
+        taken = {t.place for t in self.terms if t.index[0] in base}
+        ranked = self.pool.ranked(base, taken)
+        return [x for x in ranked if x[0].place not in self.gone]
+
+    def best(
+        self, base: Index, at: tuple[int, ...] = ()
+    ) -> tuple[Candidate, float] | None:
+        """The candidate that adds most evidence, with its shapes fitted.
+
+        A law gives way to the simpler one that it becomes at a bound of its shapes, and
+        to one that explains the sign of its gain better; a link that would be another
+        one altogether, to whatever explains half as much.
+        """
+        refined: list[tuple[Candidate, float]] = []
+        top = WORTH
+        for c, first in self.ranked(base):
+            if at and c.place[1] != at:
+                continue
+            if first <= 0.5 * top or len(refined) == _SHORTLIST:
+                break
+            found = self.refine(base, c)
+            if self.holds(found[0]):
+                top = top if refined else first
+                refined.append(found)
+        if not refined:
+            return None
+        refined = [x for x in refined if self._likely(base, x[0])] or refined
+        best, most = max(refined, key=lambda x: x[1])
+        name, slack = simpler(best.effect)
+        near = [
+            x for x in refined
+            if x[0].place == (name, best.effect.joints)
+            and x[1] > most - max(ALIKE, slack * most)
+        ]  # fmt: skip
+        return near[0] if near else (best, most)
+
+    def holds(self, c: Candidate) -> bool:
+        """Whether every motion bears a candidate out."""
+        return all(c.effect.holds(motion) for motion in self.gap.motions)
+
+    def _likely(self, base: Index, c: Candidate) -> bool:
+        columns = self.gap.columns(c.effect)
+        return c.likely(self.evidence.trial(base, columns, c.std, c.lower)[1])
+
+    def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
+        """See :func:`.refine.refine`."""
+        return refine(self.evidence, base, c)
+
+    def renew(self, term: Term) -> bool:
+        """Fit a term anew beside the others; whether that made much of a difference."""
+        base = self.base(term)
+        own, now = self.refine(base, term.candidate)
+        best = self.best(base)
+        if best is not None and best[1] > now + ALIKE:
+            own, now = best
+        before = self.loss(term) if self._holds_gain(term) else -np.inf
+        if now > before + 0.5:
+            self.terms[self.terms.index(term)] = self.term(own)
+        return own.place != term.place or now > before + 3.0
+
+    def _holds_gain(self, term: Term) -> bool:
+        """Whether a term's gain is near the one that its columns are made at.
+
+        Those of an effect on signals are not linear: far off they are another law's.
+        """
+        effect = term.candidate.effect
+        if not linearised(effect):
+            return True
+        (made,) = effect.gain_values
+        (now,) = self.evidence.solve(self.base()).of(term.index)
+        return bool(abs(now - made) <= _FAR * abs(made))
+
+    def remove(self) -> None:
+        """Take out terms that add little, the weakest first."""
+        while self.terms:
+            losses = np.array([self.loss(t) for t in self.terms])
+            # Beside a large one at the same joint, a small term mends an inexact law.
+            least = [
+                max(_mending(t, o) * x for o, x in zip(self.terms, losses, strict=True)
+                    if o.place[1][-1] == t.place[1][-1] or t.place[0] == Contact.id)
+                for t in self.terms
+            ]  # fmt: skip
+            margin = losses - np.maximum(least, WORTH)
+            weakest = int(np.argmin(margin))
+            if margin[weakest] >= 0:
+                return
+            del self.terms[weakest]
+
+
+def _mending(small: Term, large: Term) -> float:
+    """Part of a term's evidence that another one needs, not to mend its law.
+
+    Play and springs are right but for when a link lands or swings: a delay makes up.
+    """
+    effect = small.candidate.effect
+    late = (effect.observes or effect.reports) and not effect.steep
+    rough = late and large.candidate.effect.steep
+    return _MENDING_ROUGH if rough else _MENDING
+
+
+def linearised(effect: Effect) -> bool:
+    """Whether an effect's columns are made at its gain, and hold near it."""
+    signal = effect.observes or effect.reports
+    one = len(effect.gains) == 1 and effect.gain_values[0] != 0.0
+    return signal and one and not effect.steep

@@ -1,0 +1,123 @@
+"""The diagnosis of a robot file that declares no friction, or too much of it."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from simulated import arm
+
+from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.background import dry_friction
+from hybrid.diagnose.candidates import candidate
+from hybrid.diagnose.diagnose import examine
+from hybrid.diagnose.gap import measure_gap
+from hybrid.dynamics import inverse_dynamics
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.nonlinear_viscous import NonlinearViscous
+from hybrid.effects.stribeck import Stribeck
+from hybrid.effects.viscous import Viscous
+from hybrid.plant import Plant, simulate
+from hybrid.recording import Recording
+
+RATE = 250.0  # Hz
+LEVEL, DAMPING, ROTOR = np.array([[1.5, 0.8], [0.6, 0.3], [0.2, 0.1]])
+SLOW = np.array([0.0, 0.8])  # N·m more at low speed
+TOO_MUCH, BARE = arm("planar"), replace(
+    arm("planar"),
+    chain=replace(arm("planar").chain, armature=np.zeros(2)),
+    damping=np.zeros(2),
+    frictionloss=np.zeros(2),
+)  # fmt: skip
+USUAL = {(x, BARE.joints) for x in ("coulomb", "viscous", "armature")}
+
+
+@cache
+def logs(more=0.0, seed=0):
+    """Moves from rest to rest of an arm whose friction is full from 2 mrad/s on."""
+    rng = np.random.default_rng(seed)
+    return [recording(rng, more) for _ in range(4)]
+
+
+def recording(rng, more):
+    s = np.linspace(0, 1, round(1.5 * RATE))
+    rise = np.concatenate([s**3 * (10 - 15 * s + 6 * s**2), np.ones(round(0.2 * RATE))])
+    at = rng.uniform(-1.2, 1.2, (11, 2))
+    moves = zip(at[:-1], at[1:], strict=True)
+    q = np.concatenate([a + np.outer(rise, b - a) for a, b in moves])
+    t = np.arange(len(q)) / RATE
+    v = np.gradient(q, t, axis=0)
+    a = np.gradient(v, t, axis=0)
+    tau = inverse_dynamics(BARE.chain, BARE.chain.inertial, q, v, a)
+    tau += np.tanh(v / 2e-3) * (LEVEL + more * SLOW * np.exp(-((v / 0.1) ** 2)))
+    tau += DAMPING * v + ROTOR * a + 0.03 * rng.standard_normal(q.shape)
+    q = q + 1e-5 * rng.standard_normal(q.shape)
+    return Recording(t, q, tau=tau, joints=BARE.joints)
+
+
+def named(result):
+    return {(f.effect, f.joints) for f in result.diagnosis.findings}
+
+
+class TestNoFriction:
+    def test_dry_friction_is_read_from_the_gap(self):
+        gap = measure_gap(BARE, logs())
+        np.testing.assert_allclose(dry_friction(gap), LEVEL, rtol=0.1)
+
+    @pytest.mark.parametrize("seed", [0, 1])
+    def test_friction_that_goes_softly_through_rest_is_no_presliding(self, seed):
+        assert named(examine(BARE, logs(seed=seed))) == USUAL
+
+    def test_what_is_more_at_low_speed_is_found_beside_it(self):
+        found = examine(BARE, logs(more=1.0))
+        assert named(found) == USUAL | {("stribeck", BARE.joints[1:])}
+
+    def test_laws_that_stand_for_others_give_way_to_them(self):
+        search = Search(measure_gap(BARE, logs(more=1.0)))
+        broad = Stribeck((1,), {"velocity": 1.0, "exponent": 0.5})
+        wrong = [Coulomb((0,)), Viscous((0,)), broad, NonlinearViscous((1,))]
+        search.terms = [search.term(candidate(search.gap, x)) for x in wrong]
+        while search._simplify():
+            pass
+        found = {t.place[0] for t in search.terms if t.place[1] == (1,)}
+        assert found >= {"coulomb", "viscous", "stribeck"}
+        assert "nonlinear_viscous" not in found
+
+
+class TestTooMuchFriction:
+    def test_it_is_found_with_its_sign(self):
+        diagnosis = examine(TOO_MUCH, logs()).diagnosis
+        assert diagnosis.verdict == "explained"
+        assert {(f.effect, f.joints) for f in diagnosis.findings} == USUAL
+        truth = {
+            "level": LEVEL - TOO_MUCH.frictionloss,
+            "coefficient": DAMPING - TOO_MUCH.damping,
+            "inertia": ROTOR - TOO_MUCH.chain.armature,
+        }
+        for finding in diagnosis.findings:
+            for x in finding.parameters:
+                expected = truth[x.name][BARE.joints.index(x.joint)]
+                assert expected < 0
+                assert x.value == pytest.approx(expected, abs=0.1)
+
+    def test_without_a_law_for_it_numbers_would_have_to_be_far_off(self):
+        without = ("viscous", "coulomb", "armature")
+        diagnosis = examine(TOO_MUCH, logs(), without=without).diagnosis
+        assert diagnosis.verdict == "unexplained"
+        assert any("to be off by" in text for text in diagnosis.warnings)
+
+
+def test_what_comes_and_goes_does_not_end_the_search(monkeypatch):
+    robot = arm("planar")
+    plant = Plant(robot, [Viscous((0,), {"coefficient": 3.0})], nominal=robot)
+    recordings = simulate(plant, trajectories=4, duration=6.0, seed=1)
+    search = Search(measure_gap(robot, recordings))
+    idle, best = candidate(search.gap, Coulomb((1,))), Search.best
+
+    def first(self, base, at=()):
+        if not self.terms and idle.place not in self.gone:
+            return idle, 1e6
+        return best(self, base, at)
+
+    monkeypatch.setattr(Search, "best", first)
+    assert {t.place for t in search.run()} == {("viscous", (0,))}
