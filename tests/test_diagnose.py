@@ -245,7 +245,8 @@ class TestGap:
             terms.append(
                 SimpleNamespace(candidate=place, place=place.place, worth=nats)
             )
-        search = SimpleNamespace(terms=[*terms], loss=lambda term: term.worth)
+        search = SimpleNamespace(terms=[*terms], gap=planar().gap)
+        search.losses = lambda: np.array([t.worth for t in search.terms])
         Search.remove(search)
         assert search.terms == (terms[:1] if goes else terms)
 

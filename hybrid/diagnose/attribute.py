@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid.diagnose.candidates import (
+    HARDLY,
     Candidate,
     Place,
     fuller,
     mere,
     plainer,
-    simpler,
     with_gains,
 )
 from hybrid.diagnose.model import ALIKE, OFF, WIDEST, WORTH, Model, linearised
@@ -52,8 +52,9 @@ class Search(Model):
                 usable.append(found[-1])
         _, self.off, self.terms = max(usable or found[-1:], key=lambda x: x[0])
         self.evidence.spread(self.background, self.off)
-        if self._simplify():
-            self._simplify()
+        before = list(self.terms)
+        self._simplify(before)
+        self._simplify([t for t in self.terms if t not in before])
         self.prune()
         self._scan()
         self._polish()
@@ -112,13 +113,11 @@ class Search(Model):
         self.terms.append(self.term(best[0]))
         return True
 
-    def _simplify(self) -> bool:
-        """Let laws give way to plainer ones, alone or with others; whether any did."""
-        first = list(self.terms)
-        for term in first:
+    def _simplify(self, terms: Sequence[Term]) -> None:
+        """Let some laws give way to plainer ones, alone or with others."""
+        for term in terms:
             if term in self.terms:
                 self._give_way(term)
-        return self.terms != first
 
     def _give_way(self, term: Term) -> None:
         """Exchange a law for the plainer one, or for several, if that explains more.
@@ -134,8 +133,9 @@ class Search(Model):
             self.terms = others
             self._extend({term.place})
         elif plain and all(t.place != place for t in others):
+            hardly = max(ALIKE, HARDLY * self.loss(term))
             self.terms = [*others, self.term(plain[0])]
-            if self.total() > least - ALIKE:
+            if self.total() > least - hardly:
                 return
             away = [t for t in others if t.place[1] != joints]
             self.terms = [*away, self.term(plain[0])]
@@ -225,15 +225,21 @@ class Search(Model):
         for k, term in enumerate(before):
             place = fuller(term.candidate.effect), term.place[1]
             if all(t.place != place for t in before):
-                self._exchange_for(k, self.pool.at(place))
+                self._exchange_for(k, self.pool.at(place), HARDLY)
         return self.terms != before
 
-    def _exchange_for(self, k: int, starts: Sequence[Candidate]) -> None:
-        """Exchange a term for the best of some candidates, refined, if it is better."""
+    def _exchange_for(
+        self, k: int, starts: Sequence[Candidate], least: float = 0.0
+    ) -> None:
+        """Exchange a term for the best of some candidates, refined, if it is better.
+
+        By a part of the evidence for it, at least.
+        """
         base = self.base(self.terms[k])
         refined = [self.refine(base, c) for c in starts]
         best = max(refined, key=lambda x: x[1], default=None)
-        if best is not None and best[1] > self.loss(self.terms[k]) + ALIKE:
+        now = self.loss(self.terms[k])
+        if best is not None and best[1] > now + max(ALIKE, least * now):
             self.terms[k] = self.term(best[0])
 
     def _polish(self) -> None:
@@ -299,7 +305,7 @@ class Search(Model):
             base = np.concatenate([self.background, *rest])
             whole = self.evidence.solve(self.base()).evidence
             wanted = whole - self.evidence.solve(base).evidence - WORTH
-            if simpler(term.candidate.effect) == (other.place[0], 0.0):
+            if fuller(other.candidate.effect) == term.place[0]:
                 wanted *= _ONE  # a law and what it becomes at a bound of its shapes
             if gain(self.evidence, base, term.candidate) < wanted - _NEAR:
                 continue

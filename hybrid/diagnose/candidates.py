@@ -35,6 +35,7 @@ _SIMPLER = {
 }
 # Laws that say by how much friction differs from another, which they come on top of.
 _UPON = {"stribeck": "coulomb", "nonlinear_viscous": "viscous"}
+HARDLY = 1e-3  # of a law's evidence: none holds more exactly
 _EARLY = {"delay": "actuator_lag", "actuator_lag": "delay"}  # if time is negative
 _EARLY_SLACK = 0.08  # of the evidence: noise of positions costs a lag that much
 _MERE = 0.05  # of a number of the file
@@ -177,6 +178,12 @@ def declared(robot: Robot) -> dict[str, Array]:
     }
 
 
+def undeclared(robot: Robot, effect: Effect) -> bool:
+    """Whether an effect is a number that every drive has, and the file lacks."""
+    known = declared(robot).get(effect.id)
+    return known is not None and not known[list(effect.joints)].any()
+
+
 def mere(robot: Robot, effect: Effect) -> bool:
     """Whether an effect changes a number of the file by as little as it is off anyway.
 
@@ -215,7 +222,7 @@ def simpler(effect: Effect) -> tuple[str, float]:
     """
     if effect.id in _EARLY and effect.values["time"] < 0:
         return _EARLY[effect.id], _EARLY_SLACK
-    return _SIMPLER.get(effect.id, ""), 0.0
+    return _SIMPLER.get(effect.id, ""), HARDLY
 
 
 def plainer(effect: Effect) -> str:

@@ -170,12 +170,13 @@ class Evidence:
             target = where[owner]
             here = np.flatnonzero(target >= 0)
             at = target[here]
-            gram, moment = self._sums[i]
+            gram, moment = (x[here] for x in self._sums[i])
+            gram = gram[:, here]
             if folds is not None:
-                gram = self._gram[i][folds].sum(axis=0)
-                moment = self._moment[i][folds].sum(axis=0)
-            A[np.ix_(at, at)] += gram[np.ix_(here, here)] / self.noise[i]
-            b[at] += moment[here] / self.noise[i]
+                gram = self._gram[i][np.ix_(folds, here, here)].sum(axis=0)
+                moment = self._moment[i][np.ix_(folds, here)].sum(axis=0)
+            A[np.ix_(at, at)] += gram / self.noise[i]
+            b[at] += moment / self.noise[i]
         return A, b
 
     def solve(self, index: Index, folds: Index | None = None) -> Solution:

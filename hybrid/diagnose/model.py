@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import Candidate, Place, simpler
+from hybrid.diagnose.candidates import Candidate, Place, simpler, undeclared
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.pool import Pool
@@ -19,6 +19,7 @@ from hybrid.diagnose.shapes import price
 from hybrid.diagnose.term import Term
 from hybrid.effects import Effect
 from hybrid.effects.contact import Contact
+from hybrid.robot.chain import Array
 
 WORTH = 10.0  # nats that a term must add
 ALIKE = 3.0  # nats that do not settle which of two effects it is
@@ -85,8 +86,13 @@ class Model:
 
     def loss(self, term: Term) -> float:
         """Evidence that would be lost without a term, [nat]."""
-        without = self.evidence.solve(self.base(term)).evidence
-        return self.worth() - without - price(term.candidate.effect)
+        return float(self.losses([term])[0])
+
+    def losses(self, terms: Sequence[Term] | None = None) -> Array:
+        """The same of some terms, each alone, shape (m,); of all by default."""
+        chosen, worth = self.terms if terms is None else terms, self.worth()
+        rest = [self.evidence.solve(self.base(t)).evidence for t in chosen]
+        return worth - np.array(rest) - [price(t.candidate.effect) for t in chosen]
 
     def worth(self) -> float:
         """Evidence for all terms together, [nat]."""
@@ -174,9 +180,10 @@ class Model:
     def remove(self) -> None:
         """Take out terms that add little, the weakest first."""
         while self.terms:
-            losses = np.array([self.loss(t) for t in self.terms])
+            losses = self.losses()
             # Beside a large one at the same joint, a small term mends an inexact law.
             least = [
+                0.0 if undeclared(self.gap.robot, t.candidate.effect) else
                 max(_mending(t, o) * x for o, x in zip(self.terms, losses, strict=True)
                     if o.place[1][-1] == t.place[1][-1] or t.place[0] == Contact.id)
                 for t in self.terms
