@@ -265,23 +265,55 @@ class Evidence:
             lower: Smallest physical value of each gain of a candidate.
             made_at: Its gains, where its columns are of these alone; of each.
         """
-        wanted = np.concatenate([base, *blocks])
-        A, b = self.normal(wanted)
-        k = len(base)
+        wanted, sizes = np.concatenate(blocks), np.array([len(x) for x in blocks])
+        first, second = _within(sizes)
+        across, own, moment = self._beside(base, wanted, first, second)
+        A, b = self.normal(base)
         # In units of the prior, which differ by many orders of magnitude.
         unit = 1.0 / np.sqrt(self.precision[base])
-        factor = cho_factor(np.eye(k) + unit[:, None] * A[:k, :k] * unit)
-        across = unit[:, None] * A[:k, k:]
-        H = A[k:, k:] - across.T @ cho_solve(factor, across)
-        s = b[k:] - across.T @ cho_solve(factor, unit * b[:k])
-        gains, start = np.empty(len(blocks)), 0
+        factor = cho_factor(np.eye(len(base)) + unit[:, None] * A * unit)
+        across *= unit[:, None]
+        taken = cho_solve(factor, across)
+        H = own - np.einsum("kp,kp->p", across[:, first], taken[:, second])
+        s = moment - taken.T @ (unit * b)
+        gains = np.empty(len(blocks))
         known = made_at or [None] * len(blocks)
-        for m, (block, low, x) in enumerate(zip(blocks, lower, known, strict=True)):
-            own = slice(start, start + len(block))
-            start += len(block)
-            weight = self.precision[block]
-            gains[m], _ = log_bayes(H[own, own], s[own], weight, low, x)
+        to, end = np.cumsum(sizes), np.cumsum(sizes**2)
+        for m, (p, low, x) in enumerate(zip(sizes, lower, known, strict=True)):
+            here = slice(to[m] - p, to[m])
+            square = H[end[m] - p * p : end[m]].reshape(p, p)
+            weight = self.precision[blocks[m]]
+            gains[m], _ = log_bayes(square, s[here], weight, low, x)
         return gains
+
+    def _beside(
+        self, base: Index, wanted: Index, first: Index, second: Index
+    ) -> tuple[Array, Array, Array]:
+        """Cross-products of columns, weighed by noise.
+
+        Args:
+            base: Some columns, shape (k,).
+            wanted: Others, shape (K,).
+            first: Which of the others to multiply, shape (P,).
+            second: And with which, shape (P,).
+
+        Returns:
+            Those of the two, shape (k, K); those among the others, shape (P,); and
+            with the gap, shape (K,).
+        """
+        across = np.zeros((len(base), len(wanted)))
+        own, moment = np.zeros(len(first)), np.zeros(len(wanted))
+        for i, owner in enumerate(self._owner):
+            place = np.full(self.size, -1)
+            place[owner] = np.arange(len(owner))
+            (gram, beside), k, m = self._sums[i], place[base], place[wanted]
+            here, there = np.flatnonzero(k >= 0), np.flatnonzero(m >= 0)
+            block = gram[np.ix_(k[here], m[there])]
+            across[np.ix_(here, there)] += block / self.noise[i]
+            both = np.flatnonzero((m[first] >= 0) & (m[second] >= 0))
+            own[both] += gram[m[first[both]], m[second[both]]] / self.noise[i]
+            moment[there] += beside[m[there]] / self.noise[i]
+        return across, own, moment
 
     def trial(
         self,
@@ -385,3 +417,11 @@ class Evidence:
             if left < best:
                 best, weights = left, np.linalg.solve(A + ridge, b) / size
         return (self.power[i].sum() + best) / len(self.rows[i]), weights
+
+
+def _within(sizes: Index) -> tuple[Index, Index]:
+    """All pairs of columns that are of the same block, shape (P,) each."""
+    starts = np.cumsum(sizes) - sizes
+    many = np.repeat(np.arange(len(sizes)), sizes**2)
+    inside = np.arange(len(many)) - np.repeat(np.cumsum(sizes**2) - sizes**2, sizes**2)
+    return starts[many] + inside // sizes[many], starts[many] + inside % sizes[many]
