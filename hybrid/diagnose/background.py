@@ -19,7 +19,7 @@ from hybrid.robot.spatial import central_inertia
 
 _KNEES = (0.003, 0.01, 0.03)  # rad/s
 _LEADS = (0.0, 0.01)  # s
-_USUALLY_OFF = 0.01  # of the numbers, for which that holds
+_USUALLY_OFF, _MOST_OFF = 0.01, 0.03  # of the numbers, for which that holds
 
 
 def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
@@ -54,10 +54,13 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
         for j in np.flatnonzero(value):
             blocks.append(gap.columns(effect((int(j),))))
             sizes.append(np.array([value[j]]))
-    for joint, level in enumerate(dry_friction(gap)):
+    # Of a solver nobody knows more than what its file declares; what an arm has may be
+    # as soft as can be, and no softer.
+    size = np.maximum(robot.frictionloss / _USUALLY_OFF, dry_friction(gap) / _MOST_OFF)
+    for joint in range(n):
         soft = soft_friction(gap, joint, _KNEES, _LEADS)
         blocks.append({joint: soft})
-        sizes.append(np.full(soft.shape[1], level / _USUALLY_OFF))
+        sizes.append(np.full(soft.shape[1], size[joint]))
     return blocks, sizes
 
 

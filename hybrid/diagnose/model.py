@@ -161,9 +161,10 @@ class Model:
         if best is not None and best[1] > now + ALIKE:
             own, now = best
         before = self.loss(term) if self._holds_gain(term) else -np.inf
-        if now > before + 0.5:
-            self.terms[self.terms.index(term)] = self.term(own)
-        return own.place != term.place or now > before + 3.0
+        if now <= before + 0.5:
+            return False
+        self.terms[self.terms.index(term)] = self.term(own)
+        return own.place != term.place or now > before + ALIKE
 
     def _holds_gain(self, term: Term) -> bool:
         """Whether a term's gain is near the one that its columns are made at.
