@@ -265,6 +265,8 @@ class Evidence:
             lower: Smallest physical value of each gain of a candidate.
             made_at: Its gains, where its columns are of these alone; of each.
         """
+        if not blocks:
+            return np.zeros(0)
         wanted, sizes = np.concatenate(blocks), np.array([len(x) for x in blocks])
         first, second = _within(sizes)
         across, own, moment = self._beside(base, wanted, first, second)
