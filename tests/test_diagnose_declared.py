@@ -72,6 +72,19 @@ class TestNoFriction:
         found = examine(BARE, logs(more=1.0))
         assert named(found) == USUAL | {("stribeck", BARE.joints[1:])}
 
+    @pytest.mark.parametrize("effect", ["torque_gain", "asymmetric_friction"])
+    def test_what_is_small_beside_it_is_found(self, effect):
+        more = {
+            "torque_gain": lambda tau, v: 0.03 * tau,
+            "asymmetric_friction": lambda tau, v: 0.02 * np.abs(np.tanh(v / 2e-3)),
+        }[effect]
+        faulty = []
+        for x in logs():
+            v, tau = np.gradient(x.q, x.t, axis=0), x.tau.copy()
+            tau[:, 1] += more(tau, v)[:, 1]
+            faulty.append(replace(x, tau=tau))
+        assert named(examine(BARE, faulty)) == USUAL | {(effect, BARE.joints[1:])}
+
     def test_laws_that_stand_for_others_give_way_to_them(self):
         search = Search(measure_gap(BARE, logs(more=1.0)))
         broad = Stribeck((1,), {"velocity": 1.0, "exponent": 0.5})

@@ -252,6 +252,21 @@ def test_without_a_measured_torque_no_drive_is_taken_to_lose_any():
         assert not lost.torque(motion, body).any()
 
 
+@pytest.mark.parametrize("declared", [True, False])
+def test_a_drive_that_clips_delivers_its_limit_whatever_friction_is_declared(declared):
+    robot = random_arm(3)
+    motion = motion_of(robot, samples=1000)
+    asked = 40.0 * np.sin(2.0 * motion.t + 1.0)[:, None] + 0.0 * motion.q
+    friction = 6.0 * np.sign(motion.v) + 4.0 * motion.v
+    given = np.clip(asked, -20.0, 20.0) - (0.0 if declared else friction)
+    motion = replace(motion, tau=given, asked=asked)
+    at = {limit: effect("saturation", limit=limit, total=1.0) for limit in (20.0, 10.0)}
+    assert at[20.0].holds(motion) and not at[10.0].holds(motion)
+    beyond = asked[:, :1] - np.clip(asked[:, :1], -20.0, 20.0)
+    body = RigidBody(robot.chain, motion)
+    np.testing.assert_array_equal(at[20.0].columns(motion, body)[:, :, 0], beyond)
+
+
 @pytest.mark.parametrize("time", [0.02, -0.02])
 def test_a_lag_has_the_phase_and_size_of_first_order(time):
     t, omega = np.linspace(0, 6, 12001), 2 * np.pi * 4

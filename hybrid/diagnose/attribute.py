@@ -15,6 +15,7 @@ from hybrid.diagnose.candidates import (
     fuller,
     mere,
     plainer,
+    simpler,
     with_gains,
 )
 from hybrid.diagnose.model import ALIKE, OFF, WIDEST, WORTH, Model, linearised
@@ -28,6 +29,7 @@ from hybrid.robot.chain import Array
 
 _LEAST_REMOVED = 0.015  # of the RMS at a term's joints, on folds left out
 _MOST_TERMS, _MOST_THERE = 40, 9  # in all, and at one joint
+_ROUNDS = 3  # of adding, exchanging and removing
 _LAWS = 3  # that are added at a joint beside a plain one
 _NEAR = 10.0
 _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
@@ -79,13 +81,18 @@ class Search(Model):
         return idle or any(mere(robot, e) for e in effects)
 
     def _grow(self) -> None:
-        """Add, improve, exchange and remove terms until nothing is gained."""
-        self.terms = []
-        self._extend()
-        for _ in range(2):
-            if not self._exchange():
-                break
+        """Add, improve, exchange and remove terms until nothing is gained.
+
+        What seemed to mend a law may be wanted once that is another.
+        """
+        self.terms, places = [], set[Place]()
+        for _ in range(_ROUNDS):
+            self._extend()
+            before, changed = places, self._exchange()
             self.remove()
+            places = {t.place for t in self.terms}
+            if not changed or places == before:
+                break
 
     def _extend(self, without: Collection[Place] = ()) -> None:
         """Add terms, but for some, until nothing is gained."""
@@ -310,6 +317,11 @@ class Search(Model):
             if gain(self.evidence, base, term.candidate) < wanted - _NEAR:
                 continue
             alone, found = self.refine(base, term.candidate)
+            name, slack = simpler(alone.effect)
+            if name == other.place[0]:
+                plain, less = self.refine(base, other.candidate)
+                if less > found - max(ALIKE, slack * found):
+                    alone, found = plain, less
             if found > wanted:
                 self.terms = [t for t in self.terms if t is not term and t is not other]
                 self.terms.append(self.term(alone))

@@ -182,10 +182,14 @@ class Model:
         """Take out terms that add little, the weakest first."""
         while self.terms:
             losses = self.losses()
+            large = [
+                (o, x) for o, x in zip(self.terms, losses, strict=True)
+                if not undeclared(self.gap.robot, o.candidate.effect)
+            ]  # fmt: skip
             # Beside a large one at the same joint, a small term mends an inexact law.
             least = [
                 0.0 if undeclared(self.gap.robot, t.candidate.effect) else
-                max(_mending(t, o) * x for o, x in zip(self.terms, losses, strict=True)
+                max(_mending(t, o) * x for o, x in large
                     if o.place[1][-1] == t.place[1][-1] or t.place[0] == Contact.id)
                 for t in self.terms
             ]  # fmt: skip

@@ -15,6 +15,7 @@ _TOTAL = 0.8  # the same that a fit finds, at least, of one that does
 _NEAR = 0.2  # of the limit: how far from it a drive that clips delivers, at most
 _SELDOM = 0.1  # of the samples, at which it may not
 _MOVING = 0.05  # of the highest speed; at rest friction holds what it gets
+_ENOUGH = 100  # samples below the limit, to learn from
 
 
 class Saturation(Effect):
@@ -46,11 +47,8 @@ class Saturation(Effect):
         tau = motion.tau[:, self.joints]
         if not self.values["total"] or motion.asked is None:
             return np.nan_to_num(self._beyond(tau))[:, :, None]
-        asked = motion.asked[:, self.joints]
-        over = np.abs(asked) > self.values["limit"]
-        short = np.sign(asked) * tau < (1.0 - _NEAR) * self.values["limit"]
-        seldom = (over & short).sum() <= _SELDOM * over.sum()
-        return self._beyond(asked)[:, :, None] * float(seldom)
+        beyond = self._beyond(motion.asked[:, self.joints])
+        return beyond[:, :, None] * float(self.holds(motion))
 
     def holds(self, motion: Motion) -> bool:
         """Whether a drive that clips delivers its limit when more is asked for."""
@@ -59,6 +57,7 @@ class Saturation(Effect):
         asked, tau, v = (
             x[:, self.joints] for x in (motion.asked, motion.tau, motion.v)
         )
+        tau = self._delivered(motion, asked, tau)
         limit, moves = self.values["limit"], np.abs(v) > _MOVING * np.abs(v).max()
         over = moves & (np.abs(asked) > limit)
         apart = np.abs(np.sign(asked) * tau - limit) > _NEAR * limit
@@ -91,6 +90,22 @@ class Saturation(Effect):
         share = loss / (1.0 - loss) if loss < _CLIPS else 0.0
         beyond = needed - np.clip(needed, -limit, limit)
         return [needed + share * beyond], ()
+
+    def _delivered(self, motion: Motion, asked: Array, tau: Array) -> Array:
+        """The file's torque (M, p), and friction and a rotor that the file may lack.
+
+        These are learnt where less than the limit is asked for, and delivered.
+        """
+        out = np.array(tau)
+        for k, j in enumerate(self.joints):
+            v, lacks = motion.v[:, j], asked[:, k] - tau[:, k]
+            laws = np.stack([np.sign(v), v, motion.a[:, j]], axis=1)
+            moves = (np.abs(v) > _MOVING * np.abs(v).max()) & np.isfinite(lacks)
+            below = moves & (np.abs(asked[:, k]) < self.values["limit"])
+            if below.sum() >= _ENOUGH:
+                fit = np.linalg.lstsq(laws[below], lacks[below], rcond=None)
+                out[:, k] += laws @ fit[0]
+        return out
 
     def _beyond(self, torque: Array) -> Array:
         limit = self.values["limit"]
