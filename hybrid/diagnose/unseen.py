@@ -58,13 +58,13 @@ def useful_terms(
                 if left > _MOST_LEFT_ONCE and _as_large(scored, seen, members, joints):
                     useless |= {*members}
                 continue
-            if left > _MOST_LEFT:
-                useless |= {*members}
             shrink = torque_shrink(scored, members, rng)
             if not enough and _large(scored.learnt, members, rng):
                 if shrink.interval[1] <= 0:
                     useless |= {*members}
                 continue
+            if left > _MOST_LEFT:
+                useless |= {*members}
             lost = shrink.removed <= _LEAST_REMOVED * kind
             doubtful = enough and shrink.interval[0] < -_DOUBT * shrink.removed
             rough = any(scored.terms[k].candidate.effect.steep for k in members)
