@@ -8,9 +8,10 @@ from time import process_time
 
 import numpy as np
 from diagnosis_acceptance_report import Run
-from diagnosis_acceptance_sysid import fit_by_sysid, has_sysid
+from diagnosis_acceptance_sysid import fit_by_sysid
 
 from hybrid import Robot, simulate
+from hybrid.benchmark.sysid import has_sysid
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.fixed import fixed_model, fixed_simulator
 from hybrid.diagnose.gap import Gap, measure_gap
@@ -69,7 +70,7 @@ def run(kind: str, seed: int, quiet: bool) -> Run:
         "after": fixed_model(result.gap, *fixed_simulator(result)),
         "floor": fixed_model(result.gap, robot, effects),
     }
-    fitted = fit_by_sysid(ARM, plant, log) if has_sysid() and not quiet else None
+    fitted = fit_by_sysid(robot, plant, log) if has_sysid() and not quiet else None
     if fitted is not None:
         models["sysid"] = fixed_model(result.gap, fitted.robot, ())
     rms = {name: left(gap, model, joints) for name, model in models.items()}

@@ -156,7 +156,7 @@ def _fixed_structure(runs: Sequence[Run], fits: Sequence[Fitted]) -> str:
     joints = runs[0].diagnosis.joints
     touched = {joints[e.joints[0]] for e in runs[0].effects}
     for own, words in ((True, "joints with an effect"), (False, "the other joints")):
-        here = [[(n.split()[0] in touched) == own for n in x.names] for x in fits]
+        here = [[(j in touched) == own for _, j in x.fit.names] for x in fits]
         wrong = np.concatenate([x.wrong[h] for x, h in zip(fits, here, strict=True)])
         inside = np.concatenate([x.inside[h] for x, h in zip(fits, here, strict=True)])
         if len(wrong):

@@ -7,9 +7,11 @@
 - ``fixed``: a fit of rotors, damping, dry friction and the last link's mass, and of
   nothing else, as tools of system identification make; each number whose interval
   excludes the file's.
+- ``sysid``: the same by ``mujoco.sysid`` from one log in closed loop, where that is
+  installed; see :mod:`.sysid`.
 
-All others free the rigid parameters without a prior, as is usual. None abstains unless
-its own rule says so.
+The first three free the rigid parameters without a prior, as is usual. None abstains
+unless its own rule says so.
 """
 
 from __future__ import annotations
@@ -20,9 +22,11 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from hybrid.benchmark.score import Named
+from hybrid.benchmark.sysid import fit_sysid, has_sysid
 from hybrid.diagnose.evidence import Evidence, Index
 from hybrid.diagnose.result import Result
 from hybrid.diagnose.term import Term
+from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 
@@ -34,11 +38,17 @@ _NUMBERS = {"armature", "viscous", "coulomb", "payload"}
 _SMALL = 0.1  # of a joint's largest contribution: what STLSQ throws out
 
 
-def baselines(result: Result) -> Mapping[str, tuple[Named, ...]]:
-    """Causes that each method names, most important first."""
+def baselines(result: Result, log: Recording) -> Mapping[str, tuple[Named, ...]]:
+    """Causes that each method names, most important first.
+
+    Args:
+        result: A diagnosis, whose columns the methods share.
+        log: One of its recordings.
+    """
     search, robot = result.search, result.gap.robot
     evidence, base, tried = search.evidence, search.background, search.pool.tried
-    return {
+    peer = {"sysid": fit_sysid(robot, log).named()} if has_sysid() else {}
+    return peer | {
         "ranking": _named(_ranking(evidence, base, tried), robot),
         "stepwise": _named(_stepwise(evidence, base, tried), robot),
         "stlsq": _named(_stlsq(evidence, base, tried), robot),

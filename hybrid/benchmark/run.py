@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -21,7 +21,7 @@ from hybrid.benchmark.generate import IMPOSSIBLE
 from hybrid.benchmark.motions import motion_error
 from hybrid.benchmark.oracle import shrinkage
 from hybrid.benchmark.robots import load_arm
-from hybrid.benchmark.score import covered, named_causes, score
+from hybrid.benchmark.score import Named, covered, named_causes, score
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.result import Result
 from hybrid.effects import effect_classes, effect_from_dict
@@ -31,6 +31,7 @@ from hybrid.recording import Recording, read_all
 from hybrid.robot import Robot
 
 Row = dict[str, Any]
+Causes = Mapping[str, tuple[Named, ...]]  # by method
 
 
 def run_cases(
@@ -132,16 +133,17 @@ def read_open(visible: Path) -> tuple[Robot, list[Recording], tuple[str, ...]]:
     return Robot.from_dict(content), read_all([visible]), tuple(question["without"])
 
 
-def _answer(visible: Path) -> tuple[Result, float]:
-    """What the diagnosis says of what it may see, and its processor time, [s]."""
+def _answer(visible: Path) -> tuple[Result, float, Causes]:
+    """What the diagnosis says of what it may see, its time, and what others name."""
     robot, recordings, without = read_open(visible)
     start = time.process_time()
     result = examine(robot, recordings, without=without)
-    return result, time.process_time() - start
+    seconds = time.process_time() - start
+    return result, seconds, baselines(result, recordings[0])
 
 
-def _scored(answer: tuple[Result, float], sealed: Path) -> Row:
-    result, seconds = answer
+def _scored(answer: tuple[Result, float, Causes], sealed: Path) -> Row:
+    result, seconds, others = answer
     truth = json.loads((sealed / "truth.json").read_text(encoding="utf-8"))
     found = result.diagnosis.as_dict()
     kept = ("effect", "joints", "class", "share", "parameters", "shrink")
@@ -153,7 +155,7 @@ def _scored(answer: tuple[Result, float], sealed: Path) -> Row:
         "findings": [{k: f[k] for k in kept} for f in found["findings"]],
         **score(truth, named_causes(found)),
         "covered": covered(truth, found["findings"]),
-        "baselines": {k: score(truth, x) for k, x in baselines(result).items()},
+        "baselines": {k: score(truth, x) for k, x in others.items()},
     }
     known = effect_classes()
     if truth["effects"] and all(e["effect"] in known for e in truth["effects"]):

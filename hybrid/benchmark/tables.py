@@ -25,12 +25,13 @@ from hybrid.files import atomic_path
 from hybrid.report import Table, markdown_table, save_figure, write_results
 from hybrid.report.confusion import confusion_figure
 
-METHODS = ("ranking", "stepwise", "stlsq", "fixed")
+METHODS = ("ranking", "stepwise", "stlsq", "fixed", "sysid")
 _NAMES = {
     "ranking": "plain ranking by shrinkage",
     "stepwise": "stepwise, iid F-test",
     "stlsq": "sparse regression (STLSQ)",
     "fixed": "fixed structure",
+    "sysid": "fixed structure, mujoco.sysid",
 }
 _RIGHT = MEASURES[0]
 
@@ -80,7 +81,8 @@ def targets_table(groups: Groups) -> Table:
 
 def methods_table(rows: Sequence[Row]) -> Table:
     """The diagnosis beside simpler methods that had the same columns and recordings."""
-    answers = {"diagnosis": rows, **{_NAMES[m]: as_method(rows, m) for m in METHODS}}
+    ran = [m for m in METHODS if all(m in r["baselines"] for r in rows)]
+    answers = {"diagnosis": rows, **{_NAMES[m]: as_method(rows, m) for m in ran}}
     lines = [
         (m.name, *(_share(m.of(r)) for r in answers.values()), "")
         for m in MEASURES
@@ -88,7 +90,7 @@ def methods_table(rows: Sequence[Row]) -> Table:
     ]
     black = _quantile(shares(rows, "black_box_share"), 0.5)
     ours = _quantile(shares(rows), 0.5)
-    none = [""] * len(METHODS)
+    none = [""] * len(ran)
     lines.append(
         ("part of the oracle's shrinkage of torque, median", ours, *none, black)
     )
