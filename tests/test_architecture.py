@@ -37,7 +37,7 @@ LEVEL = {name: -depth for depth, names in enumerate(FLOORS) for name in names}
 # Library -> the only places that may import it, and what others do instead.
 HOMES = {
     "mujoco": (
-        ("robot", "plant"),
+        ("robot", "plant", "benchmark.sysid"),  # the last is a peer to measure by
         "ask Robot for the model, or import it under TYPE_CHECKING",
     ),
     "pinocchio": (("robot", "dynamics"), "use hybrid.dynamics"),

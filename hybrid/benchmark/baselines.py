@@ -23,7 +23,8 @@ from scipy.stats import f as f_distribution
 
 from hybrid.benchmark.score import Named
 from hybrid.benchmark.sysid import fit_sysid, has_sysid
-from hybrid.diagnose.evidence import Evidence, Index
+from hybrid.diagnose.evidence import Evidence
+from hybrid.diagnose.products import Index
 from hybrid.diagnose.result import Result
 from hybrid.diagnose.term import Term
 from hybrid.recording import Recording

@@ -10,8 +10,8 @@ import numpy as np
 
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate
-from hybrid.diagnose.evidence import Index
 from hybrid.diagnose.gap import Columns, Gap
+from hybrid.diagnose.products import Index
 from hybrid.diagnose.shapes import nudges
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect

@@ -310,8 +310,7 @@ class Search(Model):
                 continue
             rest = [t.index for t in self.terms if t is not term and t is not other]
             base = np.concatenate([self.background, *rest])
-            whole = self.evidence.solve(self.base()).evidence
-            wanted = whole - self.evidence.solve(base).evidence - WORTH
+            wanted = self.worth() - self.evidence.solve(base).evidence - WORTH
             if fuller(other.candidate.effect) == term.place[0]:
                 wanted *= _ONE  # a law and what it becomes at a bound of its shapes
             if gain(self.evidence, base, term.candidate) < wanted - _NEAR:

@@ -19,12 +19,10 @@ from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.diagnose.bayes import log_bayes, memory, quiet
 from hybrid.diagnose.gap import Columns, Gap
+from hybrid.diagnose.products import Index, Products
 from hybrid.robot.chain import Array
 
-Index = NDArray[np.intp]
-
 _EXACT = 0.002  # of the torque: nearer than that no two solvers are
-_TAIL = 0.01  # of the squares of a column
 # For columns of unit length.
 _RIDGES = np.array([1e-5, 1e-4, 1e-3, 1e-2]).reshape(-1, 1, 1)
 
@@ -51,54 +49,23 @@ class Solution:
         return self.gains[order[np.searchsorted(self.index[order], columns)]]
 
 
-class Evidence:
-    """Cross-products of the gap with every column that might explain it.
-
-    Columns are kept joint by joint: most effects reach one joint only. Nothing here
-    depends on the number of samples once a column is in.
+class Evidence(Products):
+    """How much more probable the gap is with some of the columns.
 
     Args:
         gap: The gap.
         use: Samples that count, shape (M,); all by default.
+
+    Attributes:
+        precision: Inverse prior variance of each gain, shape (K,).
     """
 
     def __init__(self, gap: Gap, use: NDArray[np.bool_] | None = None) -> None:
-        self.gap = gap
-        n = gap.robot.size
-        moving = gap.moving if use is None else gap.moving & use[:, None]
-        rows = [np.flatnonzero(moving[:, i]) for i in range(n)]
-        # Sorted by fold, so that a fold is a slice; stable, so that time runs on.
-        self.rows = [r[np.argsort(gap.fold[r], kind="stable")] for r in rows]
-        self.folds = np.unique(gap.fold if use is None else gap.fold[use])
-        self._edges = [
-            np.searchsorted(gap.fold[r], [*self.folds, self.folds[-1] + 1])
-            for r in self.rows
-        ]
-        self._left = [gap.left[r, i] for i, r in enumerate(self.rows)]
-        self._columns: list[list[Array]] = [[] for _ in range(n)]
-        self._owner: list[list[int]] = [[] for _ in range(n)]
-        F = len(self.folds)
-        self._gram = [np.zeros((F, 0, 0)) for _ in range(n)]
-        self._moment = [np.zeros((F, 0)) for _ in range(n)]
-        self._sums = [(np.zeros((0, 0)), np.zeros(0)) for _ in range(n)]
-        self.power = np.array(
-            [
-                [x[a:b] @ x[a:b] for a, b in zip(e[:-1], e[1:], strict=True)]
-                for x, e in zip(self._left, self._edges, strict=True)
-            ]
-        )  # (n, F)
-        self.count = np.array([np.diff(e) for e in self._edges])  # (n, F)
+        super().__init__(gap, use)
         self.precision = np.zeros(0)
         self._size = np.zeros(0)
-        self.noise = np.ones(n)
-        self._kept: tuple[bytes, dict[int, tuple[Index, Array]]] = b"", {}
         self._factored: tuple[bytes, tuple[Array, bool], Array]
         self._factored = b"", (np.zeros((0, 0)), False), np.zeros(0)
-
-    @property
-    def size(self) -> int:
-        """Number of columns K."""
-        return len(self.precision)
 
     def add(self, blocks: Sequence[Columns], std: Sequence[Array]) -> list[Index]:
         """Take in columns.
@@ -112,72 +79,18 @@ class Evidence:
         """
         if not blocks:
             return []
-        index, start = [], self.size
-        fresh: list[list[Array]] = [[] for _ in self.rows]
-        names: list[list[int]] = [[] for _ in self.rows]
-        for columns, s in zip(blocks, std, strict=True):
-            own = np.arange(start, start + len(s))
-            for i, x in columns.items():
-                fresh[i].append(x[self.rows[i]])
-                names[i] += own.tolist()
-            index.append(own)
-            start += len(s)
+        index = self.take(blocks, [len(s) for s in std])
         size = np.concatenate([np.asarray(s, dtype=float) for s in std])
         size = np.maximum(size, 1e-12)
         weight = size**-2.0
         self._size = np.concatenate([self._size, size])
         self.precision = np.concatenate([self.precision, weight])
-        for i, parts in enumerate(fresh):
-            if parts:
-                self._extend(i, np.concatenate(parts, axis=1), names[i])
         return index
 
     def spread(self, index: Index, relative: float) -> None:
         """Set the prior of some gains to a fraction of the size they came with."""
         self.precision[index] = self._size[index] ** -2.0 / relative**2
         self._factored = b"", self._factored[1], self._factored[2]
-
-    def _extend(self, i: int, new: Array, names: list[int]) -> None:
-        old, k, p = self._columns[i], len(self._owner[i]), new.shape[1]
-        F = len(self.folds)
-        gram = np.zeros((F, k + p, k + p))
-        gram[:, :k, :k] = self._gram[i]
-        moment = np.zeros((F, k + p))
-        moment[:, :k] = self._moment[i]
-        everything = np.concatenate([*old, new], axis=1)
-        for f, (a, b) in enumerate(
-            zip(self._edges[i][:-1], self._edges[i][1:], strict=True)
-        ):
-            cross = everything[a:b].T @ new[a:b]
-            gram[f, :, k:], gram[f, k:, :] = cross, cross.T
-            moment[f, k:] = new[a:b].T @ self._left[i][a:b]
-        self._columns[i] = [everything]
-        self._owner[i] += names
-        self._gram[i], self._moment[i] = gram, moment
-        self._sums[i] = gram.sum(axis=0), moment.sum(axis=0)
-
-    def normal(self, index: Index, folds: Index | None = None) -> tuple[Array, Array]:
-        """Normal matrix (k, k) and vector (k,) of some columns, weighed by noise.
-
-        Args:
-            index: Columns.
-            folds: Which folds count; all by default.
-        """
-        A, b = np.zeros((len(index), len(index))), np.zeros(len(index))
-        where = np.full(self.size, -1)
-        where[index] = np.arange(len(index))
-        for i, owner in enumerate(self._owner):
-            target = where[owner]
-            here = np.flatnonzero(target >= 0)
-            at = target[here]
-            gram, moment = (x[here] for x in self._sums[i])
-            gram = gram[:, here]
-            if folds is not None:
-                gram = self._gram[i][np.ix_(folds, here, here)].sum(axis=0)
-                moment = self._moment[i][np.ix_(folds, here)].sum(axis=0)
-            A[np.ix_(at, at)] += gram / self.noise[i]
-            b[at] += moment / self.noise[i]
-        return A, b
 
     def solve(self, index: Index, folds: Index | None = None) -> Solution:
         """Most probable gains of some columns, and the evidence for all of them."""
@@ -213,43 +126,6 @@ class Evidence:
             found.append([*own, *np.linalg.solve(A[K:, K:] + prior, target)])
         return np.array(found)
 
-    def folds_with(self, index: Index) -> int:
-        """Number of folds in which some columns are more than the tail of a filter."""
-        power = np.zeros(len(self.folds))
-        for gram, owner in zip(self._gram, self._owner, strict=True):
-            here = np.flatnonzero(np.isin(owner, index))
-            power += gram[:, here, here].sum(axis=1)
-        return int(np.count_nonzero(power > _TAIL * power.max()))
-
-    def squares(self, index: Index, gains: Array) -> Array:
-        """Sum of squares left on each joint and fold, shape (n, F), [N²·m²].
-
-        Args:
-            index: Columns.
-            gains: Their gains, shape (k,); or on each fold its own, shape (F, k).
-        """
-        gains = np.broadcast_to(gains, (len(self.folds), len(index)))
-        out = self.power.copy()
-        where = np.full(self.size, -1)
-        where[index] = np.arange(len(index))
-        for i, owner in enumerate(self._owner):
-            target = where[owner]
-            here = np.flatnonzero(target >= 0)
-            g = gains[:, target[here]]
-            gram = self._gram[i][:, here[:, None], here]
-            out[i] += np.einsum("fk,fkl,fl->f", g, gram, g)
-            out[i] -= 2 * np.einsum("fk,fk->f", g, self._moment[i][:, here])
-        return np.asarray(out)
-
-    def residual(self, i: int, index: Index, gains: Array) -> Array:
-        """What gains leave of the gap at a joint, in the order of ``rows[i]``."""
-        left: Array = self._left[i]
-        if not self._columns[i]:
-            return left
-        full = np.zeros(self.size)
-        full[index] = gains
-        return np.asarray(left - self._columns[i][0] @ full[self._owner[i]])
-
     def screen(
         self,
         base: Index,
@@ -269,7 +145,7 @@ class Evidence:
             return np.zeros(0)
         wanted, sizes = np.concatenate(blocks), np.array([len(x) for x in blocks])
         first, second = _within(sizes)
-        across, own, moment = self._beside(base, wanted, first, second)
+        across, own, moment = self.beside(base, wanted, first, second)
         A, b = self.normal(base)
         # In units of the prior, which differ by many orders of magnitude.
         unit = 1.0 / np.sqrt(self.precision[base])
@@ -287,35 +163,6 @@ class Evidence:
             weight = self.precision[blocks[m]]
             gains[m], _ = log_bayes(square, s[here], weight, low, x)
         return gains
-
-    def _beside(
-        self, base: Index, wanted: Index, first: Index, second: Index
-    ) -> tuple[Array, Array, Array]:
-        """Cross-products of columns, weighed by noise.
-
-        Args:
-            base: Some columns, shape (k,).
-            wanted: Others, shape (K,).
-            first: Which of the others to multiply, shape (P,).
-            second: And with which, shape (P,).
-
-        Returns:
-            Those of the two, shape (k, K); those among the others, shape (P,); and
-            with the gap, shape (K,).
-        """
-        across = np.zeros((len(base), len(wanted)))
-        own, moment = np.zeros(len(first)), np.zeros(len(wanted))
-        for i, owner in enumerate(self._owner):
-            place = np.full(self.size, -1)
-            place[owner] = np.arange(len(owner))
-            (gram, beside), k, m = self._sums[i], place[base], place[wanted]
-            here, there = np.flatnonzero(k >= 0), np.flatnonzero(m >= 0)
-            block = gram[np.ix_(k[here], m[there])]
-            across[np.ix_(here, there)] += block / self.noise[i]
-            both = np.flatnonzero((m[first] >= 0) & (m[second] >= 0))
-            own[both] += gram[m[first[both]], m[second[both]]] / self.noise[i]
-            moment[there] += beside[m[there]] / self.noise[i]
-        return across, own, moment
 
     def trial(
         self,
@@ -340,28 +187,14 @@ class Evidence:
         for i, x in columns.items():
             new = x[self.rows[i]]
             H += new.T @ new / self.noise[i]
-            s += new.T @ self._left[i] / self.noise[i]
-            target, known = self._known(base, i)
+            s += new.T @ self.left[i] / self.noise[i]
+            target, known = self.known(base, i)
             across[target] += known.T @ new / self.noise[i]
         factor, b = self._factor(base)
         across /= np.sqrt(self.precision[base])[:, None]
         H -= across.T @ cho_solve(factor, across)
         s -= across.T @ cho_solve(factor, b)
         return log_bayes(H, s, 1.0 / np.maximum(std, 1e-12) ** 2, lower, made_at)
-
-    def _known(self, base: Index, i: int) -> tuple[Index, Array]:
-        """Columns of a joint that are in a base, with their place in it; kept."""
-        if self._kept[0] != base.tobytes():
-            self._kept = base.tobytes(), {}
-        if i not in self._kept[1]:
-            where = np.full(self.size, -1)
-            where[base] = np.arange(len(base))
-            target = where[self._owner[i]]
-            here = np.flatnonzero(target >= 0)
-            rows = len(self.rows[i])
-            all_ = self._columns[i][0] if self._columns[i] else np.zeros((rows, 0))
-            self._kept[1][i] = target[here], all_[:, here]
-        return self._kept[1][i]
 
     def _factor(self, base: Index) -> tuple[tuple[Array, bool], Array]:
         """Cholesky factor and right-hand side of some columns, kept for the next.
@@ -388,12 +221,12 @@ class Evidence:
                 continue
             here = np.flatnonzero(np.isin(owner, index))
             variance, weights = self._flexible(i, here)
-            rest = self._left[i] - self._columns[i][0][:, here] @ weights
+            rest = self.left[i] - self._columns[i][:, here] @ weights
             back = np.argsort(row)
             alike = memory(rest[back], row[back])
             noise = variance * alike
             # A few events may be all of that, and spoil the regression as well.
-            for x in (rest[back], self._left[i][back]):
+            for x in (rest[back], self.left[i][back]):
                 calm = quiet(x, row[back], self.gap.rate)
                 if not calm.all():
                     usual = memory(x[calm], row[back][calm]) * np.mean(x[calm] ** 2)

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.background import background
-from hybrid.diagnose.evidence import Evidence, Index
+from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.gap import Gap, block_seconds
+from hybrid.diagnose.products import Index
 from hybrid.diagnose.term import Term
 from hybrid.robot.chain import Array
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from hybrid.diagnose.diagnosis import Region
-from hybrid.diagnose.evidence import Index
 from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.products import Index
 from hybrid.robot.chain import Array
 
 TORQUE_TO_MOTION = "torque to motion"

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate, Place, simpler, undeclared
-from hybrid.diagnose.evidence import Evidence, Index
+from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.pool import Pool
+from hybrid.diagnose.products import Index
 from hybrid.diagnose.refine import refine
 from hybrid.diagnose.shapes import price
 from hybrid.diagnose.term import Term

@@ -13,8 +13,9 @@ from hybrid.diagnose.candidates import (
     same,
 )
 from hybrid.diagnose.contacts import Contacts
-from hybrid.diagnose.evidence import Evidence, Index
+from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.gap import Columns, Gap
+from hybrid.diagnose.products import Index
 from hybrid.diagnose.refine import gain
 from hybrid.diagnose.ripples import ripple_orders
 from hybrid.diagnose.shapes import price

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from hybrid.diagnose.candidates import Candidate, scale_of, with_gains
-from hybrid.diagnose.evidence import Evidence, Index
+from hybrid.diagnose.evidence import Evidence
+from hybrid.diagnose.products import Index
 from hybrid.diagnose.shapes import fit_shapes, nudges, price
 from hybrid.effects import Effect
 from hybrid.robot.chain import Array

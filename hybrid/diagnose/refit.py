@@ -10,11 +10,12 @@ from scipy.stats import chi2, qmc
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.background import clocks
 from hybrid.diagnose.candidates import Candidate, with_gains
-from hybrid.diagnose.evidence import Evidence, Index, Solution
+from hybrid.diagnose.evidence import Evidence, Solution
 from hybrid.diagnose.explanation import fresh
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.model import WIDEST
 from hybrid.diagnose.pool import REPEATED
+from hybrid.diagnose.products import Index
 from hybrid.diagnose.refine import take_nudges
 from hybrid.diagnose.shapes import at_places, places, shape_units
 from hybrid.effects import Effect

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hybrid.diagnose.candidates import Candidate, Place
-from hybrid.diagnose.evidence import Index
+from hybrid.diagnose.products import Index
 
 
 @dataclass(frozen=True, eq=False)
