@@ -10,6 +10,7 @@ from simulated import arm
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.background import dry_friction
 from hybrid.diagnose.candidates import candidate
+from hybrid.diagnose.convention import Convention, find_convention
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.gap import measure_gap
 from hybrid.dynamics import inverse_dynamics
@@ -95,6 +96,12 @@ class TestNoFriction:
         found = {t.place[0] for t in search.terms if t.place[1] == (1,)}
         assert found >= {"coulomb", "viscous", "stribeck"}
         assert "nonlinear_viscous" not in found
+
+    @pytest.mark.parametrize("late", [0, 1])
+    def test_how_late_torque_is_logged_is_told_beside_a_rotor(self, late):
+        shifted = [replace(x, tau=np.roll(x.tau, late, axis=0)) for x in logs()]
+        found = find_convention(measure_gap(BARE, shifted), shifted)
+        assert found == Convention(late=pytest.approx(late / RATE))
 
 
 class TestTooMuchFriction:

@@ -130,11 +130,13 @@ def _answers(
     rigid = np.concatenate(evidence.add(*background(gap)))
     evidence.spread(rigid, _OFF)
     beside = [candidate(gap, kind((j,))) for kind in _BESIDE for j in joints]
+    servo = [j for j, k in zip(joints, kd, strict=True) if k > 0]
+    # A rotor that the file lacks is no age of torque.
+    beside += [candidate(gap, Armature((j,))) for j in joints if j not in servo]
+    kd = kd[kd > 0]
     if loaded:
         beside.append(candidate(gap, Payload(tuple(range(robot.size)))))
     evidence.add([gap.columns(c.effect) for c in beside], [c.std for c in beside])
-    servo = [j for j, k in zip(joints, kd, strict=True) if k > 0]
-    kd = kd[kd > 0]
     asked = [_older(gap, j) for j in joints]
     asked += [gap.columns(Armature((j,))) for j in servo]
     open_ = np.array([*np.full(len(joints), _OPEN), *(_OPEN * kd)])
