@@ -17,16 +17,18 @@ from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.diagnosis import Shrink
 from hybrid.diagnose.explanation import Explanation, between, split
-from hybrid.diagnose.gap import measure_gap
+from hybrid.diagnose.gap import measure_gap, simulated_torque
 from hybrid.diagnose.refine import shape_steps
 from hybrid.diagnose.refit import refit
 from hybrid.diagnose.shapes import nudges, shape_units
+from hybrid.dynamics import RigidBody
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.counterbalance import Counterbalance
 from hybrid.effects.delay import Delay
+from hybrid.effects.encoder_eccentricity import EncoderEccentricity
 from hybrid.effects.payload import LinkInertia, Payload
 from hybrid.effects.spring import Spring
 from hybrid.effects.torque_gain import TorqueGain
@@ -107,6 +109,27 @@ class TestGap:
         scale = np.sqrt(np.mean(shown**2))
         rest = np.sqrt(np.mean(bare.left[here, j] ** 2))
         assert np.sqrt(np.mean((seen - shown) ** 2)) < 0.1 * scale + 2 * rest
+
+    @pytest.mark.parametrize("size", [0.0, 1.0])
+    def test_an_encoders_error_acts_on_rotor_and_damping_too(self, size):
+        """At no error columns are first order, at any other they make it up."""
+        robot, clean = logs([], quiet=True)
+        gap = measure_gap(robot, clean, cutoff=15.0)
+        off = {"sine": 0.03, "cosine": -0.02}
+        effect = EncoderEccentricity((0,), {k: size * x for k, x in off.items()})
+        gains = np.array([*off.values()])
+        # Far off the whole change; near, a hundredth of it.
+        near = effect.at({k: (size or 0.01) * x for k, x in off.items()})
+        parts = []
+        for motion, body, sampler in gap:
+            seen = near.observe(motion, body)
+            after = simulated_torque(robot, seen, RigidBody(robot.chain, seen))
+            parts.append(sampler(after - motion.tau) / (size or 0.01))
+        expected = np.concatenate(parts)
+        for j, columns in gap.columns(effect).items():
+            error = columns @ gains - expected[:, j]
+            part = 1e-6 if size else 0.01
+            assert np.linalg.norm(error) < part * np.linalg.norm(expected[:, j])
 
     @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
     @pytest.mark.parametrize("duration", [5.0, 8.0])
@@ -431,6 +454,20 @@ class TestCause:
         (term,) = search.terms
         (gain,) = search.evidence.solve(search.base()).of(term.index)
         assert term.candidate.effect.values["time"] == pytest.approx(gain, rel=0.01)
+
+    def test_a_large_eccentricity_is_nothing_but_that(self):
+        error = EncoderEccentricity((1,), {"sine": -0.032, "cosine": -0.027})
+        robot, recordings = logs([error])
+        gap = measure_gap(robot, recordings)
+        search = Search(gap)
+        search.run()
+        (term,) = search.terms
+        assert term.place == ("encoder_eccentricity", (1,))
+        gains = search.evidence.solve(search.base()).of(term.index)
+        np.testing.assert_allclose(term.candidate.effect.gain_values, gains, rtol=0.01)
+        (found,) = refit(gap, search)
+        for name, truth in error.values.items():
+            assert abs(found.values[name] - truth) < 1.96 * found.std[name]
 
     def test_a_spring_and_a_counterbalance_at_a_joint_are_one_cause(self):
         spring = Spring((0,), {"stiffness": 1.0, "preload": 2.0})

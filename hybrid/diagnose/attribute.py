@@ -18,7 +18,7 @@ from hybrid.diagnose.candidates import (
     simpler,
     with_gains,
 )
-from hybrid.diagnose.model import ALIKE, OFF, WIDEST, WORTH, Model, linearised
+from hybrid.diagnose.model import ALIKE, OFF, WIDEST, WORTH, Model, far, linearised
 from hybrid.diagnose.pool import REPEATED
 from hybrid.diagnose.refine import gain, shape_steps
 from hybrid.diagnose.shapes import at_places, places
@@ -275,13 +275,12 @@ class Search(Model):
         """Make the columns of effects on signals at the gains that all terms have."""
         for _ in range(_POLISHINGS):
             gains = self.evidence.solve(self.base())
-            far = [
+            moved = [
                 k for k, t in enumerate(self.terms)
                 if linearised(t.candidate.effect)
-                and abs(gains.of(t.index)[0] / t.candidate.effect.gain_values[0] - 1.0)
-                > _SAME
+                and far(t.candidate.effect, gains.of(t.index)) > _SAME
             ]  # fmt: skip
-            for k in far:
+            for k in moved:
                 c = self.terms[k].candidate
                 effect = with_gains(c.effect, gains.of(self.terms[k].index))
                 self.terms[k] = self.term(replace(c, effect=effect))

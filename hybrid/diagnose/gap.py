@@ -121,8 +121,9 @@ class Gap:
     def columns(self, effect: Effect, *, calm: bool = False) -> Columns:
         """Torque per unit of each gain, filtered as the gap is.
 
-        First order at a gain of zero. Effects that change signals are not linear in
-        their gain: at any other value it is the whole change, per unit of the gain.
+        First order at gains of zero. Effects that change signals are not linear in
+        their gains: at any others they are mended along these, so that they make up
+        the whole change.
 
         Args:
             effect: The effect.
@@ -131,27 +132,45 @@ class Gap:
         Returns:
             For each joint that the effect's torque reaches, shape (M, p).
         """
-        exact = len(effect.gains) == 1 and (effect.observes or effect.reports)
-        exact &= not effect.steep
-        if exact and effect.gain_values[0] == 0.0:
+        if effect.reports and not effect.gain_values.any():
             # A report is of all torque, friction included: its columns are not.
-            exact = effect.reports
-            small = (
-                _SMALL * effect.gains[0].scaled(self.scales[effect.joints[-1]]).typical
-            )
-            effect = effect.at({effect.gains[0].name: small}) if exact else effect
+            scale = self.scales[effect.joints[-1]]
+            small = {g.name: _SMALL * g.scaled(scale).typical for g in effect.gains}
+            effect = effect.at(small)
+        gains = effect.gain_values
+        signal = (effect.observes or effect.reports) and not effect.steep
         parts = []
         for motion, body, sampler in (
             self.calm if calm or effect.differentiates else self
         ):
-            if exact:
-                full = self._change(effect, motion, body) / effect.gain_values[0]
-                parts.append(sampler(full)[:, :, None])
+            if signal and gains.any():
+                first = self._first(effect, motion, body)
+                rest = self._change(effect, motion, body) - first @ gains
+                along = rest[:, :, None] * gains / (gains @ gains)
+                parts.append(sampler(first + along))
             else:
-                parts.append(sampler(effect.columns(motion, body)))
+                parts.append(sampler(self._first(effect, motion, body)))
         stacked = np.concatenate(parts)
         reached = effect.reaches(self.robot.size)
         return {j: stacked[:, k] for k, j in enumerate(reached)}
+
+    def _first(self, effect: Effect, motion: Motion, body: RigidBody) -> Array:
+        """First-order torque per unit of each gain, shape (N, r, p).
+
+        Of another speed than the encoder's, with what rotor and damping make of it.
+        """
+        columns = effect.columns(motion, body)
+        if not effect.observes or effect.steep:
+            return columns
+        reached, robot = list(effect.reaches(self.robot.size)), self.robot
+        for k, g in enumerate(effect.gains):
+            small = _SMALL * g.typical
+            none = dict.fromkeys((x.name for x in effect.gains), 0.0)
+            seen = effect.at(none | {g.name: small}).observe(motion, body)
+            v, a = seen.v - motion.v, seen.a - motion.a
+            drive = (robot.chain.armature * a + robot.damping * v)[:, reached]
+            columns[:, :, k] += drive / small
+        return columns
 
     def _change(self, effect: Effect, motion: Motion, body: RigidBody) -> Array:
         """Change of the simulated torque by an effect on signals, shape (N, r)."""

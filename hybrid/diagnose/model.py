@@ -168,16 +168,15 @@ class Model:
         return own.place != term.place or now > before + ALIKE
 
     def _holds_gain(self, term: Term) -> bool:
-        """Whether a term's gain is near the one that its columns are made at.
+        """Whether a term's gains are near those that its columns are made at.
 
         Those of an effect on signals are not linear: far off they are another law's.
         """
         effect = term.candidate.effect
         if not linearised(effect):
             return True
-        (made,) = effect.gain_values
-        (now,) = self.evidence.solve(self.base()).of(term.index)
-        return bool(abs(now - made) <= _FAR * abs(made))
+        gains = self.evidence.solve(self.base()).of(term.index)
+        return far(effect, gains) <= _FAR
 
     def remove(self) -> None:
         """Take out terms that add little, the weakest first."""
@@ -213,7 +212,12 @@ def _mending(small: Term, large: Term) -> float:
 
 
 def linearised(effect: Effect) -> bool:
-    """Whether an effect's columns are made at its gain, and hold near it."""
+    """Whether an effect's columns are made at its gains, and hold near them."""
     signal = effect.observes or effect.reports
-    one = len(effect.gains) == 1 and effect.gain_values[0] != 0.0
-    return signal and one and not effect.steep
+    return signal and not effect.steep and bool(effect.gain_values.any())
+
+
+def far(effect: Effect, gains: Array) -> float:
+    """How far some gains are from those of an effect, relative."""
+    made = effect.gain_values
+    return float(np.linalg.norm(gains - made) / np.linalg.norm(made))

@@ -41,7 +41,7 @@ def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, fl
     if best < start:
         effect, best = first, start
     signal = effect.observes or effect.reports
-    if signal and not effect.steep and len(effect.gains) == 1:
+    if signal and not effect.steep:
         effect, best = _exact(evidence, base, replace(c, effect=effect))
     return replace(c, effect=effect), best
 
@@ -54,15 +54,15 @@ def gain(evidence: Evidence, base: Index, c: Candidate) -> float:
 
 
 def _exact(evidence: Evidence, base: Index, c: Candidate) -> tuple[Effect, float]:
-    """An effect on signals at its own gain, where its columns are not linear."""
-    effect, best, name = c.effect, -np.inf, c.effect.gains[0].name
-    bounds = c.effect.gains[0].scaled(scale_of(evidence.gap, effect))
+    """An effect on signals at its own gains, where its columns are not linear."""
+    effect, best, scale = c.effect, -np.inf, scale_of(evidence.gap, c.effect)
+    bounds = [g.scaled(scale) for g in effect.gains]
+    lower, upper = [b.lower for b in bounds], [b.upper for b in bounds]
     for _ in range(_EXACT_PASSES):
         columns = evidence.gap.columns(effect)
         best, gains = evidence.trial(base, columns, c.std, c.lower)
         best -= price(effect)
-        value = float(np.clip(gains[0], bounds.lower, bounds.upper))
-        effect = effect.at({name: value})
+        effect = with_gains(effect, np.clip(gains, lower, upper))
     return effect, best
 
 
