@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from simulated import arm, motions
 
+from hybrid.diagnose.gap import measure_gap
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.effects.elasticity import Elasticity
+from hybrid.plant import Noise, Plant, simulate
 
 
 def torque_with_twist(robot, motion, joint, compliance):
@@ -46,3 +48,19 @@ def test_it_reaches_every_joint_but_acts_on_one():
     effect = Elasticity((1,), {"compliance": 1e-4})
     assert effect.joints == (1,)
     assert effect.reaches(3) == (0, 1, 2)
+
+
+@pytest.mark.parametrize(("compliance", "damping"), [(1e-4, 5.0), (5e-5, 5.0)])
+def test_a_link_swings_by_its_inertia_wherever_the_arm_is(compliance, damping):
+    """A third of the gap is left at most; of a mean inertia, more than half."""
+    robot = arm("coman_like")
+    effect = Elasticity((1,), {"compliance": compliance, "damping": damping})
+    plant = Plant(robot, [effect], nominal=robot, noise=Noise.none(robot.size))
+    gap = measure_gap(robot, simulate(plant, trajectories=2, duration=8.0, seed=3))
+    rest = gap.left.copy()
+    for j, columns in gap.columns(effect).items():
+        rest[:, j] -= columns @ effect.gain_values
+    for j in (1, 2):
+        here = gap.moving[:, j]
+        left = np.linalg.norm(gap.left[here, j])
+        assert np.linalg.norm(rest[here, j]) < 0.3 * left

@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from scipy.fft import next_fast_len
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solve_banded
 
 from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
 from hybrid.errors import EffectError
@@ -17,8 +18,9 @@ if TYPE_CHECKING:
     import mujoco
 
 
-_REACH = 2.0  # s; by then it has rung out
-_LEAST_DAMPING = 0.05  # of the critical one; no gear rings for longer
+_TURN, _FINEST = 0.15, 8  # rad of a swing in a step; parts of a sample, at most
+_FIRST_DAMPING, _FORGOTTEN = 0.5, 0.3  # of the critical one; s
+_LEAST_DAMPING = 0.02  # of the critical one; no gear rings for longer
 
 
 class Elasticity(Effect):
@@ -64,35 +66,38 @@ class Elasticity(Effect):
     def _twist(self, motion: Motion, body: Body) -> tuple[Array, ...]:
         """Position, speed and acceleration of link over motor per compliance, (N, n).
 
-        The spring carries the load of a link that follows by τ_load = K d + D ḋ + M d̈,
-        if M, the inertia about the joint, is taken at its mean along the motion.
+        The link swings by M d̈ + (C + D) ḋ + (G + K) d = −τ_load, with M, C and G the
+        derivatives of its torque by its own motion, wherever the arm is.
         """
         (j,) = self.joints
         soft, damping = self.values["compliance"], self.values["damping"]
+        place, load = np.zeros_like(motion.q), body.load[:, j]
         if soft == 0:
-            place = np.zeros_like(motion.q)
-            place[:, j] = -body.load[:, j]
+            place[:, j] = -load
             speed = np.gradient(place, motion.t, axis=0)
             return place, speed, np.gradient(speed, motion.t, axis=0)
-        push, none = np.zeros_like(motion.q), np.zeros_like(motion.q)
+        none, push = np.zeros_like(motion.q), np.zeros_like(motion.q)
         push[:, j] = 1.0
-        inertia = float(np.mean(body.response(none, none, push)[:, j]))
-        step = float(np.median(np.diff(motion.t)))
-        drag = np.hypot(damping * soft, 2 * _LEAST_DAMPING * np.sqrt(inertia * soft))
-        load = body.load[:, j]
-        # Continued by its point reflection, which keeps value and slope at the ends.
-        N, reach = len(load), min(len(load) - 1, round(_REACH / step))
-        size = int(next_fast_len(N + 2 * reach, real=True))
-        after = size - N - reach
-        whole = np.pad(load, (reach, after), mode="reflect", reflect_type="odd")
-        omega = 2 * np.pi * np.fft.rfftfreq(size, step)
-        spectrum = np.fft.rfft(whole) / (
-            1.0 + 1j * omega * drag - inertia * soft * omega**2
+        G, C, M = (
+            body.response(*(push if k == own else none for k in range(3)))[:, j]
+            for own in range(3)
         )
+        inertia = float(np.mean(M))
+        # How it swung before the log began is not known, and is soon forgotten.
+        past = _FIRST_DAMPING * np.exp(-(motion.t - motion.t[0]) / _FORGOTTEN)
+        drag = damping + 2 * (past + _LEAST_DAMPING) * np.sqrt(inertia / soft) + C
+        h, stiff = float(np.median(np.diff(motion.t))), 1.0 / soft + G
+        fine = np.ceil(h / np.sqrt(inertia * soft) / _TURN)
+        parts = int(np.clip(fine, 1, _FINEST))
+        signals = np.stack([np.maximum(M, 0.1 * inertia), drag, stiff, load])
+        if parts > 1:
+            at = np.arange(parts * (len(load) - 1) + 1) / parts
+            signals = CubicSpline(np.arange(len(load)), signals, axis=1)(at)
+        d = _swing(signals, h / parts)
+        speed = np.gradient(d, h / parts)
+        acceleration = -(signals[3] + signals[1] * speed + signals[2] * d) / signals[0]
         out = np.zeros((3, *motion.q.shape))
-        for power in range(3):
-            turn = spectrum * (1j * omega) ** power
-            out[power, :, j] = -np.fft.irfft(turn, size)[reach : reach + N]
+        out[:, :, j] = np.stack([d, speed, acceleration])[:, ::parts] / soft
         return tuple(out)
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
@@ -114,3 +119,26 @@ class Elasticity(Effect):
         )
         spring.stiffness = np.array([1.0 / self.values["compliance"], 0.0, 0.0])
         spring.damping = np.array([self.values["damping"], 0.0, 0.0])
+
+
+def _swing(signals: Array, h: float) -> Array:
+    """Solve m d̈ + c ḋ + k d = −load from rest under the first load, shape (N,).
+
+    Newmark's rule of average acceleration, which is stable for any step.
+
+    Args:
+        signals: Mass m, damping c, stiffness k and load, shape (4, N).
+        h: Time between samples, [s].
+
+    Source: Newmark 1959, doi 10.1061/JMCEA3.0000098.
+    """
+    mass, drag, stiff, load = signals
+    inner = slice(1, -1)
+    m, c, k = mass[inner] / h**2, drag[inner] / (2 * h), stiff[inner] / 4
+    bands = np.zeros((3, len(load)))
+    bands[0] = 1.0
+    # Rows 0 and 1 are the two places that it starts from.
+    bands[0, 2:], bands[1, 1:-1], bands[2, :-2] = m + c + k, 2 * (k - m), m - c + k
+    out = -(load[:-2] + 2 * load[inner] + load[2:]) / 4
+    start = np.full(2, -load[0] / stiff[0])
+    return np.asarray(solve_banded((2, 0), bands, np.concatenate([start, out])))
