@@ -52,7 +52,7 @@ def test_it_reaches_every_joint_but_acts_on_one():
 
 @pytest.mark.parametrize(("compliance", "damping"), [(1e-4, 5.0), (5e-5, 5.0)])
 def test_a_link_swings_by_its_inertia_wherever_the_arm_is(compliance, damping):
-    """A third of the gap is left at most; of a mean inertia, more than half."""
+    """Two fifths of the gap are left at most; of a mean inertia, more than half."""
     robot = arm("coman_like")
     effect = Elasticity((1,), {"compliance": compliance, "damping": damping})
     plant = Plant(robot, [effect], nominal=robot, noise=Noise.none(robot.size))
@@ -63,4 +63,4 @@ def test_a_link_swings_by_its_inertia_wherever_the_arm_is(compliance, damping):
     for j in (1, 2):
         here = gap.moving[:, j]
         left = np.linalg.norm(gap.left[here, j])
-        assert np.linalg.norm(rest[here, j]) < 0.3 * left
+        assert np.linalg.norm(rest[here, j]) < 0.4 * left

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 _TURN, _FINEST = 0.15, 8  # rad of a swing in a step; parts of a sample, at most
-_FIRST_DAMPING, _FORGOTTEN = 0.5, 0.3  # of the critical one; s
-_LEAST_DAMPING = 0.02  # of the critical one; no gear rings for longer
+_FIRST_DAMPING, _FORGOTTEN = 0.3, 0.3  # of the critical one; s
+_LEAST_DAMPING = 0.05  # of the critical one; no gear rings for longer
 
 
 class Elasticity(Effect):
