@@ -64,3 +64,11 @@ def test_a_link_swings_by_its_inertia_wherever_the_arm_is(compliance, damping):
         here = gap.moving[:, j]
         left = np.linalg.norm(gap.left[here, j])
         assert np.linalg.norm(rest[here, j]) < 0.4 * left
+
+
+def test_a_spring_too_soft_for_its_load_bends_it_by_no_more_than_finite():
+    robot = arm("coman_like")
+    (motion,) = motions(robot, count=1, rate=200.0)
+    soft = Elasticity((1,), {"compliance": 1.0})
+    columns = soft.columns(motion, RigidBody(robot.chain, motion))
+    assert np.abs(columns).max() < 1e6

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _TURN, _FINEST = 0.15, 8  # rad of a swing in a step; parts of a sample, at most
 _FIRST_DAMPING, _FORGOTTEN = 0.3, 0.3  # of the critical one; s
+_UPRIGHT = 0.1  # of the spring: what gravity leaves of it, of any that is in use
 _LEAST_DAMPING = 0.05  # of the critical one; no gear rings for longer
 
 
@@ -87,6 +88,7 @@ class Elasticity(Effect):
         past = _FIRST_DAMPING * np.exp(-(motion.t - motion.t[0]) / _FORGOTTEN)
         drag = damping + 2 * (past + _LEAST_DAMPING) * np.sqrt(inertia / soft) + C
         h, stiff = float(np.median(np.diff(motion.t))), 1.0 / soft + G
+        stiff = np.maximum(stiff, _UPRIGHT / soft)
         fine = np.ceil(h / np.sqrt(inertia * soft) / _TURN)
         parts = int(np.clip(fine, 1, _FINEST))
         signals = np.stack([np.maximum(M, 0.1 * inertia), drag, stiff, load])
