@@ -21,6 +21,7 @@ from hybrid.diagnose.gap import measure_gap, simulated_torque
 from hybrid.diagnose.refine import shape_steps
 from hybrid.diagnose.refit import refit
 from hybrid.diagnose.shapes import nudges, shape_units
+from hybrid.diagnose.thresholds import thresholds
 from hybrid.dynamics import RigidBody
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash
@@ -468,6 +469,17 @@ class TestCause:
         (found,) = refit(gap, search)
         for name, truth in error.values.items():
             assert abs(found.values[name] - truth) < 1.96 * found.std[name]
+
+    @pytest.mark.parametrize(("velocity", "sound"), [(0.1, True), (1.0, False)])
+    def test_a_stribeck_law_that_falls_over_all_speeds_is_none(self, velocity, sound):
+        robot, recordings = logs([STRIBECK])
+        gap = measure_gap(robot, recordings)
+        search = Search(gap)
+        wide = STRIBECK.at({"velocity": velocity})
+        search.terms = search.having([candidate(gap, wide)]).terms
+        found = VERIFY.account(gap, search, thresholds())
+        checked = VERIFY.check(search, search.terms[0], found, thresholds())
+        assert checked.physical is sound
 
     def test_a_spring_and_a_counterbalance_at_a_joint_are_one_cause(self):
         spring = Spring((0,), {"stiffness": 1.0, "preload": 2.0})

@@ -85,6 +85,8 @@ class Effect(Instant, ABC):
     # What its law leaves out: relative standard deviation of values fitted to motion of
     # an exact plant, beyond what noise leaves open.
     inexact: ClassVar[Mapping[str, float]] = {}
+    # Shapes that are below the top of their range wherever the law is the right one.
+    below_top: ClassVar[tuple[str, ...]] = ()
     equation: ClassVar[str]
     source: ClassVar[str]
     sentence: ClassVar[str]

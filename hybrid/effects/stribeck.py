@@ -16,6 +16,7 @@ class Stribeck(JointEffect):
     id = "stribeck"
     port = Port.DRIVE
     dry = True
+    below_top = ("velocity",)  # else it falls over all speeds, as other friction might
     gains = (Quantity("level", "N·m", 0.03, 0.0, 0.3, per=(1, 0)),)
     shapes = (
         Quantity("velocity", "rad/s", 0.05, 0.001, 1.0),
