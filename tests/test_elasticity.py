@@ -72,3 +72,15 @@ def test_a_spring_too_soft_for_its_load_bends_it_by_no_more_than_finite():
     soft = Elasticity((1,), {"compliance": 1.0})
     columns = soft.columns(motion, RigidBody(robot.chain, motion))
     assert np.abs(columns).max() < 1e6
+
+
+def test_a_link_without_inertia_follows_its_load_at_once():
+    robot = arm("planar")
+    bare = robot.chain.inertial.copy()
+    bare[1] = 0.0
+    chain = replace(robot.chain, inertial=bare)
+    (motion,) = motions(robot, count=1, rate=200.0)
+    columns = Elasticity((1,), {"compliance": 1e-3}).columns(
+        motion, RigidBody(chain, motion)
+    )
+    assert np.isfinite(columns).all()

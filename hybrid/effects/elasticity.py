@@ -83,12 +83,13 @@ class Elasticity(Effect):
             body.response(*(push if k == own else none for k in range(3)))[:, j]
             for own in range(3)
         )
-        inertia = float(np.mean(M))
+        h = float(np.median(np.diff(motion.t)))
+        # A link of none, as some files have it, follows within a sample.
+        inertia = max(float(np.mean(M)), h**2 / soft)
         # How it swung before the log began is not known, and is soon forgotten.
         past = _FIRST_DAMPING * np.exp(-(motion.t - motion.t[0]) / _FORGOTTEN)
         drag = damping + 2 * (past + _LEAST_DAMPING) * np.sqrt(inertia / soft) + C
-        h, stiff = float(np.median(np.diff(motion.t))), 1.0 / soft + G
-        stiff = np.maximum(stiff, _UPRIGHT / soft)
+        stiff = np.maximum(1.0 / soft + G, _UPRIGHT / soft)
         fine = np.ceil(h / np.sqrt(inertia * soft) / _TURN)
         parts = int(np.clip(fine, 1, _FINEST))
         signals = np.stack([np.maximum(M, 0.1 * inertia), drag, stiff, load])
@@ -97,7 +98,8 @@ class Elasticity(Effect):
             signals = CubicSpline(np.arange(len(load)), signals, axis=1)(at)
         d = _swing(signals, h / parts)
         speed = np.gradient(d, h / parts)
-        acceleration = -(signals[3] + signals[1] * speed + signals[2] * d) / signals[0]
+        mass, drag, stiff, load = signals
+        acceleration = -(load + drag * speed + stiff * d) / mass
         out = np.zeros((3, *motion.q.shape))
         out[:, :, j] = np.stack([d, speed, acceleration])[:, ::parts] / soft
         return tuple(out)
