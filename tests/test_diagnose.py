@@ -456,6 +456,15 @@ class TestCause:
         (gain,) = search.evidence.solve(search.base()).of(term.index)
         assert term.candidate.effect.values["time"] == pytest.approx(gain, rel=0.01)
 
+    def test_a_joint_that_keeps_its_gap_is_not_explained(self):
+        robot, recordings = logs([TorqueGain((0,), {"gain": 0.25})])
+        result = examine(robot, recordings)
+        assert result.diagnosis.verdict == "explained"
+        assert not UNSEEN.left_somewhere(result.account, result.scored)
+        kept = replace(result.scored, gains=result.scored.gains.copy())
+        kept.gains[np.isin(kept.index, kept.own[0])] = 0.0
+        assert UNSEEN.left_somewhere(result.account, kept)
+
     def test_a_large_eccentricity_is_nothing_but_that(self):
         error = EncoderEccentricity((1,), {"sine": -0.032, "cosine": -0.027})
         robot, recordings = logs([error])

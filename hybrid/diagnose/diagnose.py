@@ -24,7 +24,12 @@ from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.result import Result
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds, thresholds
-from hybrid.diagnose.unseen import left_unseen, negligible, useful_terms
+from hybrid.diagnose.unseen import (
+    left_somewhere,
+    left_unseen,
+    negligible,
+    useful_terms,
+)
 from hybrid.diagnose.verify import Account, account, check
 from hybrid.diagnose.visited import not_excited
 from hybrid.recording import Recording
@@ -125,6 +130,8 @@ def examine(
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
     verdict, unexplained = _verdict(found, causes, limits, left_unseen(found, scored))
+    if verdict == "explained" and left_somewhere(found, scored):
+        verdict = "partly_explained"
     if strained := far_off(search):
         doubts.append(strained)
     if (useless or strained) and verdict == "no_gap":

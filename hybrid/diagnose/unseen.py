@@ -23,6 +23,7 @@ _LEAST_ROUGH = 0.0  # the same of a law that holds roughly: as likely as nothing
 _SURE = 2.0  # standard deviations
 _MAIN = 0.2  # of a term's squares at its main joint
 _MOST_LEFT = 0.8  # of the gap on unseen motions, where a term acts
+_LARGE = 0.1  # of a joint's torque, RMS: a gap that an explanation has to explain
 _MOST_LEFT_ONCE = 0.5  # the same if it does not act in these motions
 _AS_LARGE = 0.1  # mean squares left there over those of what a term does
 
@@ -146,3 +147,18 @@ def left_unseen(
         left += squares - usual if squares > _BEYOND * usual else 0.0
         whole += max(before / noise[i] - usual, squares - usual, 0.0)
     return float(left / whole) if whole > 0 else 0.0
+
+
+def left_somewhere(found: Account, scored: Explanation) -> bool:
+    """Whether some joint keeps nearly all of a large gap on unseen motions.
+
+    Args:
+        found: The account of the gap where it was learnt.
+        scored: What explains it.
+    """
+    for i, rows in enumerate(scored.evidence.rows):
+        gap = np.linalg.norm(scored.before[i])
+        large = gap > _LARGE * np.linalg.norm(scored.gap.measured[rows, i])
+        if large and left_unseen(found, scored, [i]) > _MOST_LEFT:
+            return True
+    return False
