@@ -690,35 +690,38 @@ class TestEvents:
         search = Search(gap).having([contact] * count)
         assert VERIFY._all_along(gap, search.terms) is all_along
 
-    def test_no_contact_is_seen_where_there_is_none(self):
+    @staticmethod
+    def strongest(more, count=2):
+        """Contacts in noise and more, of shape (M, 2) in units of its deviation."""
         gap = faultless().gap
-        found = Contacts(gap).strongest(
-            [gap.left[:, i] for i in range(2)],
-            [np.arange(len(gap.left))] * 2,
-            np.array(faultless().diagnosis.noise_floor) ** 2 * 4,
-            2,
-        )
-        first, second = (c.values for c in found)
-        apart = second["start"] - first["start"]
-        assert apart >= first["duration"] or -apart >= second["duration"]
+        floor = np.array(faultless().diagnosis.noise_floor)
+        noise = np.random.default_rng(3).standard_normal(gap.left.shape)
+        left = floor * (butterworth(noise, rate=gap.rate, cutoff=gap.cutoff) + more)
+        rows = [np.arange(len(left))] * 2
+        found = Contacts(gap).strongest(list(left.T), rows, floor**2, count)
+        return [c.values for c in found]
+
+    def test_no_contact_is_seen_where_there_is_none(self):
+        assert self.strongest(0.0) == []
         assert faultless().diagnosis.findings == ()
+
+    @pytest.mark.parametrize("seed", range(4))
+    def test_a_burst_of_noise_is_no_contact(self, seed):
+        gap = faultless().gap
+        burst = gap.sampled.t - gap.sampled.t.min()
+        burst = np.exp(-(((burst - 3.0) / 0.4) ** 2)) * (gap.trajectory == 1)
+        noise = np.random.default_rng(seed).standard_normal(gap.left.shape)
+        noise = butterworth(noise, rate=gap.rate, cutoff=gap.cutoff)
+        assert self.strongest(8.0 * burst[:, None] * noise) == []
 
     def test_what_acts_at_low_speed_only_is_no_contact(self):
         gap = faultless().gap
         v = np.abs(gap.sampled.v)
         slow = v < 0.09 * v.max(axis=0)
-        noise = np.array(faultless().diagnosis.noise_floor) ** 2
-        rows = [np.arange(len(v))] * 2
-
-        def strongest(where):
-            left = [10.0 * where[:, i] for i in range(2)]
-            return Contacts(gap).strongest(left, rows, noise, 1)[0].values
-
         early = np.arange(len(v))[:, None] < 100
-        assert strongest(early & ~slow)["start"] < 100 / gap.rate
-        # Of equal windows without anything the first is taken: any start will do.
-        with_slow = strongest((early & ~slow) | slow)
-        assert with_slow == strongest(early & ~slow)
+        fast = 20.0 * (early & ~slow)
+        assert self.strongest(fast, 1)[0]["start"] < 100 / gap.rate
+        assert self.strongest(fast + 20.0 * slow, 1) == self.strongest(fast, 1)
 
 
 class TestDrives:

@@ -105,6 +105,16 @@ def test_noise_of_the_speed_is_no_lack_of_damping(damping):
         assert found == ([(0,)] if damping else [])
 
 
+@pytest.mark.parametrize("effect", [None, LATE])
+def test_a_coarse_encoder_is_no_wrong_gain(effect):
+    """Shifts of the torque and gains of a servo may stand for noise of its position."""
+    robot, recordings = logged(*([effect] if effect else []))
+    step = 1.5e-3
+    coarse = [replace(r, q=step * np.round(r.q / step), v=None) for r in recordings]
+    found = {f.effect for f in link_of(robot, coarse).findings}
+    assert found <= ({effect.id} if effect else set())
+
+
 def test_intervals_of_gains_hold_the_truth():
     inside = []
     for seed in range(8):

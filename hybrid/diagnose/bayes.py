@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from hybrid.robot.chain import Array
 from hybrid.signals import butterworth
@@ -101,6 +102,32 @@ def quiet(
     mean = np.bincount(stretch, x**2) / np.maximum(count, 1)
     usual = np.median(mean[count > 0]) if len(x) else 0.0
     return np.asarray(mean[stretch] <= _EVENT * usual)
+
+
+def loudness(x: Array, row: NDArray[np.intp], rate: float, cutoff: float) -> Array:
+    """How many times its usual square noise is around each sample, at least 1, (R,).
+
+    The upper half of the band tells: what has a cause is mostly in the lower one.
+
+    Args:
+        x: A residual, shape (R,).
+        row: Place of each sample in time, shape (R,).
+        rate: Samples per second, [Hz].
+        cutoff: End of its band, [Hz].
+    """
+    if not len(row):
+        return np.ones(0)
+    first = row.min()
+    full, known = np.zeros((2, row.max() - first + 1))
+    full[row - first], known[row - first] = x, 1.0
+    upper = known * (full - butterworth(full, rate=rate, cutoff=_HALF * cutoff))
+    length = max(1, round(_STRETCH * rate))
+    around, count = (
+        uniform_filter1d(y, length, mode="constant")[row - first]
+        for y in (upper**2, known)
+    )
+    mean = around / count
+    return np.asarray(np.maximum(mean / max(np.median(mean), 1e-300), 1.0))
 
 
 def coloured(x: Array, row: NDArray[np.intp], rate: float, cutoff: float) -> float:

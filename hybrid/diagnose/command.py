@@ -29,6 +29,7 @@ _EXPLAINED = 0.95  # of the torque's squares, or the servo is of another kind
 # A controller holds its command for a period, and a log may be a period late.
 _HELD, _PERIODS = 0.002, 1.0  # s, of the log
 _LEAST_GAIN = 0.02  # relative error of a gain
+_MOST_HIDDEN = 0.99  # of the damping
 _LEAST_FALL = 0.01  # of the squares of what a servo law leaves
 _RESAMPLES = 400
 _NORMAL = 1.96
@@ -176,19 +177,8 @@ def _examined(
     if stated:
         alike = [law for law in stated if law.scaled == whole.law.scaled]
         fits[True, False] = fit(own, alike, prompt=False)
-        off, std = _off(whole, gap, i)
-        hidden = np.array(
-            [0.0, (1.0 + off[1]) * blur(own, whole, gap.rate, gap.cutoff)]
-        )
-        wrong = np.maximum(off, -off - hidden) - _NORMAL * std > _LEAST_GAIN
-        bounds = [
-            (g.lower < x < g.upper)
-            for g, x in zip(ControllerGain.gains, off, strict=True)
-        ]
-        if (
-            wrong.any()
-            and all(bounds)
-            and _better(own, unseen, fits[True, False], whole)
+        if _wrong(whole, gap, own, i) and _better(
+            own, unseen, fits[True, False], whole
         ):
             found.append(ControllerGain)
             scaled = fit(own, stated, prompt=False)
@@ -232,6 +222,17 @@ def _off(found: Fit, gap: Gap, i: int) -> tuple[Array, Array]:
             slope[scale] = -(off[k] + 1.0) / found.gains[scale]
         std[k] = np.sqrt(slope @ found.covariance[2:, 2:] @ slope)
     return off, std
+
+
+def _wrong(found: Fit, gap: Gap, own: ServoLog, i: int) -> bool:
+    """Whether gains are surely not the declared ones, and plausible."""
+    off, std = _off(found, gap, i)
+    # Of what is there, the part that noise hides comes on top of what is seen.
+    part = min(blur(own, found, gap.rate, gap.cutoff), _MOST_HIDDEN)
+    hidden = np.array([0.0, (1.0 + off[1]) * part / (1.0 - part)])
+    wrong = np.maximum(off, -off - hidden) - _NORMAL * std > _LEAST_GAIN
+    bounds = zip(ControllerGain.gains, off, strict=True)
+    return bool(wrong.any()) and all(g.lower < x < g.upper for g, x in bounds)
 
 
 def _plausible(effect: Effect) -> bool:

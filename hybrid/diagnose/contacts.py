@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.diagnose.bayes import loudness
 from hybrid.diagnose.gap import Gap
 from hybrid.effects.contact import Contact
 from hybrid.robot.chain import Array
@@ -19,6 +20,7 @@ _NORMAL = 1.4826  # standard deviation over median size
 _LONGEST = 1 / 3  # of a recording; what lasts is no event
 _FORCE, _MOMENT = 20.0, 2.0  # N, N·m; prior standard deviations of the scan
 _OF_ALL = -1  # recordings
+_WORTH = 14.0  # nat: thousands of stretches are tried
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ class Contacts:
             self._clocks.append(own)
         always = {"start": self._first, "duration": float(np.ptp(t)) + 1.0}
         columns = gap.columns(Contact(self._joints, always))
-        self._grams: dict[tuple[int, int], Array] = {}
+        self._rate, self._cutoff = gap.rate, gap.cutoff
         self._columns = [columns[j] for j in self._joints]
 
     def strongest(
@@ -103,7 +105,8 @@ class Contacts:
     ) -> list[Contact]:
         """Contacts that explain most of a residual, none of them overlapping.
 
-        The samples must be the same at each call.
+        Noise counts as large as it is at the time: it comes in bursts where positions
+        or times are coarse, and a burst is no touch.
 
         Args:
             left: Residual of each joint, shape (R_i,), [N·m].
@@ -120,13 +123,17 @@ class Contacts:
             # The noise as known so far may hold the very contact.
             usual = (_NORMAL * np.median(np.abs(x))) ** 2 if len(x) else 0.0
             weight = 1.0 / (min(noise[i], usual) or noise[i])
+            weight = weight / loudness(x, r, self._rate, self._cutoff)
             weighed = self._columns[i][r] * (x * weight)[:, None]
             for c, clock in enumerate(self._clocks):
-                gram[c] += self._gram(c, i, r) * weight
+                gram[c] += self._gram(c, i, r, weight)
                 for k, column in enumerate(weighed.T):
                     moment[c][:, k] += np.bincount(clock.chunk[r], column, sizes[c])
         sums = zip(self._clocks, gram, moment, strict=True)
-        stretches = [s for clock, G, m in sums for s in _stretches(clock, G, m)]
+        stretches = [
+            s for clock, G, m in sums for s in _stretches(clock, G, m)
+            if s.gain > _WORTH
+        ]  # fmt: skip
         found: list[_Stretch] = []
         for stretch in sorted(stretches, reverse=True):
             if not any(stretch.overlaps(x) for x in found):
@@ -145,17 +152,15 @@ class Contacts:
             for s in found
         ]
 
-    def _gram(self, c: int, i: int, rows: NDArray[np.intp]) -> Array:
+    def _gram(self, c: int, i: int, rows: NDArray[np.intp], weight: Array) -> Array:
         """Products of a joint's columns on each chunk of a clock, shape (C, 6, 6)."""
-        if (c, i) not in self._grams:
-            clock = self._clocks[c]
-            columns, chunk = self._columns[i][rows], clock.chunk[rows]
-            size = len(clock.number)
-            sums = [
-                [np.bincount(chunk, a * b, size) for b in columns.T] for a in columns.T
-            ]
-            self._grams[c, i] = np.array(sums).transpose(2, 0, 1)
-        return self._grams[c, i]
+        columns, chunk = self._columns[i][rows], self._clocks[c].chunk[rows]
+        size = len(self._clocks[c].number)
+        sums = [
+            [np.bincount(chunk, weight * a * b, size) for b in columns.T]
+            for a in columns.T
+        ]
+        return np.array(sums).transpose(2, 0, 1)
 
 
 def _stretches(clock: _Clock, gram: Array, moment: Array) -> list[_Stretch]:

@@ -15,6 +15,7 @@ WORTH = 14.0  # nat, with the price of a shape
 _ROUNDS, _LONGEST, _CONVERGED = 12, 0.004, 1e-6  # s
 _RIDGE = 1e-10
 _MOST_SCALE = 0.3
+_MUCH = 0.5  # of the squares: what a torque out of step leaves at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +84,11 @@ def fit(servo: ServoLog, choice: Sequence[Law], *, prompt: bool) -> Fit:
     if at_scale and scaled and abs(scaled.gains[0] - 1.0) > _MOST_SCALE:
         scaled = None  # no log is off by so much: the law does not fit
     found = _likelier(servo, at_scale, scaled)
-    return _likelier(servo, found, best(found.law.scaled, True))
+    shifted = best(found.law.scaled, True)
+    # Noise of the position lets a shift stand for some of it.
+    if shifted and shifted.left @ shifted.left > _MUCH * (found.left @ found.left):
+        shifted = None
+    return _likelier(servo, found, shifted)
 
 
 def _likelier(servo: ServoLog, found: Fit | None, other: Fit | None) -> Fit:
