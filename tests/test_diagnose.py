@@ -724,6 +724,19 @@ class TestEvents:
         assert self.strongest(fast + 20.0 * slow, 1) == self.strongest(fast, 1)
 
 
+def test_a_log_with_holes_counts_as_several():
+    robot, recordings = logs([Viscous((0,), {"coefficient": 1.0})], count=2)
+    first, *rest = recordings
+    kept = (first.t < 2.0) | (first.t > 2.4)
+    holed = Recording(
+        first.t[kept], **{name: x[kept] for name, x in first.channels.items()}
+    )
+    with pytest.warns(HybridWarning, match="taken as 2 recordings"):
+        result = examine(robot, [holed, *rest])
+    assert len(result.gap.motions) == 3
+    assert named(result) == {("viscous", robot.joints[:1])}
+
+
 class TestDrives:
     """Drives that are asked for more than they give, by a controller of their own."""
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.files import atomic_path, write_json
-from hybrid.recording import Recording, resample
+from hybrid.recording import Recording, resample, unbroken
 
 
 def log(samples: int = 200, joints: int = 3, rate: float = 100.0) -> Recording:
@@ -147,6 +147,29 @@ def test_a_long_gap_is_not_filled_but_named_by_row():
         RecordingError, match=r"a.csv: t, row 101 .*split the recording"
     ):
         resample(Recording(t=log().t[kept], source="a.csv", **channels))
+
+
+def test_a_log_with_holes_is_split_where_they_are():
+    full = log(samples=1200)
+    rate = 1 / (full.t[1] - full.t[0])
+    short = round(0.5 * rate)
+    kept = np.r_[0:400, 430 : 430 + short, 700:1200]
+    channels = {name: x[kept] for name, x in full.channels.items()}
+    holed = Recording(t=full.t[kept], source="a.csv", **channels)
+    with pytest.warns(HybridWarning, match="a.csv: t, row 401 .*taken as 2 record"):
+        first, last = unbroken(holed)
+    for part, rows in ((first, slice(0, 400)), (last, slice(700, 1200))):
+        assert np.array_equal(part.t, full.t[rows])
+        assert np.array_equal(part.q, full.q[rows])
+        assert part.source == "a.csv"
+    assert unbroken(full) == (full,)
+
+
+def test_a_log_of_scraps_only_is_left_to_be_refused():
+    kept = np.concatenate([np.arange(k, k + 20) for k in range(0, 400, 100)])
+    channels = {name: x[kept] for name, x in log(samples=400).channels.items()}
+    holed = Recording(t=log(samples=400).t[kept], **channels)
+    assert unbroken(holed) == (holed,)
 
 
 def test_an_output_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path):

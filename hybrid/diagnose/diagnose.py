@@ -32,7 +32,7 @@ from hybrid.diagnose.unseen import (
 )
 from hybrid.diagnose.verify import Account, account, check
 from hybrid.diagnose.visited import not_excited
-from hybrid.recording import Recording
+from hybrid.recording import Recording, unbroken
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
@@ -59,7 +59,8 @@ def diagnose(
 
     Args:
         robot: The simulator as it stands today.
-        recordings: Logs of the real arm: time, position and torque.
+        recordings: Logs of the real arm: time, position and torque. One with holes
+            counts as several.
         cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
         without: Ids of effects to leave out of the library.
         seed: Seed of the bootstrap.
@@ -95,7 +96,7 @@ def examine(
     tell = progress or (lambda _: None)
     rng = np.random.default_rng(seed)
     limits = thresholds()
-    recordings = since_first(recordings)
+    recordings = since_first(_without_holes(recordings))
     tell("measuring the gap")
     gap = measure_gap(robot, recordings, cutoff=cutoff)
     logged = find_convention(gap, recordings)
@@ -165,6 +166,13 @@ def since_first(
     """
     start = min((float(x.t[0]) for x in recordings), default=0.0)
     return [replace(x, t=x.t - start) for x in recordings]
+
+
+def _without_holes(
+    recordings: Sequence[Recording | Motion],
+) -> list[Recording | Motion]:
+    parts = [unbroken(x) if isinstance(x, Recording) else (x,) for x in recordings]
+    return [x for several in parts for x in several]
 
 
 def _unsure(finding: Finding) -> bool:

@@ -1,4 +1,4 @@
-"""Irregular clock -> uniform clock."""
+"""Irregular clock -> uniform clock; a log with holes -> logs without."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from hybrid.recording.recording import Recording, row_words
 
 JITTER = 0.01  # of a step: what stays is below the error of a central difference
 GAP = 10  # steps: a longer hole cannot be filled without inventing motion
+PART = 1.0  # s: what is left between two holes, at least, to be of any use
 
 
 def resample(recording: Recording) -> Recording:
@@ -66,3 +67,43 @@ def resample(recording: Recording) -> Recording:
         stacklevel=2,
     )
     return replace(recording, t=t, **channels)  # type: ignore[arg-type]
+
+
+def unbroken(recording: Recording) -> tuple[Recording, ...]:
+    """Split a recording where its clock jumps too far to be filled.
+
+    Args:
+        recording: Joint log on any increasing clock.
+
+    Returns:
+        The stretches between jumps of more than 10 steps, each on the clock of the
+        whole; without those shorter than 1 s, unless all are. The same recording if
+        there is no such jump.
+
+    Warns:
+        HybridWarning: It was split; says into how many, and how much was left out.
+    """
+    steps = np.diff(recording.t)
+    jumps = np.flatnonzero(steps > GAP * np.median(steps)) + 1
+    if not len(jumps):
+        return (recording,)
+    rows = np.split(np.arange(len(recording.t)), jumps)
+    lasting = [r for r in rows if recording.t[r[-1]] - recording.t[r[0]] >= PART]
+    if not lasting:
+        return (recording,)
+    seconds = np.ptp(recording.t) - sum(np.ptp(recording.t[r]) for r in lasting)
+    warnings.warn(
+        f"{recording.source or 'recording'}: t, {row_words(int(jumps[0]))}: first of "
+        f"{len(jumps)} gaps of more than {GAP} steps; taken as {len(lasting)} "
+        f"recordings, without {seconds:.3g} s of gaps and of parts below {PART:g} s",
+        HybridWarning,
+        stacklevel=2,
+    )
+    return tuple(
+        replace(
+            recording,
+            t=recording.t[r],
+            **{name: x[r] for name, x in recording.channels.items()},
+        )
+        for r in lasting
+    )
