@@ -6,6 +6,7 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording.recording import Recording, row_words
@@ -99,11 +100,9 @@ def unbroken(recording: Recording) -> tuple[Recording, ...]:
         HybridWarning,
         stacklevel=2,
     )
-    return tuple(
-        replace(
-            recording,
-            t=recording.t[r],
-            **{name: x[r] for name, x in recording.channels.items()},
-        )
-        for r in lasting
-    )
+    return tuple(_rows(recording, r) for r in lasting)
+
+
+def _rows(recording: Recording, rows: NDArray[np.intp]) -> Recording:
+    channels = {name: x[rows] for name, x in recording.channels.items()}
+    return replace(recording, t=recording.t[rows], **channels)  # type: ignore[arg-type]
