@@ -1,0 +1,144 @@
+"""Does the diagnosis still name the fault where the logs are worse than usual?
+
+Logs of ``own_loop``, one fault of each kind, and the same logs slower, noisier,
+coarser, with time stamps that jitter, with holes, or only the first of the four. A
+table of kinds and logs appears, with the outcomes of ``own_loops``.
+
+    python experiments/worn_logs.py --arm models/scara.xml --seed 5
+"""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from own_loop import KINDS, OwnLoop
+from own_loops import RECORDINGS, outcome
+from rich.console import Console
+
+from hybrid import diagnose
+from hybrid.benchmark.robots import load_arm
+from hybrid.errors import HybridWarning
+from hybrid.files import atomic_path
+from hybrid.recording import Recording
+from hybrid.report import (
+    Table,
+    markdown_table,
+    numbers_table,
+    provenance,
+    write_results,
+)
+
+REPORT = Path(__file__).parents[1] / "reports" / "worn_logs"
+EACH = 5  # samples of 500 Hz to one of 100 Hz
+NOISE, STEP = 0.02, 0.005  # of the rated torque
+COUNT = 1.5e-3  # rad, of an encoder of 4096 lines
+JITTER = 0.2  # of a sample's time, to either side
+HOLES, HOLE, LOST = 3, 100, 0.02  # in a log; samples of each; share of the others
+
+
+def rows(log: Recording, keep: Any) -> Recording:
+    """Some samples of a log."""
+    channels = {name: x[keep] for name, x in log.channels.items()}
+    return replace(log, t=log.t[keep], **channels)
+
+
+def noisy(log: Recording, rated: np.ndarray, rng: np.random.Generator) -> Recording:
+    """Torque from a noisy current that is read in coarse steps."""
+    tau = log.tau + NOISE * rated * rng.standard_normal(log.tau.shape)
+    return replace(log, tau=np.round(tau / (STEP * rated)) * STEP * rated)
+
+
+def stamped(log: Recording, rng: np.random.Generator) -> Recording:
+    """Samples at regular times, stamped a little early or late."""
+    off = rng.uniform(-JITTER, JITTER, len(log.t))
+    return replace(log, t=log.t + off * np.median(np.diff(log.t)))
+
+
+def holed(log: Recording, rng: np.random.Generator) -> Recording:
+    """Without some samples here and there, and some stretches of 0.2 s."""
+    keep = rng.random(len(log.t)) > LOST
+    for first in rng.integers(2 * HOLE, len(log.t) - 3 * HOLE, HOLES):
+        keep[first : first + HOLE] = False
+    return rows(log, keep)
+
+
+WEAR: dict[str, Callable[[Sequence[Recording], np.ndarray, Any], list[Recording]]] = {
+    "as they are": lambda logs, rated, rng: list(logs),
+    "100 Hz": lambda logs, rated, rng: [rows(x, slice(0, None, EACH)) for x in logs],
+    "noisy torque": lambda logs, rated, rng: [noisy(x, rated, rng) for x in logs],
+    "coarse encoder": lambda logs, rated, rng: [
+        replace(x, q=COUNT * np.round(x.q / COUNT)) for x in logs
+    ],
+    "jittering stamps": lambda logs, rated, rng: [stamped(x, rng) for x in logs],
+    "holes": lambda logs, rated, rng: [holed(x, rng) for x in logs],
+    "one log": lambda logs, rated, rng: list(logs[:1]),
+}
+
+
+def run(arm: str, kind: str, seed: int) -> list[dict[str, Any]]:
+    """Log one fault, and diagnose it from the logs as they are, and worse."""
+    loop = OwnLoop(load_arm(arm), kind, seed)
+    logs = [loop.record() for _ in range(RECORDINGS)]
+    joint, found = loop.robot.joints[loop.j], []
+    for wear, change in WEAR.items():
+        worn = change(logs, loop.rated, np.random.default_rng(seed))
+        start = process_time()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", HybridWarning)
+            said = diagnose(loop.robot, worn)
+        named = [
+            {"effect": f.effect, "joints": f.joints, "class": f.alternatives}
+            for f in said.findings
+        ]
+        found.append({
+            "kind": kind, "joint": joint, "logs": wear, "verdict": said.verdict,
+            "named": named, "outcome": outcome(kind, joint, said.verdict, named),
+            "cpu_s": process_time() - start,
+        })  # fmt: skip
+    return found
+
+
+def main() -> None:
+    """Run all kinds, print the table, write the report."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--arm", default="models/scara.xml")
+    parser.add_argument("--seed", type=int, default=5)
+    args, console = parser.parse_args(), Console(width=200)
+    runs = []
+    for kind in KINDS:
+        runs.append(run(args.arm, kind, args.seed))
+        console.print(kind, [r["outcome"] for r in runs[-1]], highlight=False)
+    table = Table(
+        ("", *WEAR),
+        tuple((r[0]["kind"], *(x["outcome"] for x in r)) for r in runs),
+        f"What is said of one fault of each kind on {Path(args.arm).stem}",
+        words=True,
+    )
+    counts = [
+        Counter(r[k]["outcome"].split(" (")[0].split(",")[0] for r in runs)
+        for k in range(len(WEAR))
+    ]
+    summary = "\n".join(
+        f"- {wear}: " + ", ".join(f"{name} {n}" for name, n in count.most_common())
+        for wear, count in zip(WEAR, counts, strict=True)
+    )
+    command = f"python experiments/worn_logs.py --arm {args.arm} --seed {args.seed}"
+    console.print(numbers_table(table), summary, highlight=False)
+    with atomic_path(REPORT / "table.md") as path:
+        path.write_text(
+            f"{table.caption}.\n\n{markdown_table(table)}\n{summary}\n\n    {command}\n"
+        )
+    content = {"provenance": provenance(command=command), "runs": runs}
+    write_results(REPORT / "results.json", content)
+
+
+if __name__ == "__main__":
+    main()
