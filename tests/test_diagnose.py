@@ -724,6 +724,14 @@ class TestEvents:
         assert self.strongest(fast + 20.0 * slow, 1) == self.strongest(fast, 1)
 
 
+@pytest.mark.parametrize(("joint", "gain"), [(0, 0.15), (1, 0.15), (1, -0.2)])
+def test_a_gain_that_is_not_known_is_no_saturation(joint, gain):
+    """A limit below nearly all torques, and a dead zone below it, make up a gain."""
+    robot, recordings = logs([TorqueGain((joint,), {"gain": gain})])
+    result = examine(robot, recordings, without=[TorqueGain.id])
+    assert result.diagnosis.findings == ()
+
+
 def test_a_log_with_holes_counts_as_several():
     robot, recordings = logs([Viscous((0,), {"coefficient": 1.0})], count=2)
     first, *rest = recordings

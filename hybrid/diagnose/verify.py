@@ -20,7 +20,6 @@ from hybrid.robot.chain import Array
 
 _ECHO = 0.1  # of the evidence, least in the lower half of the band
 _SLACK = 0.02  # of the range of a gain
-_TOP = 0.99  # of a range
 _CALM = 0.25  # of the cut-off: the band in which events are looked for
 _HALF = 0.5  # of what is there, explained by laws that hold roughly
 _MOST_CONTACTS = 3  # what happens more often is no contact
@@ -226,12 +225,8 @@ def _physical(search: Search, term: Term) -> bool:
     least = term.candidate.lower
     if np.any((least > 0) & (gains < least)):
         return False
-    if not all(effect.holds(motion) for motion in search.gap.motions):
-        return False
-    if any(
-        s.name in effect.below_top and effect.values[s.name] > _TOP * s.upper
-        for s in effect.shapes
-    ):
+    motions = search.gap.motions
+    if not all(map(effect.holds, motions)) or all(map(effect.imitates, motions)):
         return False
     law = with_gains(effect, gains).as_reported()
     for gain, lowest in zip(law.gains, least, strict=True):

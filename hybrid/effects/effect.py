@@ -85,8 +85,6 @@ class Effect(Instant, ABC):
     # What its law leaves out: relative standard deviation of values fitted to motion of
     # an exact plant, beyond what noise leaves open.
     inexact: ClassVar[Mapping[str, float]] = {}
-    # Shapes that are below the top of their range wherever the law is the right one.
-    below_top: ClassVar[tuple[str, ...]] = ()
     equation: ClassVar[str]
     source: ClassVar[str]
     sentence: ClassVar[str]
@@ -211,6 +209,13 @@ class Effect(Instant, ABC):
     def holds(self, motion: Motion) -> bool:
         """Whether a motion bears out what the law implies besides its torque."""
         return True
+
+    def imitates(self, motion: Motion) -> bool:
+        """Whether on a motion it does what another law does, and not its own.
+
+        It may stand there for one that is not known: it is no cause then.
+        """
+        return False
 
     @property
     def observes(self) -> bool:

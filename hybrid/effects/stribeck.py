@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 
 from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+from hybrid.signals import Motion
+
+_TOP = 0.99  # of the range of speeds at which friction has fallen
 
 
 class Stribeck(JointEffect):
@@ -16,7 +19,6 @@ class Stribeck(JointEffect):
     id = "stribeck"
     port = Port.DRIVE
     dry = True
-    below_top = ("velocity",)  # else it falls over all speeds, as other friction might
     gains = (Quantity("level", "N·m", 0.03, 0.0, 0.3, per=(1, 0)),)
     shapes = (
         Quantity("velocity", "rad/s", 0.05, 0.001, 1.0),
@@ -26,6 +28,10 @@ class Stribeck(JointEffect):
     source = "Bo and Pavelescu 1982, doi 10.1016/0043-1648(82)90156-4"
     sentence = "Friction of {joints} is higher at low speed and falls with speed."
     remedy = "Add a Stribeck term, or run the joint above its Stribeck speed."
+
+    def imitates(self, motion: Motion) -> bool:
+        """Whether it falls over all speeds, as other friction might."""
+        return self.values["velocity"] > _TOP * self.shapes[0].upper
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:
