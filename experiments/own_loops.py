@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
@@ -119,7 +119,14 @@ def main() -> None:
     command = f"python experiments/own_loops.py --arms {args.arms} --seed {args.seed}"
     command += " --bare" * args.bare
     folder = REPORT.with_name("own_loops_bare") if args.bare else REPORT
-    console.print(numbers_table(table), summary, highlight=False)
+    write_report(folder, table, summary, command, runs)
+
+
+def write_report(
+    folder: Path, table: Table, summary: str, command: str, runs: Sequence[Any]
+) -> None:
+    """Print a table with its summary, and write it with all runs."""
+    Console(width=200).print(numbers_table(table), summary, highlight=False)
     with atomic_path(folder / "table.md") as path:
         path.write_text(
             f"{table.caption}.\n\n{markdown_table(table)}\n{summary}\n\n    {command}\n"

@@ -20,21 +20,14 @@ from typing import Any
 
 import numpy as np
 from own_loop import KINDS, OwnLoop
-from own_loops import RECORDINGS, outcome
+from own_loops import RECORDINGS, outcome, write_report
 from rich.console import Console
 
 from hybrid import diagnose
 from hybrid.benchmark.robots import load_arm
 from hybrid.errors import HybridWarning
-from hybrid.files import atomic_path
 from hybrid.recording import Recording
-from hybrid.report import (
-    Table,
-    markdown_table,
-    numbers_table,
-    provenance,
-    write_results,
-)
+from hybrid.report import Table
 
 REPORT = Path(__file__).parents[1] / "reports" / "worn_logs"
 EACH = 5  # samples of 500 Hz to one of 100 Hz
@@ -131,13 +124,7 @@ def main() -> None:
         for wear, count in zip(WEAR, counts, strict=True)
     )
     command = f"python experiments/worn_logs.py --arm {args.arm} --seed {args.seed}"
-    console.print(numbers_table(table), summary, highlight=False)
-    with atomic_path(REPORT / "table.md") as path:
-        path.write_text(
-            f"{table.caption}.\n\n{markdown_table(table)}\n{summary}\n\n    {command}\n"
-        )
-    content = {"provenance": provenance(command=command), "runs": runs}
-    write_results(REPORT / "results.json", content)
+    write_report(REPORT, table, summary, command, runs)
 
 
 if __name__ == "__main__":
