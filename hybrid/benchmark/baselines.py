@@ -27,6 +27,7 @@ from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.result import Result
 from hybrid.diagnose.term import Term
+from hybrid.errors import IdentificationError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
@@ -48,13 +49,21 @@ def baselines(result: Result, log: Recording) -> Mapping[str, tuple[Named, ...]]
     """
     search, robot = result.search, result.gap.robot
     evidence, base, tried = search.evidence, search.background, search.pool.tried
-    peer = {"sysid": fit_sysid(robot, log).named()} if has_sysid() else {}
+    peer = {"sysid": _sysid(robot, log)} if has_sysid() else {}
     return peer | {
         "ranking": _named(_ranking(evidence, base, tried), robot),
         "stepwise": _named(_stepwise(evidence, base, tried), robot),
         "stlsq": _named(_stlsq(evidence, base, tried), robot),
         "fixed": _named(_fixed(evidence, tried), robot),
     }
+
+
+def _sysid(robot: Robot, log: Recording) -> tuple[Named, ...]:
+    """What it names; nothing where it fails."""
+    try:
+        return fit_sysid(robot, log).named()
+    except IdentificationError:
+        return ()
 
 
 def _ranking(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Term]:

@@ -81,7 +81,8 @@ def fit_sysid(robot: Robot, log: Recording, *, iterations: int = 30) -> SysidFit
         iterations: Most steps of the fit.
 
     Raises:
-        IdentificationError: The log holds no command, or the file no gains.
+        IdentificationError: The log holds no command, or the file no gains; or its
+            replay is unstable with numbers that are tried.
     """
     if log.command is None or log.tau is None or not np.isfinite(robot.kp).all():
         raise IdentificationError("sysid needs torques, commands, and servo gains")
@@ -98,10 +99,13 @@ def fit_sysid(robot: Robot, log: Recording, *, iterations: int = 30) -> SysidFit
     sequence = sysid.ModelSequences("arm", spec, "log", start, drive, measured)
     params, names = _parameters(sysid, robot)
     residual = sysid.build_residual_fn(models_sequences=[sequence])
-    with redirect_stdout(StringIO()):  # it reports its steps, asked to or not
-        found, result = sysid.optimize(
-            params, residual, verbose=False, max_iters=iterations
-        )
+    try:
+        with redirect_stdout(StringIO()):  # it reports its steps, asked to or not
+            found, result = sysid.optimize(
+                params, residual, verbose=False, max_iters=iterations
+            )
+    except ValueError as error:  # with some numbers the arm swings up, and is reset
+        raise IdentificationError(f"sysid cannot replay the log: {error}") from error
     values = found.as_vector()
     _, half = sysid.calculate_intervals(residual(values, found)[0], result.jac)
     declared = params.as_nominal_vector()
