@@ -13,7 +13,9 @@ import argparse
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -104,11 +106,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--arm", default="models/scara.xml")
     parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--workers", type=int, default=2)
     args, console = parser.parse_args(), Console(width=200)
-    runs = []
-    for kind in KINDS:
-        runs.append(run(args.arm, kind, args.seed))
-        console.print(kind, [r["outcome"] for r in runs[-1]], highlight=False)
+    each, runs = partial(run, args.arm, seed=args.seed), []
+    with ProcessPoolExecutor(args.workers) as pool:
+        for found in pool.map(each, KINDS):
+            runs.append(found)
+            outcomes = [r["outcome"] for r in found]
+            console.print(found[0]["kind"], outcomes, highlight=False)
     table = Table(
         ("", *WEAR),
         tuple((r[0]["kind"], *(x["outcome"] for x in r)) for r in runs),
