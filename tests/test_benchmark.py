@@ -9,7 +9,7 @@ from diagnosed import RIPPLE, STRIBECK, planar
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybrid.benchmark.baselines import baselines
+from hybrid.benchmark.baselines import baselines, by_sysid
 from hybrid.benchmark.case import STRATA, Case, plan
 from hybrid.benchmark.draw import command_effects, draw, torque_effects
 from hybrid.benchmark.generate import generate
@@ -367,6 +367,12 @@ def test_a_peer_without_commands_says_so():
     log = simulate(Plant(robot, []), trajectories=1, duration=3.0, seed=0)[0]
     with pytest.raises(IdentificationError, match="commands, and servo gains"):
         fit_sysid(robot, replace(log, command=None))
+
+
+def test_a_peer_that_fails_names_nothing():
+    robot = load_arm(PLANAR)
+    log = simulate(Plant(robot, []), trajectories=1, duration=3.0, seed=0)[0]
+    assert by_sysid(robot, replace(log, command=None)) == ()
 
 
 def test_the_motion_error_falls_as_far_as_with_the_truth():

@@ -49,7 +49,7 @@ def baselines(result: Result, log: Recording) -> Mapping[str, tuple[Named, ...]]
     """
     search, robot = result.search, result.gap.robot
     evidence, base, tried = search.evidence, search.background, search.pool.tried
-    peer = {"sysid": _sysid(robot, log)} if has_sysid() else {}
+    peer = {"sysid": by_sysid(robot, log)} if has_sysid() else {}
     return peer | {
         "ranking": _named(_ranking(evidence, base, tried), robot),
         "stepwise": _named(_stepwise(evidence, base, tried), robot),
@@ -58,8 +58,13 @@ def baselines(result: Result, log: Recording) -> Mapping[str, tuple[Named, ...]]
     }
 
 
-def _sysid(robot: Robot, log: Recording) -> tuple[Named, ...]:
-    """What it names; nothing where it fails."""
+def by_sysid(robot: Robot, log: Recording) -> tuple[Named, ...]:
+    """What ``mujoco.sysid`` names; nothing where it fails.
+
+    Args:
+        robot: The file, with gains of its servos.
+        log: Positions, torques, and commands.
+    """
     try:
         return fit_sysid(robot, log).named()
     except IdentificationError:
