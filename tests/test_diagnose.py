@@ -30,19 +30,21 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.counterbalance import Counterbalance
 from hybrid.effects.delay import Delay
 from hybrid.effects.encoder_eccentricity import EncoderEccentricity
+from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.payload import LinkInertia, Payload
 from hybrid.effects.spring import Spring
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, RecordingError
-from hybrid.plant import Noise, Plant, random_fourier, simulate
+from hybrid.plant import Noise, Plant, Reference, random_fourier, simulate
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import butterworth
 
-ATTRIBUTE, UNSEEN, VERIFY = (
-    import_module(f"hybrid.diagnose.{x}") for x in ("attribute", "unseen", "verify")
+ATTRIBUTE, DIAGNOSE, UNSEEN, VERIFY = (
+    import_module(f"hybrid.diagnose.{x}")
+    for x in ("attribute", "diagnose", "unseen", "verify")
 )
 FORCES = ("force_x", "force_y")
 PUSH = {"force_x": 8.0, "force_y": -5.0, "start": 2.0, "duration": 0.8}
@@ -628,6 +630,19 @@ class TestSilence:
         assert diagnosis.verdict == "not_excited" and diagnosis.findings == ()
         assert any("frozen for 9" in x for x in diagnosis.warnings)
 
+    def test_a_log_that_is_frozen_throughout_does_no_harm_to_others(self):
+        robot, recordings = logs([STRIBECK])
+        q = recordings[0].q.copy()
+        q[1:-1, 0] = q[len(q) // 2, 0]
+        with pytest.warns(HybridWarning, match="frozen"):
+            result = examine(
+                robot, [replace(recordings[0], q=q, v=None), *recordings[1:]]
+            )
+        assert named(result) == {("stribeck", ("elbow",))}
+        with pytest.warns(HybridWarning, match="frozen"):
+            alone = examine(robot, [replace(recordings[0], q=q, v=None)]).diagnosis
+        assert alone.verdict == "not_excited" and alone.findings == ()
+
 
 class TestEvents:
     def test_a_contact_is_found_by_its_time(self):
@@ -722,6 +737,42 @@ class TestEvents:
         fast = 20.0 * (early & ~slow)
         assert self.strongest(fast, 1)[0]["start"] < 100 / gap.rate
         assert self.strongest(fast + 20.0 * slow, 1) == self.strongest(fast, 1)
+
+
+@pytest.mark.filterwarnings("ignore::hybrid.errors.HybridWarning")  # joints at rest
+def test_what_could_be_at_either_of_two_joints_is_not_named():
+    """Of gravity at the elbow, its angle and that of a shoulder at rest are one."""
+    robot, rng = arm("coman_like"), np.random.default_rng(3)
+    moving = np.isin(robot.joints, ("elbow", "wrist_3"))
+    references = []
+    for _ in range(3):
+        r = random_fourier(robot, duration=6.0, rate=500.0, rng=rng, fill=0.3, order=3)
+        q, v, a = (
+            np.where(moving, x, y) for x, y in ((r.q, r.q[:1]), (r.v, 0.0), (r.a, 0.0))
+        )
+        references.append(Reference(r.t, q, v, a))
+    plant = Plant(robot, [EncoderOffset((2,), {"offset": 0.03})])
+    diagnosis = examine(robot, plant.run(references, rng=rng)).diagnosis
+    assert diagnosis.findings == ()
+    assert diagnosis.verdict == "unexplained"
+    (doubt,) = [x for x in diagnosis.warnings if "do not tell where" in x]
+    assert "shoulder" in doubt and "elbow" in doubt
+
+
+def test_what_is_left_of_several_terms_has_to_pass_the_checks_anew(monkeypatch):
+    robot, recordings = logs([RIPPLE, Viscous((0,), {"coefficient": 0.5})])
+    assert named(examine(robot, recordings)) == {
+        ("torque_ripple", ("shoulder",)),
+        ("viscous", ("shoulder",)),
+    }
+
+    def but_for_ripple(scored, *_):
+        return [t for t in scored.terms if t.place[0] != TorqueRipple.id]
+
+    monkeypatch.setattr(DIAGNOSE, "useful_terms", but_for_ripple)
+    diagnosis = examine(robot, recordings).diagnosis
+    assert diagnosis.findings == ()  # it is a small part of what is there
+    assert diagnosis.verdict == "unexplained"
 
 
 @pytest.mark.parametrize(("joint", "gain"), [(0, 0.15), (1, 0.15), (1, -0.2)])

@@ -128,6 +128,48 @@ def test_noise_is_found_beside_many_columns():
     assert np.median(found) == pytest.approx(0.09, rel=0.2)
 
 
+def noisy(rng, *, samples, columns, used=0, size=1.0):
+    """Evidence of white noise, 0.3 RMS, and torque along the first columns."""
+    X = rng.standard_normal((samples, columns))
+    torque = size * X[:, :used] @ np.ones(used)
+    gap = SimpleNamespace(
+        robot=SimpleNamespace(size=1),
+        left=(torque + 0.3 * rng.standard_normal(samples))[:, None],
+        moving=np.ones((samples, 1), dtype=bool),
+        measured=np.ones((samples, 1)),
+        fold=np.arange(samples) // 50 % 4,
+        rate=100.0,
+    )
+    evidence = Evidence(gap, None)
+    return evidence, *evidence.add([{0: X}], [np.ones(columns)])
+
+
+def test_noise_is_found_beside_nearly_as_many_columns_as_samples():
+    rng = np.random.default_rng(6)
+    found = []
+    for _ in range(20):
+        evidence, index = noisy(rng, samples=400, columns=250)
+        evidence.estimate_noise(index)
+        found.append(evidence.noise[0])
+    assert np.median(found) == pytest.approx(0.09, rel=0.2)
+
+
+def test_what_is_known_to_be_there_lowers_the_noise():
+    rng = np.random.default_rng(7)
+    found = []
+    for _ in range(20):
+        evidence, index = noisy(rng, samples=400, columns=250, used=3, size=5.0)
+        evidence.estimate_noise(index)
+        before = evidence.noise[0]
+        less = evidence.lower_noise(index[:3])
+        assert less == pytest.approx(1.0 - evidence.noise[0] / before)
+        found.append((before, evidence.noise[0]))
+        assert evidence.lower_noise(index[:1]) == 0.0  # which misses more
+    before, after = np.median(found, axis=0)
+    assert before > 2 * 0.09
+    assert after == pytest.approx(0.09, rel=0.2)
+
+
 def test_noise_is_not_what_happened_once():
     """Noise, and a jolt a hundred times as large on one stretch of a second."""
     rng = np.random.default_rng(5)

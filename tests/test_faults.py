@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import MODELS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hybrid.diagnose.faults import find_faults
-from hybrid.recording import Recording
+from hybrid.recording import Recording, check_recording
+from hybrid.robot import Robot
 
 T = np.arange(0.0, 10.0, 0.004)
 
@@ -45,6 +47,19 @@ def test_an_arm_that_waits_has_none():
     q, tau = moves.q.copy(), moves.tau.copy()
     q[waits], tau[waits] = q[waits][0], 1.0
     assert find_faults(replace(moves, q=q, tau=tau)).torque.sum() == 0
+
+
+@pytest.mark.filterwarnings("error::hybrid.errors.HybridWarning")
+@pytest.mark.parametrize("ticks", [1, 3])
+def test_a_joint_at_rest_is_not_frozen_though_its_encoder_ticks(ticks):
+    tick, ticked = 1e-4, np.random.default_rng(2).random(len(T)) < 0.003
+    q = log().q.copy()
+    q[:, 1] = 0.3 + tick * np.where(np.cumsum(ticked) % 2, ticks, 0)
+    q[100:105, 1] += tick
+    at_rest = replace(log(), q=q)
+    assert find_faults(at_rest).notes == ()
+    robot = Robot.load(MODELS / "planar.xml")
+    check_recording(replace(at_rest, joints=robot.joints), robot)
 
 
 def test_a_frozen_torque_is_found():

@@ -34,6 +34,7 @@ _LAWS = 3  # that are added at a joint beside a plain one
 _NEAR = 10.0
 _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _SAME = 0.01  # of the gain that columns are made at: no matter
+_LESS = 0.1  # of the noise: worth another search
 _ONE = 0.9  # of the evidence for two forms of one law, by one of them
 
 
@@ -45,10 +46,15 @@ class Search(Model):
 
         Not one so small that what numbers of the file are off by becomes a term.
         """
+        self._grow()
+        first, less = self.terms, self.evidence.lower_noise(self.base())
         found, usable = [], []
         for off in OFF:
             self.evidence.spread(self.background, off)
-            self._grow()
+            if off < WIDEST or less > _LESS:
+                self._grow()
+            else:
+                self.terms = first
             found.append((self.total(), off, self.terms))
             if not self._any_mere(off):
                 usable.append(found[-1])

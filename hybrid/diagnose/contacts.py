@@ -84,7 +84,7 @@ class Contacts:
         self._joints = tuple(range(n))
         v = np.abs(gap.sampled.v)
         # At low speed friction does whatever a contact might.
-        self._fast = v > _FAST * v[gap.sampled.mask].max(axis=0)
+        self._fast = v > _FAST * v[gap.sampled.mask].max(axis=0, initial=0.0)
         self._first = float(t.min())
         number = ((t - self._first) / _CHUNK).astype(np.intp)
         self._clocks = [_Clock.cut(number, np.full(len(t), _OF_ALL))]

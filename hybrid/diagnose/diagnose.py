@@ -14,7 +14,7 @@ from hybrid.diagnose.command import Link, command_link
 from hybrid.diagnose.convention import find_convention
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, shares, split
-from hybrid.diagnose.findings import alternatives, findings
+from hybrid.diagnose.findings import alternatives, elsewhere, findings
 from hybrid.diagnose.gap import Gap, measure_gap
 from hybrid.diagnose.grounds import another_arm, far_off, too_little, unlike
 from hybrid.diagnose.links import joined
@@ -40,6 +40,10 @@ from hybrid.signals import Motion
 Progress = Callable[[str], None]
 
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
+_ANYWHERE = (
+    "{} at {} explains as much as at {}: these motions do not tell where it is, so that "
+    "it is not named"
+)
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
     "on motions that no step has seen"
@@ -112,6 +116,10 @@ def examine(
         search.run()
     tell("asking what is left")
     found, kinds, reached = vetted(gap, search, limits)
+    if torn := _torn(search, limits):
+        search.terms = [t for t in search.terms if t not in torn]
+        found = account(gap, search, limits, reached)
+        doubts += torn.values()
     if strange := another_arm(gap, search.terms):
         doubts, search.terms = [strange], []
     foreign = bool(doubts)
@@ -127,13 +135,15 @@ def examine(
             break
         useless |= not negligible(scored, useful)
         search.terms = useful
-        found = account(gap, search, limits, reached)
+        found, more, _ = vetted(gap, search, limits, reached)
+        kinds |= more
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
     verdict, unexplained = _verdict(found, causes, limits, left_unseen(found, scored))
     if verdict == "explained" and left_somewhere(found, scored):
         verdict = "partly_explained"
-    if strained := far_off(search):
+    strained = None if torn else far_off(search)
+    if strained:
         doubts.append(strained)
     if (useless or strained) and verdict == "no_gap":
         verdict, unexplained = "unexplained", 1.0  # there is something, unlike all laws
@@ -184,16 +194,22 @@ def _once(finding: Finding, scored: Explanation) -> bool:
 
 
 def vetted(
-    gap: Gap, search: Search, limits: Thresholds
+    gap: Gap, search: Search, limits: Thresholds, reached: Array | None = None
 ) -> tuple[Account, dict[Term, tuple[str, ...]], Array]:
     """Leave a search the terms that pass all checks beside each other.
+
+    Args:
+        gap: The gap.
+        search: A search that has run.
+        limits: What is worth a cause.
+        reached: Squares that more terms left, shape (n,), in units of noise.
 
     Returns:
         What they explain and miss, what each cannot be told from, and the squares that
         all of them had left, shape (n,), in units of noise.
     """
-    found = account(gap, search, limits)
-    reached = found.after
+    found = account(gap, search, limits, reached)
+    reached = found.after if reached is None else reached
     kinds: dict[Term, tuple[str, ...]] = {}
     fewer = False
     while True:
@@ -223,6 +239,16 @@ def vetted(
             reached = reached + without.after - found.after
             without = account(gap, search, limits, reached)
         found = without
+
+
+def _torn(search: Search, limits: Thresholds) -> dict[Term, str]:
+    """Terms that could as well be at another joint, and a sentence that says so."""
+    found, joints = {}, search.gap.robot.joints
+    for term in search.terms:
+        if other := elsewhere(search, term, limits):
+            where = [joints[x.place[1][-1]] for x in (other, term)]
+            found[term] = _ANYWHERE.format(term.place[0], *where)
+    return found
 
 
 def _verdict(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.recording import Recording
+from hybrid.recording.check import usual_step
 from hybrid.robot.chain import Array
 
 _LONGEST_REPEAT = 0.2  # s; quantised torque repeats for less while an arm moves
@@ -87,7 +88,7 @@ def _moving(q: Array, runs: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _frozen(q: Array, least: int) -> NDArray[np.bool_]:
     """Runs of one position that a joint enters or leaves by a jump."""
     runs, steps = _runs(q, least), np.abs(np.diff(q))
-    usual = np.quantile(steps, 0.99)
+    usual = usual_step(q)
     frozen = np.zeros_like(runs)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], runs, [False]])))
     for first, last in edges.reshape(-1, 2):

@@ -27,13 +27,30 @@ def alternatives(search: Search, term: Term, limits: Thresholds) -> tuple[str, .
     own, best = search.refine(base, term.candidate)
     found = [own.place[0], *_twins(search, own)]
     ranked = [c for c, gain in search.ranked(base) if gain > 0.5 * best]
-    here = {*term.place[1]} if len(term.place[1]) == 1 else {term.place[1][-1]}
-    for c in [c for c in ranked if here & {*c.place[1]}][:_CLOSE]:
+    for c in [c for c in ranked if _here(term, c)][:_CLOSE]:
         if c.place[0] not in found:
             _, gain = search.refine(base, c)
             if gain > best - max(limits.alike, limits.alike_share * best):
                 found.append(c.place[0])
     return tuple(found)
+
+
+def elsewhere(search: Search, term: Term, limits: Thresholds) -> Candidate | None:
+    """The same effect at another joint, if it explains as much there."""
+    base = search.base(term)
+    _, best = search.refine(base, term.candidate)
+    for c, first in search.ranked(base):
+        if first > 0.5 * best and c.place[0] == term.place[0] and not _here(term, c):
+            found, gain = search.refine(base, c)
+            if gain > best - limits.alike:
+                return found
+    return None
+
+
+def _here(term: Term, c: Candidate) -> bool:
+    """Whether a candidate is at the joint of a term."""
+    joints = term.place[1]
+    return bool({*(joints if len(joints) == 1 else joints[-1:])} & {*c.place[1]})
 
 
 def _twins(search: Search, own: Candidate) -> list[str]:

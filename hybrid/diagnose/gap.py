@@ -282,7 +282,8 @@ def _asked(motion: Motion, simulated: Array, cutoff: float) -> Array:
     low = partial(butterworth, motion.tau - simulated, rate=motion.rate)
     slow = low(cutoff=_CALM * cutoff)
     rough = np.abs(low(cutoff=cutoff) - slow)
-    far = _FAR * _NORMAL * np.median(rough[motion.mask], axis=0)
+    usable = motion.mask | ~motion.mask.any()
+    far = _FAR * _NORMAL * np.median(rough[usable], axis=0)
     return np.where(np.abs(slow) > far, motion.tau, simulated)
 
 

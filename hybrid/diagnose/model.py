@@ -62,8 +62,10 @@ class Model:
         self.pool.take_ripples(self.background, _RIPPLES)
         self.evidence.estimate_noise(np.arange(self.evidence.size))
         # In units of noise; without them it would hold them.
+        most = self.evidence.noise.copy()
         self.pool.take_contacts(self.background, sure=False)
         self.evidence.estimate_noise(np.arange(self.evidence.size))
+        self.evidence.noise = np.minimum(most, self.evidence.noise)
         # Where the file's numbers may be far off, these would seem to be the cause.
         self.evidence.spread(self.background, OFF[0])
         self.pool.take_steep(self.background)

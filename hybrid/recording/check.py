@@ -22,6 +22,7 @@ SHORTEST = 1.0  # s: below, not even one slow move
 FEWEST = 100  # samples
 STILL = 1e-3  # rad: less travel is hum, not motion
 FARTHEST_TORQUE = 5.0  # times the rating: gear or unit missing, not overload
+_COARSEST = 0.01  # rad: no joint encoder resolves less
 
 
 def check_recording(recording: Recording, robot: Robot) -> Recording:
@@ -60,6 +61,16 @@ def longest_run(x: Array) -> tuple[int, int]:
     starts = np.concatenate([[0], np.flatnonzero(np.diff(x)) + 1, [len(x)]])
     lengths = np.diff(starts)
     return int(lengths.max()), int(starts[np.argmax(lengths)])
+
+
+def usual_step(x: Array) -> float:
+    """Size of a large step of a position, shape (N,), between two samples.
+
+    Of a joint at rest, which mostly makes none, that of its encoder.
+    """
+    steps = np.abs(np.diff(x))
+    tick = np.min(steps[steps > 0], initial=_COARSEST)
+    return max(float(np.quantile(steps, 0.99)), float(tick))
 
 
 def _check_length(recording: Recording) -> None:
@@ -143,7 +154,7 @@ def _check_frozen(recording: Recording) -> None:
         steps = np.abs(np.diff(x))
         ends = [k for k in (row - 1, row + length - 1) if 0 <= k < len(steps)]
         jump = max((float(steps[k]) for k in ends), default=0.0)
-        if length > 20 and jump > 5 * np.quantile(steps, 0.99):
+        if length > 20 and jump > 5 * usual_step(x):
             where = recording.place("q", joint, row)
             _warn(recording, f"{where}: frozen for {length} samples, then it jumps")
 
