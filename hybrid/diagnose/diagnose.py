@@ -41,8 +41,8 @@ Progress = Callable[[str], None]
 
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ANYWHERE = (
-    "{} at {} explains as much as at {}: these motions do not tell where it is, so that "
-    "it is not named"
+    "{} at {} explains as much as at {}: these motions do not tell where it is, so "
+    "that it is not named"
 )
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
