@@ -116,7 +116,7 @@ def examine(
         search.run()
     tell("asking what is left")
     found, kinds, reached = vetted(gap, search, limits)
-    if torn := _torn(search, limits):
+    if torn := _torn(search):
         search.terms = [t for t in search.terms if t not in torn]
         found = account(gap, search, limits, reached)
         doubts += torn.values()
@@ -241,11 +241,11 @@ def vetted(
         found = without
 
 
-def _torn(search: Search, limits: Thresholds) -> dict[Term, str]:
+def _torn(search: Search) -> dict[Term, str]:
     """Terms that could as well be at another joint, and a sentence that says so."""
     found, joints = {}, search.gap.robot.joints
     for term in search.terms:
-        if other := elsewhere(search, term, limits):
+        if other := elsewhere(search, term):
             where = [joints[x.place[1][-1]] for x in (other, term)]
             found[term] = _ANYWHERE.format(term.place[0], *where)
     return found

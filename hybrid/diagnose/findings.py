@@ -19,6 +19,7 @@ from hybrid.robot.chain import Array
 _RESAMPLES = 400
 _NORMAL = 1.96
 _CLOSE = 6  # alternatives that are fitted in full
+_ANYWHERE = 1.0  # nat, which does not settle the joint
 
 
 def alternatives(search: Search, term: Term, limits: Thresholds) -> tuple[str, ...]:
@@ -35,14 +36,14 @@ def alternatives(search: Search, term: Term, limits: Thresholds) -> tuple[str, .
     return tuple(found)
 
 
-def elsewhere(search: Search, term: Term, limits: Thresholds) -> Candidate | None:
+def elsewhere(search: Search, term: Term) -> Candidate | None:
     """The same effect at another joint, if it explains as much there."""
     base = search.base(term)
     _, best = search.refine(base, term.candidate)
     for c, first in search.ranked(base):
         if first > 0.5 * best and c.place[0] == term.place[0] and not _here(term, c):
             found, gain = search.refine(base, c)
-            if gain > best - limits.alike:
+            if gain > best - _ANYWHERE:
                 return found
     return None
 

@@ -119,7 +119,7 @@ class Model:
 
         A law gives way to the simpler one that it becomes at a bound of its shapes, and
         to one that explains the sign of its gain better; a link that would be another
-        one altogether, to whatever explains half as much.
+        one altogether, and what happens once, to whatever explains half as much.
         """
         refined: list[tuple[Candidate, float]] = []
         top = WORTH
@@ -135,7 +135,9 @@ class Model:
         if not refined:
             return None
         refined = [x for x in refined if self._likely(base, x[0])] or refined
-        best, most = max(refined, key=lambda x: x[1])
+        half = 0.5 * max(x for _, x in refined)
+        lasting = [x for x in refined if x[0].place[0] != Contact.id and x[1] > half]
+        best, most = max(lasting or refined, key=lambda x: x[1])
         name, slack = simpler(best.effect)
         near = [
             x for x in refined
