@@ -3,6 +3,7 @@
 from dataclasses import replace
 from importlib import import_module
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import mujoco
 import numpy as np
@@ -740,7 +741,7 @@ class TestEvents:
 
 
 @pytest.mark.filterwarnings("ignore::hybrid.errors.HybridWarning")  # joints at rest
-def test_what_could_be_at_either_of_two_joints_is_not_named():
+def test_what_could_be_at_either_of_two_joints_is_not_named(monkeypatch):
     """Of gravity at the elbow, its angle and that of a shoulder at rest are one."""
     robot, rng = arm("coman_like"), np.random.default_rng(3)
     moving = np.isin(robot.joints, ("elbow", "wrist_3"))
@@ -752,7 +753,10 @@ def test_what_could_be_at_either_of_two_joints_is_not_named():
         )
         references.append(Reference(r.t, q, v, a))
     plant = Plant(robot, [EncoderOffset((2,), {"offset": 0.03})])
+    asked = Mock(wraps=DIAGNOSE.command_link)
+    monkeypatch.setattr(DIAGNOSE, "command_link", asked)
     diagnosis = examine(robot, plant.run(references, rng=rng)).diagnosis
+    asked.assert_called_once()  # the log is of this arm none the less
     assert diagnosis.findings == ()
     assert diagnosis.verdict == "unexplained"
     (doubt,) = [x for x in diagnosis.warnings if "do not tell where" in x]

@@ -116,13 +116,13 @@ def examine(
         search.run()
     tell("asking what is left")
     found, kinds, reached = vetted(gap, search, limits)
+    if strange := another_arm(gap, search.terms):
+        doubts, search.terms = [strange], []
+    foreign = bool(doubts)
     if torn := _torn(search):
         search.terms = [t for t in search.terms if t not in torn]
         found = account(gap, search, limits, reached)
         doubts += torn.values()
-    if strange := another_arm(gap, search.terms):
-        doubts, search.terms = [strange], []
-    foreign = bool(doubts)
     tell("scoring on motions that no step has seen")
     useless = False
     while True:
