@@ -21,36 +21,43 @@ def log_bayes(
     precision: Array,
     lower: Array,
     made_at: Array | None = None,
-) -> tuple[float, Array]:
+) -> tuple[Array, Array]:
     """Log Bayes factor and gains with a Gaussian prior, cut at their lower bounds.
 
     Args:
-        H: Normal matrix of the columns, in units of noise, shape (p, p).
-        s: Its right-hand side, shape (p,).
-        precision: Inverse variance of each gain's prior, shape (p,).
-        lower: Smallest value of each gain, shape (p,).
-        made_at: The gains that the columns are of alone, shape (p,): where the most
+        H: Normal matrix of the columns, in units of noise, shape (..., p, p).
+        s: Its right-hand side, shape (..., p).
+        precision: Inverse variance of each gain's prior, shape (..., p).
+        lower: Smallest value of each gain, shape (..., p).
+        made_at: The gains that the columns are of alone, shape (..., p): where the most
             probable ones are far off, these count instead.
 
     Returns:
-        Logarithm of the evidence with the columns over that without, [nat], and the
-        most probable gains, shape (p,).
+        Logarithm of the evidence with the columns over that without, [nat], shape
+        (...), and the most probable gains, shape (..., p).
     """
     unit = 1.0 / np.sqrt(precision)
-    A = np.eye(len(s)) + unit[:, None] * H * unit
-    b = unit * s
-    x, least = np.linalg.solve(A, b), lower * np.sqrt(precision)
-    if np.any(x < least):
-        free = x >= least
-        x = np.where(free, 0.0, least)
+    A = np.eye(s.shape[-1]) + unit[..., :, None] * H * unit[..., None, :]
+    b, least = unit * s, lower * np.sqrt(precision)
+    x = np.asarray(np.linalg.solve(A, b[..., None])[..., 0])
+    for k in map(tuple, np.argwhere(np.any(x < least, axis=-1))):
+        free = x[k] >= least[k]
+        held = np.where(free, 0.0, least[k])
         if free.any():
-            rest = b[free] - A[free] @ x
-            x[free] = np.linalg.solve(A[np.ix_(free, free)], rest)
-            x = np.maximum(x, least)
-    if made_at is not None and np.any(unit * x < _OWN * made_at):
-        return float(made_at @ s - 0.5 * made_at @ H @ made_at), made_at
+            rest = b[k][free] - A[k][free] @ held
+            held[free] = np.linalg.solve(A[k][np.ix_(free, free)], rest)
+        x[k] = np.maximum(held, least[k])
     _, occam = np.linalg.slogdet(A)
-    return float(b @ x - 0.5 * x @ A @ x - 0.5 * occam), unit * x
+    worth, gains = _quadratic(A, b, x) - 0.5 * occam, np.asarray(unit * x)
+    if made_at is not None:
+        fixed = np.any(gains < _OWN * made_at, axis=-1)
+        worth = np.where(fixed, _quadratic(H, s, made_at), worth)
+        gains = np.where(fixed[..., None], made_at, gains)
+    return np.asarray(worth), gains
+
+
+def _quadratic(A: Array, b: Array, x: Array) -> Array:
+    return np.asarray((b * x).sum(-1) - 0.5 * np.einsum("...k,...kl,...l", x, A, x))
 
 
 def memory(x: Array, row: NDArray[np.intp]) -> float:

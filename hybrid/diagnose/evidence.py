@@ -10,8 +10,9 @@ Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam facto
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,8 @@ from hybrid.diagnose.products import Index, Products
 from hybrid.robot.chain import Array
 
 _EXACT = 0.002  # of the torque: nearer than that no two solvers are
-# For columns of unit length.
-_RIDGES = 10.0 ** np.arange(-5, 5)
+# Powers of ten of a ridge for columns of unit length, those beside them are tried too.
+_COARSE = (-4, -1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,14 +155,20 @@ class Evidence(Products):
         taken = cho_solve(factor, across)
         H = own - np.einsum("kp,kp->p", across[:, first], taken[:, second])
         s = moment - taken.T @ (unit * b)
-        gains = np.empty(len(blocks))
-        known = made_at or [None] * len(blocks)
+        gains, known = np.empty(len(blocks)), made_at or [None] * len(blocks)
         to, end = np.cumsum(sizes), np.cumsum(sizes**2)
-        for m, (p, low, x) in enumerate(zip(sizes, lower, known, strict=True)):
-            here = slice(to[m] - p, to[m])
-            square = H[end[m] - p * p : end[m]].reshape(p, p)
-            weight = self.precision[blocks[m]]
-            gains[m], _ = log_bayes(square, s[here], weight, low, x)
+        alike: dict[tuple[int, bool], list[int]] = {}  # those are done at once
+        for m, (p, x) in enumerate(zip(sizes.tolist(), known, strict=True)):
+            alike.setdefault((p, x is not None), []).append(m)
+        for (p, fixed), which in alike.items():
+            squares = H[end[which, None] - p * p + np.arange(p * p)]
+            gains[which], _ = log_bayes(
+                squares.reshape(-1, p, p),
+                s[to[which, None] - p + np.arange(p)],
+                self.precision[np.stack([blocks[m] for m in which])],
+                np.stack([lower[m] for m in which]),
+                np.array([known[m] for m in which]) if fixed else None,
+            )
         return gains
 
     def trial(
@@ -194,7 +201,9 @@ class Evidence(Products):
         across /= np.sqrt(self.precision[base])[:, None]
         H -= across.T @ cho_solve(factor, across)
         s -= across.T @ cho_solve(factor, b)
-        return log_bayes(H, s, 1.0 / np.maximum(std, 1e-12) ** 2, lower, made_at)
+        weight = 1.0 / np.maximum(std, 1e-12) ** 2
+        gain, gains = log_bayes(H, s, weight, lower, made_at)
+        return float(gain), gains
 
     def _factor(self, base: Index) -> tuple[tuple[Array, bool], Array]:
         """Cholesky factor and right-hand side of some columns, kept for the next.
@@ -221,12 +230,7 @@ class Evidence(Products):
                 continue
             here = np.flatnonzero(np.isin(owner, index))
             back = np.argsort(row)
-            noise = np.inf
-            for variance, weights in self._flexible(i, here):
-                rest = (self.left[i] - self._columns[i][:, here] @ weights)[back]
-                alike = memory(rest, row[back])
-                if variance * alike < noise:
-                    noise, left, least = variance * alike, rest, alike
+            left, noise, least = self._flexible(i, here, back)
             # A few events may be all of that, and spoil the regression as well.
             for x in (left, self.left[i][back]):
                 calm = quiet(x, row[back], self.gap.rate)
@@ -260,23 +264,50 @@ class Evidence(Products):
         torque = self.gap.measured[self.rows[i], i]
         return max(_EXACT**2 * float(np.mean(torque**2)) * alike, 1e-12)
 
-    def _flexible(self, i: int, here: Index) -> Iterator[tuple[float, Array]]:
-        """Ridge regressions of a joint's gap on many columns.
+    def _flexible(self, i: int, here: Index, back: Index) -> tuple[Array, float, float]:
+        """Ridge regression of a joint's gap on many columns, by the best ridge.
 
-        Yields:
-            For each ridge the mean square on each fold under the regression on the
-            others, [N²·m²], and the weights of the regression on all.
+        The ridges are tried coarse to fine.
+
+        Args:
+            i: Joint.
+            here: Which of its columns.
+            back: Order of its samples in time, shape (R,).
+
+        Returns:
+            What it leaves in time, shape (R,); the mean square that it leaves on each
+            fold if fitted to the others, times the memory of what it leaves, [N²·m²];
+            and that memory.
         """
         G, c = self._gram[i][:, here[:, None], here], self._moment[i][:, here]
         size = np.sqrt(np.maximum(np.diagonal(G.sum(axis=0)), 1e-300))
         G, c = G / size / size[:, None], c / size
         A, b = G.sum(axis=0), c.sum(axis=0)
-        for ridge in _RIDGES:
-            added = ridge * np.eye(len(here))
-            w = np.linalg.solve(A - G + added, (b - c)[:, :, None])[..., 0]
-            left = np.einsum("fk,fkl,fl->", w, G, w) - 2 * np.einsum("fk,fk->", w, c)
-            weights = np.linalg.solve(A + added, b) / size
-            yield (self.power[i].sum() + left) / len(self.rows[i]), weights
+        row, columns = self.rows[i][back], self._columns[i][:, : len(self._owner[i])]
+        weights = np.zeros(columns.shape[1])
+        tried: dict[int, tuple[Array, float, float]] = {}
+
+        def worth(k: int) -> float:
+            if k not in tried:
+                w = np.stack(list(map(partial(_ridge, power=k), A - G, b - c)))
+                power = np.einsum("fk,fk->", w, (G @ w[..., None])[..., 0] - 2 * c)
+                weights[here] = _ridge(A.copy(), b, k) / size
+                rest = (self.left[i] - columns @ weights)[back]
+                alike = memory(rest, row)
+                variance = (self.power[i].sum() + power) / len(row)
+                tried[k] = rest, variance * alike, alike
+            return tried[k][1]
+
+        best = min(_COARSE, key=worth)
+        return tried[min((best - 1, best, best + 1), key=worth)]
+
+
+def _ridge(A: Array, b: Array, power: int) -> Array:
+    """Weights of a ridge of some power of ten; overwrites the normal matrix."""
+    A.flat[:: len(A) + 1] += 10.0**power
+    # Its transpose is in the order that LAPACK works in, so that nothing is copied.
+    factor = cho_factor(A.T, lower=True, overwrite_a=True, check_finite=False)
+    return np.asarray(cho_solve(factor, b, check_finite=False))
 
 
 def _within(sizes: Index) -> tuple[Index, Index]:

@@ -30,11 +30,11 @@ def ripple_orders(
         Orders per turn, shape (count,) or fewer.
     """
     step, wave = np.exp(1j * q), np.ones(len(q), dtype=complex)
-    pace = np.abs(v) / (2 * np.pi * cutoff)
+    pace = (np.abs(v) / (2 * np.pi * cutoff)) ** (2 * _FILTER_ORDER)
     score = np.zeros(_MOST_PERIODS + 1)
     for k in range(1, _MOST_PERIODS + 1):
         wave *= step
-        passed = 1.0 / (1.0 + (k * pace) ** (2 * _FILTER_ORDER))
+        passed = 1.0 / (1.0 + float(k) ** (2 * _FILTER_ORDER) * pace)
         power = passed @ passed
         if power > 0.02 * len(q):
             score[k] = np.abs((passed * left) @ wave) ** 2 / power

@@ -243,7 +243,7 @@ class _Told:
         H -= across.T @ cho_solve(self._known.factor, across)
         s -= across.T @ self._explained
         gain, gains = log_bayes(H, s, np.maximum(c.std, 1e-12) ** -2.0, c.lower)
-        return gain - price(c.effect), gains
+        return float(gain) - price(c.effect), gains
 
 
 def needed(evidence: float) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.linalg import solve_banded
+from scipy.linalg.lapack import dtbtrs
 
 from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
 from hybrid.errors import EffectError
@@ -139,10 +139,11 @@ def _swing(signals: Array, h: float) -> Array:
     mass, drag, stiff, load = signals
     inner = slice(1, -1)
     m, c, k = mass[inner] / h**2, drag[inner] / (2 * h), stiff[inner] / 4
-    bands = np.zeros((3, len(load)))
+    bands = np.zeros((len(load), 3)).T  # in the order of LAPACK, which copies no others
     bands[0] = 1.0
     # Rows 0 and 1 are the two places that it starts from.
     bands[0, 2:], bands[1, 1:-1], bands[2, :-2] = m + c + k, 2 * (k - m), m - c + k
     out = -(load[:-2] + 2 * load[inner] + load[2:]) / 4
     start = np.full(2, -load[0] / stiff[0])
-    return np.asarray(solve_banded((2, 0), bands, np.concatenate([start, out])))
+    rest = np.concatenate([start, out])[:, None]
+    return np.asarray(dtbtrs(bands, rest, uplo="L", overwrite_b=True)[0][:, 0])
