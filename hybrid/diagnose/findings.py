@@ -19,21 +19,43 @@ from hybrid.robot.chain import Array
 _RESAMPLES = 400
 _NORMAL = 1.96
 _CLOSE = 6  # alternatives that are fitted in full
+_CONTAINED = 0.01  # of the squares of a law, that another may miss
 _ANYWHERE = 1.0  # nat, which does not settle the joint
 
 
 def alternatives(search: Search, term: Term, limits: Thresholds) -> tuple[str, ...]:
-    """Ids of effects that explain as much as a term does, itself first."""
+    """Ids of effects that explain as much as a term does, itself first.
+
+    No law is exact, so that a worse one may be the cause. One that is the term's but
+    for further gains, however, is as exact: it is worse as it does not need these.
+    """
     base = search.base(term)
     own, best = search.refine(base, term.candidate)
     found = [own.place[0], *_twins(search, own)]
     ranked = [c for c, gain in search.ranked(base) if gain > 0.5 * best]
     for c in [c for c in ranked if _here(term, c)][:_CLOSE]:
         if c.place[0] not in found:
-            _, gain = search.refine(base, c)
-            if gain > best - max(limits.alike, limits.alike_share * best):
+            other, gain = search.refine(base, c)
+            slack = max(limits.alike, limits.alike_share * best)
+            if gain > best - slack and _contains(search, other, own):
+                slack = limits.alike
+            if gain > best - slack:
                 found.append(c.place[0])
     return tuple(found)
+
+
+def _contains(search: Search, other: Candidate, own: Candidate) -> bool:
+    """Whether a law is another one with further gains, that may be none."""
+    if len(other.std) <= len(own.std):
+        return False
+    wide, columns = search.gap.columns(other.effect), search.gap.columns(own.effect)
+    for j, rows in enumerate(search.evidence.rows):
+        if j in columns and len(rows):
+            x, y = wide.get(j, np.zeros((len(columns[j]), 0)))[rows], columns[j][rows]
+            rest = y - x @ np.linalg.lstsq(x, y)[0]
+            if (rest**2).sum() > _CONTAINED * (y**2).sum():
+                return False
+    return True
 
 
 def elsewhere(search: Search, term: Term) -> Candidate | None:
