@@ -107,8 +107,8 @@ def findings(
     """
     gap = scored.gap
     grouped: dict[str, list[int]] = {}
-    for k, term in enumerate(scored.terms):
-        grouped.setdefault(term.place[0], []).append(k)
+    for k in sorted(range(len(effects)), key=lambda k: _where(effects[k])):
+        grouped.setdefault(scored.terms[k].place[0], []).append(k)
     found = []
     for effect_id, members in grouped.items():
         cls = effects[members[0]]
