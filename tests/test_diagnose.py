@@ -35,6 +35,7 @@ from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.payload import LinkInertia, Payload
 from hybrid.effects.spring import Spring
 from hybrid.effects.torque_gain import TorqueGain
+from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, RecordingError
@@ -505,6 +506,25 @@ class TestCause:
         assert min(map(search.loss, search.terms)) > 10.0
         assert search._exchange()
         assert {t.place for t in search.terms} == {("counterbalance", (0,))}
+
+    @pytest.mark.parametrize(
+        ("effect", "alike"),
+        [
+            (
+                TorqueOffset((1,), {"level": 2.0}),
+                ("torque_offset", "asymmetric_friction"),
+            ),
+            (
+                Spring((1,), {"stiffness": 0.05, "preload": 2.0}),
+                ("spring", "torque_offset", "asymmetric_friction"),
+            ),
+        ],
+    )
+    def test_a_law_with_a_gain_that_is_not_needed_is_no_alternative(
+        self, effect, alike
+    ):
+        (finding,) = examine(*logs([effect])).diagnosis.findings
+        assert finding.alternatives == alike
 
     def test_a_law_is_exchanged_for_the_fuller_one_if_that_fits_better(self):
         spring = Spring((0,), {"stiffness": 10.0, "preload": 2.0})
