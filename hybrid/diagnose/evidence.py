@@ -24,7 +24,7 @@ from hybrid.diagnose.products import Index, Products
 from hybrid.robot.chain import Array
 
 _EXACT = 0.002  # of the torque: nearer than that no two solvers are
-# Powers of ten of a ridge for columns of unit length, those beside them are tried too.
+# Powers of ten of a ridge for columns of unit length; those beside the best come next.
 _COARSE = (-4, -1, 2)
 
 
@@ -287,7 +287,7 @@ class Evidence(Products):
         weights = np.zeros(columns.shape[1])
         tried: dict[int, tuple[Array, float, float]] = {}
 
-        def worth(k: int) -> float:
+        def noise(k: int) -> float:
             if k not in tried:
                 w = np.stack(list(map(partial(_ridge, power=k), A - G, b - c)))
                 power = np.einsum("fk,fk->", w, (G @ w[..., None])[..., 0] - 2 * c)
@@ -298,8 +298,8 @@ class Evidence(Products):
                 tried[k] = rest, variance * alike, alike
             return tried[k][1]
 
-        best = min(_COARSE, key=worth)
-        return tried[min((best - 1, best, best + 1), key=worth)]
+        best = min(_COARSE, key=noise)
+        return tried[min((best - 1, best, best + 1), key=noise)]
 
 
 def _ridge(A: Array, b: Array, power: int) -> Array:
