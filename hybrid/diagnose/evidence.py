@@ -24,8 +24,8 @@ from hybrid.diagnose.products import Index, Products
 from hybrid.robot.chain import Array
 
 _EXACT = 0.002  # of the torque: nearer than that no two solvers are
-# Powers of ten of a ridge for columns of unit length; those beside the best come next.
-_COARSE = (-4, -1, 2)
+# For columns of unit length.
+_RIDGES = 10.0 ** np.arange(-5, 5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,8 +267,6 @@ class Evidence(Products):
     def _flexible(self, i: int, here: Index, back: Index) -> tuple[Array, float, float]:
         """Ridge regression of a joint's gap on many columns, by the best ridge.
 
-        The ridges are tried coarse to fine.
-
         Args:
             i: Joint.
             here: Which of its columns.
@@ -284,27 +282,21 @@ class Evidence(Products):
         G, c = G / size / size[:, None], c / size
         A, b = G.sum(axis=0), c.sum(axis=0)
         row, columns = self.rows[i][back], self._columns[i][:, : len(self._owner[i])]
-        weights = np.zeros(columns.shape[1])
-        tried: dict[int, tuple[Array, float, float]] = {}
-
-        def noise(k: int) -> float:
-            if k not in tried:
-                w = np.stack(list(map(partial(_ridge, power=k), A - G, b - c)))
-                power = np.einsum("fk,fk->", w, (G @ w[..., None])[..., 0] - 2 * c)
-                weights[here] = _ridge(A.copy(), b, k) / size
-                rest = (self.left[i] - columns @ weights)[back]
-                alike = memory(rest, row)
-                variance = (self.power[i].sum() + power) / len(row)
-                tried[k] = rest, variance * alike, alike
-            return tried[k][1]
-
-        best = min(_COARSE, key=noise)
-        return tried[min((best - 1, best, best + 1), key=noise)]
+        weights, found = np.zeros(columns.shape[1]), []
+        for ridge in _RIDGES:
+            w = np.stack(list(map(partial(_ridge, ridge=ridge), A - G, b - c)))
+            power = np.einsum("fk,fk->", w, (G @ w[..., None])[..., 0] - 2 * c)
+            weights[here] = _ridge(A.copy(), b, ridge) / size
+            left = (self.left[i] - columns @ weights)[back]
+            alike = memory(left, row)
+            variance = (self.power[i].sum() + power) / len(row)
+            found.append((left, variance * alike, alike))
+        return min(found, key=lambda x: x[1])
 
 
-def _ridge(A: Array, b: Array, power: int) -> Array:
-    """Weights of a ridge of some power of ten; overwrites the normal matrix."""
-    A.flat[:: len(A) + 1] += 10.0**power
+def _ridge(A: Array, b: Array, ridge: float) -> Array:
+    """Weights of a ridge regression; overwrites the normal matrix."""
+    A.flat[:: len(A) + 1] += ridge
     # Its transpose is in the order that LAPACK works in, so that nothing is copied.
     factor = cho_factor(A.T, lower=True, overwrite_a=True, check_finite=False)
     return np.asarray(cho_solve(factor, b, check_finite=False))
