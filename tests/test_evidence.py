@@ -193,6 +193,26 @@ def test_noise_is_not_what_happened_once():
     assert evidence.noise[0] >= 4.0
 
 
+@given(st.integers(0, 1000), st.integers(1, 4), st.booleans())
+def test_several_candidates_at_once_are_each_alone(seed, size, fixed):
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(5, 8, size))
+    H, s = X.transpose(0, 2, 1) @ X, 5.0 * rng.normal(size=(5, size))
+    prior, lower = (
+        rng.uniform(0.1, 2.0, (5, size)),
+        rng.choice([-np.inf, 0.0], (5, size)),
+    )
+    made_at = rng.uniform(0.1, 2.0, (5, size)) if fixed else None
+    worth, gains = log_bayes(H, s, prior, lower, made_at)
+    assert worth.shape == (5,)
+    for k in range(5):
+        own = None if made_at is None else made_at[k]
+        alone, best = log_bayes(H[k], s[k], prior[k], lower[k], own)
+        assert worth[k] == pytest.approx(float(alone))
+        assert gains[k] == pytest.approx(best)
+        assert np.all(best >= lower[k]) or fixed
+
+
 def test_a_gain_stays_within_its_physical_bound():
     H, s = np.diag([4.0, 4.0]), np.array([-8.0, 6.0])
     free, _ = log_bayes(H, s, np.ones(2), np.full(2, -np.inf))

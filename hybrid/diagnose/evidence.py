@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,14 +146,12 @@ class Evidence(Products):
         wanted, sizes = np.concatenate(blocks), np.array([len(x) for x in blocks])
         first, second = _within(sizes)
         across, own, moment = self.beside(base, wanted, first, second)
-        A, b = self.normal(base)
         # In units of the prior, which differ by many orders of magnitude.
-        unit = 1.0 / np.sqrt(self.precision[base])
-        factor = cho_factor(np.eye(len(base)) + unit[:, None] * A * unit)
-        across *= unit[:, None]
+        factor, b = self._factor(base)
+        across *= 1.0 / np.sqrt(self.precision[base])[:, None]
         taken = cho_solve(factor, across)
         H = own - np.einsum("kp,kp->p", across[:, first], taken[:, second])
-        s = moment - taken.T @ (unit * b)
+        s = moment - taken.T @ b
         gains, known = np.empty(len(blocks)), made_at or [None] * len(blocks)
         to, end = np.cumsum(sizes), np.cumsum(sizes**2)
         alike: dict[tuple[int, bool], list[int]] = {}  # those are done at once
@@ -280,11 +277,11 @@ class Evidence(Products):
         G, c = self._gram[i][:, here[:, None], here], self._moment[i][:, here]
         size = np.sqrt(np.maximum(np.diagonal(G.sum(axis=0)), 1e-300))
         G, c = G / size / size[:, None], c / size
-        A, b = G.sum(axis=0), c.sum(axis=0)
+        A, b, folds = G.sum(axis=0), c.sum(axis=0), list(zip(G, c, strict=True))
         row, columns = self.rows[i][back], self._columns[i][:, : len(self._owner[i])]
         weights, found = np.zeros(columns.shape[1]), []
         for ridge in _RIDGES:
-            w = np.stack(list(map(partial(_ridge, ridge=ridge), A - G, b - c)))
+            w = np.array([_ridge(A - g, b - x, ridge) for g, x in folds])
             power = np.einsum("fk,fk->", w, (G @ w[..., None])[..., 0] - 2 * c)
             weights[here] = _ridge(A.copy(), b, ridge) / size
             left = (self.left[i] - columns @ weights)[back]

@@ -49,12 +49,14 @@ def _contains(search: Search, other: Candidate, own: Candidate) -> bool:
     if len(other.std) <= len(own.std):
         return False
     wide, columns = search.gap.columns(other.effect), search.gap.columns(own.effect)
-    for j, rows in enumerate(search.evidence.rows):
-        if j in columns and len(rows):
-            x, y = wide.get(j, np.zeros((len(columns[j]), 0)))[rows], columns[j][rows]
+    for j, column in columns.items():
+        y = column[search.evidence.rows[j]]
+        rest = y
+        if j in wide:
+            x = wide[j][search.evidence.rows[j]]
             rest = y - x @ np.linalg.lstsq(x, y)[0]
-            if (rest**2).sum() > _CONTAINED * (y**2).sum():
-                return False
+        if (rest**2).sum() > _CONTAINED * (y**2).sum():
+            return False
     return True
 
 
