@@ -18,6 +18,7 @@ from hybrid.diagnose.contacts import Contacts
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.diagnosis import Shrink
 from hybrid.diagnose.explanation import Explanation, between, split
+from hybrid.diagnose.findings import alternatives
 from hybrid.diagnose.gap import measure_gap, simulated_torque
 from hybrid.diagnose.refine import shape_steps
 from hybrid.diagnose.refit import refit
@@ -275,6 +276,7 @@ class TestGap:
             )
         search = SimpleNamespace(terms=[*terms], gap=planar().gap)
         search.losses = lambda: np.array([t.worth for t in search.terms])
+        search.parts = lambda: [np.eye(2)[t.place[1][-1]] for t in search.terms]
         Search.remove(search)
         assert search.terms == (terms[:1] if goes else terms)
 
@@ -407,6 +409,36 @@ class TestCause:
         given = candidate(faultless().gap, arm_carries((0, 1)))
         assert given.likely(given.std) and given.likely(-6.0 * given.std)
         assert given.likely(10.0 * given.std) is (arm_carries is Payload)
+
+    @pytest.mark.parametrize(
+        ("factor", "found"), [(1.3, "payload"), (0.7, "link_inertia")]
+    )
+    def test_a_last_link_that_is_too_heavy_carries_something(self, factor, found):
+        robot = arm("planar")
+        links = robot.chain.inertial.copy()
+        links[1] *= factor
+        plant = Plant(robot.with_inertial(links), [], nominal=robot)
+        search = Search(measure_gap(robot, simulate(plant, duration=6.0, seed=1)))
+        assert [t.place for t in search.run()] == [(found, (0, 1))]
+        (term,) = search.terms
+        both = {"payload", "link_inertia"}
+        assert {*alternatives(search, term, thresholds())} == both
+
+    def test_what_repeats_once_per_turn_is_no_counterbalance(self):
+        ripple = TorqueRipple((0,), {"sine": 2.0, "cosine": 3.0, "periods": 1.0})
+        robot, recordings = logs([ripple])
+        (finding,) = examine(robot, recordings).diagnosis.findings
+        assert finding.effect == "torque_ripple"
+        assert "counterbalance" in finding.alternatives
+
+    def test_a_push_on_the_whole_arm_hides_no_small_law_of_a_joint(self):
+        push = {"force_x": 60.0, "force_y": 60.0, "start": 2.0, "duration": 1.0}
+        ripple = TorqueRipple((1,), {"sine": 0.12, "cosine": 0.0, "periods": 6.0})
+        robot, recordings = logs([Contact((0, 1), push), ripple])
+        search = Search(measure_gap(robot, recordings))
+        assert {t.place[0] for t in search.run()} == {"contact", "torque_ripple"}
+        large, small = sorted(search.terms, key=search.loss)[::-1]
+        assert search.loss(small) < 0.015 * search.loss(large)
 
     def test_three_logs_are_as_good_as_four(self):
         robot, recordings = logs([STRIBECK], count=3)

@@ -12,19 +12,31 @@ from hybrid.diagnose.candidates import (
     HARDLY,
     Candidate,
     Place,
+    candidate,
     fuller,
     mere,
     plainer,
     simpler,
     with_gains,
 )
-from hybrid.diagnose.model import ALIKE, OFF, WIDEST, WORTH, Model, far, linearised
+from hybrid.diagnose.model import (
+    ALIKE,
+    CLEARLY,
+    OFF,
+    WIDEST,
+    WORTH,
+    Model,
+    far,
+    linearised,
+)
 from hybrid.diagnose.pool import REPEATED
 from hybrid.diagnose.refine import gain, shape_steps
 from hybrid.diagnose.shapes import at_places, places
 from hybrid.diagnose.term import Term
 from hybrid.effects.contact import Contact
-from hybrid.effects.payload import LinkInertia
+from hybrid.effects.counterbalance import Counterbalance
+from hybrid.effects.payload import LinkInertia, Payload
+from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
 
 _LEAST_REMOVED = 0.015  # of the RMS at a term's joints, on folds left out
@@ -35,6 +47,8 @@ _NEAR = 10.0
 _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _SAME = 0.01  # of the gain that columns are made at: no matter
 _LESS = 0.1  # of the noise: worth another search
+_SURELY = 2.0  # deviations
+_ANGLE = 6.0  # nats that a second amplitude costs, and an angle does not
 _ONE = 0.9  # of the evidence for two forms of one law, by one of them
 
 
@@ -68,6 +82,7 @@ class Search(Model):
         self._polish()
         self._settle()
         self.remove()  # what mended shapes that were short of their best
+        self._name()
         return self.terms
 
     def _any_mere(self, off: float) -> bool:
@@ -146,7 +161,7 @@ class Search(Model):
             self.terms = others
             self._extend({term.place})
         elif plain and all(t.place != place for t in others):
-            hardly = max(ALIKE, HARDLY * self.loss(term))
+            hardly = max(CLEARLY, HARDLY * self.loss(term))
             self.terms = [*others, self.term(plain[0])]
             if self.total() > least - hardly:
                 return
@@ -227,7 +242,8 @@ class Search(Model):
         for k, term in enumerate(list(self.terms)):
             effect = term.candidate.effect
             if not effect.steep and effect.id not in REPEATED and effect.shapes:
-                self._exchange_for(k, [term.candidate, *self.pool.at(term.place)])
+                starts = [term.candidate, *self.pool.at(term.place)]
+                self._exchange_for(k, starts, ALIKE)
 
     def reform(self) -> bool:
         """Exchange laws for fuller ones that fit better; whether any was.
@@ -238,21 +254,20 @@ class Search(Model):
         for k, term in enumerate(before):
             place = fuller(term.candidate.effect), term.place[1]
             if all(t.place != place for t in before):
-                self._exchange_for(k, self.pool.at(place), HARDLY)
+                least = max(CLEARLY, HARDLY * self.loss(term))
+                self._exchange_for(k, self.pool.at(place), least)
         return self.terms != before
 
-    def _exchange_for(
-        self, k: int, starts: Sequence[Candidate], least: float = 0.0
-    ) -> None:
+    def _exchange_for(self, k: int, starts: Sequence[Candidate], least: float) -> None:
         """Exchange a term for the best of some candidates, refined, if it is better.
 
-        By a part of the evidence for it, at least.
+        By some evidence at least, [nat].
         """
         base = self.base(self.terms[k])
         refined = [self.refine(base, c) for c in starts]
         best = max(refined, key=lambda x: x[1], default=None)
         now = self.loss(self.terms[k])
-        if best is not None and best[1] > now + max(ALIKE, least * now):
+        if best is not None and best[1] > now + least:
             self.terms[k] = self.term(best[0])
 
     def _polish(self) -> None:
@@ -296,6 +311,22 @@ class Search(Model):
         effect = at_places(self.gap, effect, places(self.gap, effect) + steps)
         return self.term(replace(term.candidate, effect=effect))
 
+    def _name(self) -> None:
+        """Call by its plainer name what has the same columns under two."""
+        solution, without = self.evidence.solve(self.base()), self.pool.without
+        for k, term in enumerate(self.terms):
+            place, mass = term.place, term.index[:1]
+            if place[0] == LinkInertia.id and self.pool.at((Payload.id, place[1])):
+                # A link may be wrong anywhere, and too light; a payload is here alone.
+                if solution.of(mass) > _SURELY * solution.deviation(mass):
+                    effect = Payload(place[1], term.candidate.effect.values)
+                    self.terms[k] = self.term(replace(term.candidate, effect=effect))
+            elif place[0] == Counterbalance.id and TorqueRipple.id not in without:
+                # On a crank too short for one it repeats once per turn.
+                c = candidate(self.gap, TorqueRipple(place[1], {"periods": 1.0}))
+                if gain(self.evidence, self.base(term), c) > self.loss(term) - _ANGLE:
+                    self.terms[k] = self.term(c)
+
     def _exchange(self) -> bool:
         """Fit each term anew beside the others, as whatever explains most there."""
         changed = False
@@ -324,7 +355,7 @@ class Search(Model):
             name, slack = simpler(alone.effect)
             if name == other.place[0]:
                 plain, less = self.refine(base, other.candidate)
-                if less > found - max(ALIKE, slack * found):
+                if less > found - max(CLEARLY, slack * found):
                     alone, found = plain, less
             if found > wanted:
                 self.terms = [t for t in self.terms if t is not term and t is not other]

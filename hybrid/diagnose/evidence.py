@@ -45,8 +45,15 @@ class Solution:
 
     def of(self, columns: Index) -> Array:
         """Gains of some of the columns, in their order."""
+        return self.gains[self._rows(columns)]
+
+    def deviation(self, columns: Index) -> Array:
+        """Posterior standard deviations of the same gains."""
+        return np.sqrt(np.diag(self.covariance)[self._rows(columns)])
+
+    def _rows(self, columns: Index) -> Index:
         order = np.argsort(self.index)
-        return self.gains[order[np.searchsorted(self.index[order], columns)]]
+        return order[np.searchsorted(self.index[order], columns)]
 
 
 class Evidence(Products):

@@ -24,6 +24,7 @@ from hybrid.robot.chain import Array
 
 WORTH = 10.0  # nats that a term must add
 ALIKE = 3.0  # nats that do not settle which of two effects it is
+CLEARLY = 5.0  # nats by which a law is better than the plainer one it may become
 # Sizes of the background that are tried: one standard deviation, relative.
 OFF = (0.003, 0.01, 0.03)
 WIDEST = OFF[-1]
@@ -142,7 +143,7 @@ class Model:
         near = [
             x for x in refined
             if x[0].place == (name, best.effect.joints)
-            and x[1] > most - max(ALIKE, slack * most)
+            and x[1] > most - max(CLEARLY, slack * most)
         ]  # fmt: skip
         return near[0] if near else (best, most)
 
@@ -184,24 +185,33 @@ class Model:
 
     def remove(self) -> None:
         """Take out terms that add little, the weakest first."""
+        n = self.gap.robot.size
         while self.terms:
             losses = self.losses()
             large = [
-                (o, x) for o, x in zip(self.terms, losses, strict=True)
+                (o, x * part) for o, x, part in zip(
+                    self.terms, losses, self.parts(), strict=True)
                 if not undeclared(self.gap.robot, o.candidate.effect)
             ]  # fmt: skip
             # Beside a large one at the same joint, a small term mends an inexact law.
+            at = [list(t.candidate.effect.reaches(n)) for t in self.terms]
             least = [
                 0.0 if undeclared(self.gap.robot, t.candidate.effect) else
-                max(_mending(t, o) * x for o, x in large
+                max(_mending(t, o) * x[j].sum() for o, x in large
                     if o.place[1][-1] == t.place[1][-1] or t.place[0] == Contact.id)
-                for t in self.terms
+                for t, j in zip(self.terms, at, strict=True)
             ]  # fmt: skip
             margin = losses - np.maximum(least, WORTH)
             weakest = int(np.argmin(margin))
             if margin[weakest] >= 0:
                 return
             del self.terms[weakest]
+
+    def parts(self) -> list[Array]:
+        """How what each term makes is parted among the joints, shape (n,) each."""
+        solution = self.evidence.solve(self.base())
+        made = [self.evidence.made(t.index, solution.of(t.index)) for t in self.terms]
+        return [x / max(x.sum(), 1e-300) for x in made]
 
 
 def _mending(small: Term, large: Term) -> float:

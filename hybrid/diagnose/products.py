@@ -215,6 +215,16 @@ class Products:
             out[i] -= 2 * np.einsum("fk,fk->f", g, self._moment[i][:, here])
         return np.asarray(out)
 
+    def made(self, index: Index, gains: Array) -> Array:
+        """Squares of what gains make at each joint, weighed by noise, shape (n,)."""
+        out, order = np.zeros(len(self.rows)), np.argsort(index)
+        for i, owner in enumerate(self._owner):
+            here = np.flatnonzero(np.isin(owner, index))
+            own = np.asarray(owner)[here]
+            g = gains[order[np.searchsorted(index[order], own)]]
+            out[i] = g @ self._sums[i][0][np.ix_(here, here)] @ g / self.noise[i]
+        return out
+
     def residual(self, i: int, index: Index, gains: Array) -> Array:
         """What gains leave of the gap at a joint, in the order of ``rows[i]``."""
         full = np.zeros(self.size)
