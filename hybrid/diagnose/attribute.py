@@ -19,16 +19,7 @@ from hybrid.diagnose.candidates import (
     simpler,
     with_gains,
 )
-from hybrid.diagnose.model import (
-    ALIKE,
-    CLEARLY,
-    OFF,
-    WIDEST,
-    WORTH,
-    Model,
-    far,
-    linearised,
-)
+from hybrid.diagnose.model import ALIKE, OFF, WIDEST, WORTH, Model, far, linearised
 from hybrid.diagnose.pool import REPEATED
 from hybrid.diagnose.refine import gain, shape_steps
 from hybrid.diagnose.shapes import at_places, places
@@ -36,6 +27,7 @@ from hybrid.diagnose.term import Term
 from hybrid.effects.contact import Contact
 from hybrid.effects.counterbalance import Counterbalance
 from hybrid.effects.payload import LinkInertia, Payload
+from hybrid.effects.spring import Spring
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
 
@@ -161,7 +153,7 @@ class Search(Model):
             self.terms = others
             self._extend({term.place})
         elif plain and all(t.place != place for t in others):
-            hardly = max(CLEARLY, HARDLY * self.loss(term))
+            hardly = max(ALIKE, HARDLY * self.loss(term))
             self.terms = [*others, self.term(plain[0])]
             if self.total() > least - hardly:
                 return
@@ -242,8 +234,7 @@ class Search(Model):
         for k, term in enumerate(list(self.terms)):
             effect = term.candidate.effect
             if not effect.steep and effect.id not in REPEATED and effect.shapes:
-                starts = [term.candidate, *self.pool.at(term.place)]
-                self._exchange_for(k, starts, ALIKE)
+                self._exchange_for(k, [term.candidate, *self.pool.at(term.place)])
 
     def reform(self) -> bool:
         """Exchange laws for fuller ones that fit better; whether any was.
@@ -254,20 +245,21 @@ class Search(Model):
         for k, term in enumerate(before):
             place = fuller(term.candidate.effect), term.place[1]
             if all(t.place != place for t in before):
-                least = max(CLEARLY, HARDLY * self.loss(term))
-                self._exchange_for(k, self.pool.at(place), least)
+                self._exchange_for(k, self.pool.at(place), HARDLY)
         return self.terms != before
 
-    def _exchange_for(self, k: int, starts: Sequence[Candidate], least: float) -> None:
+    def _exchange_for(
+        self, k: int, starts: Sequence[Candidate], least: float = 0.0
+    ) -> None:
         """Exchange a term for the best of some candidates, refined, if it is better.
 
-        By some evidence at least, [nat].
+        By a part of the evidence for it, at least.
         """
         base = self.base(self.terms[k])
         refined = [self.refine(base, c) for c in starts]
         best = max(refined, key=lambda x: x[1], default=None)
         now = self.loss(self.terms[k])
-        if best is not None and best[1] > now + least:
+        if best is not None and best[1] > now + max(ALIKE, least * now):
             self.terms[k] = self.term(best[0])
 
     def _polish(self) -> None:
@@ -313,7 +305,7 @@ class Search(Model):
 
     def _name(self) -> None:
         """Call by its plainer name what has the same columns under two."""
-        solution, without = self.evidence.solve(self.base()), self.pool.without
+        solution = self.evidence.solve(self.base())
         for k, term in enumerate(self.terms):
             place, mass = term.place, term.index[:1]
             if place[0] == LinkInertia.id and self.pool.at((Payload.id, place[1])):
@@ -321,11 +313,15 @@ class Search(Model):
                 if solution.of(mass) > _SURELY * solution.deviation(mass):
                     effect = Payload(place[1], term.candidate.effect.values)
                     self.terms[k] = self.term(replace(term.candidate, effect=effect))
-            elif place[0] == Counterbalance.id and TorqueRipple.id not in without:
+            elif place[0] == Counterbalance.id:
                 # On a crank too short for one it repeats once per turn.
-                c = candidate(self.gap, TorqueRipple(place[1], {"periods": 1.0}))
-                if gain(self.evidence, self.base(term), c) > self.loss(term) - _ANGLE:
-                    self.terms[k] = self.term(c)
+                once, base = {"periods": 1.0}, self.base(term)
+                plain = [Spring(place[1]), TorqueRipple(place[1], once)]
+                for c in (candidate(self.gap, x) for x in plain):
+                    least = self.loss(term) - _ANGLE
+                    if self.pool.at(c.place) and gain(self.evidence, base, c) > least:
+                        self.terms[k] = self.term(c)
+                        break
 
     def _exchange(self) -> bool:
         """Fit each term anew beside the others, as whatever explains most there."""
@@ -355,7 +351,7 @@ class Search(Model):
             name, slack = simpler(alone.effect)
             if name == other.place[0]:
                 plain, less = self.refine(base, other.candidate)
-                if less > found - max(CLEARLY, slack * found):
+                if less > found - max(ALIKE, slack * found):
                     alone, found = plain, less
             if found > wanted:
                 self.terms = [t for t in self.terms if t is not term and t is not other]

@@ -24,7 +24,6 @@ from hybrid.robot.chain import Array
 
 WORTH = 10.0  # nats that a term must add
 ALIKE = 3.0  # nats that do not settle which of two effects it is
-CLEARLY = 5.0  # nats by which a law is better than the plainer one it may become
 # Sizes of the background that are tried: one standard deviation, relative.
 OFF = (0.003, 0.01, 0.03)
 WIDEST = OFF[-1]
@@ -143,7 +142,7 @@ class Model:
         near = [
             x for x in refined
             if x[0].place == (name, best.effect.joints)
-            and x[1] > most - max(CLEARLY, slack * most)
+            and x[1] > most - max(ALIKE, slack * most)
         ]  # fmt: skip
         return near[0] if near else (best, most)
 
