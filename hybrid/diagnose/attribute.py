@@ -12,7 +12,6 @@ from hybrid.diagnose.candidates import (
     HARDLY,
     Candidate,
     Place,
-    candidate,
     fuller,
     mere,
     plainer,
@@ -20,15 +19,13 @@ from hybrid.diagnose.candidates import (
     with_gains,
 )
 from hybrid.diagnose.model import ALIKE, OFF, WIDEST, WORTH, Model, far, linearised
+from hybrid.diagnose.names import name_plainly
 from hybrid.diagnose.pool import REPEATED
 from hybrid.diagnose.refine import gain, shape_steps
 from hybrid.diagnose.shapes import at_places, places
 from hybrid.diagnose.term import Term
 from hybrid.effects.contact import Contact
-from hybrid.effects.counterbalance import Counterbalance
-from hybrid.effects.payload import LinkInertia, Payload
-from hybrid.effects.spring import Spring
-from hybrid.effects.torque_ripple import TorqueRipple
+from hybrid.effects.payload import LinkInertia
 from hybrid.robot.chain import Array
 
 _LEAST_REMOVED = 0.015  # of the RMS at a term's joints, on folds left out
@@ -39,8 +36,6 @@ _NEAR = 10.0
 _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _SAME = 0.01  # of the gain that columns are made at: no matter
 _LESS = 0.1  # of the noise: worth another search
-_SURELY = 2.0  # deviations
-_ANGLE = 6.0  # nats that a second amplitude costs, and an angle does not
 _ONE = 0.9  # of the evidence for two forms of one law, by one of them
 
 
@@ -74,7 +69,7 @@ class Search(Model):
         self._polish()
         self._settle()
         self.remove()  # what mended shapes that were short of their best
-        self._name()
+        name_plainly(self)
         return self.terms
 
     def _any_mere(self, off: float) -> bool:
@@ -302,26 +297,6 @@ class Search(Model):
         effect = term.candidate.effect
         effect = at_places(self.gap, effect, places(self.gap, effect) + steps)
         return self.term(replace(term.candidate, effect=effect))
-
-    def _name(self) -> None:
-        """Call by its plainer name what has the same columns under two."""
-        solution = self.evidence.solve(self.base())
-        for k, term in enumerate(self.terms):
-            place, mass = term.place, term.index[:1]
-            if place[0] == LinkInertia.id and self.pool.at((Payload.id, place[1])):
-                # A link may be wrong anywhere, and too light; a payload is here alone.
-                if solution.of(mass) > _SURELY * solution.deviation(mass):
-                    effect = Payload(place[1], term.candidate.effect.values)
-                    self.terms[k] = self.term(replace(term.candidate, effect=effect))
-            elif place[0] == Counterbalance.id:
-                # On a crank too short for one it repeats once per turn.
-                once, base = {"periods": 1.0}, self.base(term)
-                plain = [Spring(place[1]), TorqueRipple(place[1], once)]
-                for c in (candidate(self.gap, x) for x in plain):
-                    least = self.loss(term) - _ANGLE
-                    if self.pool.at(c.place) and gain(self.evidence, base, c) > least:
-                        self.terms[k] = self.term(c)
-                        break
 
     def _exchange(self) -> bool:
         """Fit each term anew beside the others, as whatever explains most there."""

@@ -1,0 +1,57 @@
+"""The plainer of two names for what has the same columns under both."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hybrid.diagnose.candidates import Candidate, candidate
+from hybrid.diagnose.model import Model
+from hybrid.diagnose.refine import gain
+from hybrid.diagnose.term import Term
+from hybrid.effects.counterbalance import Counterbalance
+from hybrid.effects.payload import LinkInertia, Payload
+from hybrid.effects.spring import Spring
+from hybrid.effects.torque_ripple import TorqueRipple
+
+_SURELY = 2.0  # deviations
+_ANGLE = 6.0  # nats that a second amplitude costs, and an angle does not
+
+
+def name_plainly(model: Model) -> None:
+    """Exchange the terms of a model for the plainest effects that they may be."""
+    for k, term in enumerate(model.terms):
+        plain = None
+        if term.place[0] == LinkInertia.id:
+            plain = _payload(model, term)
+        elif term.place[0] == Counterbalance.id:
+            plain = _without_a_crank(model, term)
+        if plain is not None:
+            model.terms[k] = model.term(plain)
+
+
+def _payload(model: Model, term: Term) -> Candidate | None:
+    """A payload, if a link is surely too heavy and the last one.
+
+    A link may be wrong anywhere, and too light; a payload is here alone.
+    """
+    joints, mass = term.place[1], term.index[:1]
+    solution = model.evidence.solve(model.base())
+    heavy = solution.of(mass) > _SURELY * solution.deviation(mass)
+    if not heavy or not model.pool.at((Payload.id, joints)):
+        return None
+    effect = Payload(joints, term.candidate.effect.values)
+    return replace(term.candidate, effect=effect)
+
+
+def _without_a_crank(model: Model, term: Term) -> Candidate | None:
+    """A spring or a ripple, if a counterbalance is no better than it.
+
+    On a crank too short for one, its torque repeats once per turn.
+    """
+    joints, base = term.place[1], model.base(term)
+    least = model.loss(term) - _ANGLE
+    for effect in (Spring(joints), TorqueRipple(joints, {"periods": 1.0})):
+        c = candidate(model.gap, effect)
+        if model.pool.at(c.place) and gain(model.evidence, base, c) > least:
+            return c
+    return None
