@@ -431,6 +431,27 @@ class TestCause:
         assert finding.effect == "torque_ripple"
         assert "counterbalance" in finding.alternatives
 
+    @pytest.mark.parametrize(
+        ("width", "named_first", "kinds"),
+        [
+            (0.0, "torque_offset", {"torque_offset", "asymmetric_friction"}),
+            (0.03, "asymmetric_friction", {"asymmetric_friction"}),
+        ],
+    )
+    def test_friction_goes_through_zero_at_reversals_and_an_offset_does_not(
+        self, width, named_first, kinds
+    ):
+        robot, recordings = logs([])
+        shifted = []
+        for x in recordings:
+            v = np.gradient(x.q[:, 1], x.t)
+            tau = x.tau.copy()
+            tau[:, 1] += 0.4 * (np.abs(np.tanh(v / width)) if width else 1.0)
+            shifted.append(replace(x, tau=tau))
+        (finding,) = examine(robot, shifted).diagnosis.findings
+        assert finding.effect == named_first
+        assert {*finding.alternatives} == kinds
+
     def test_a_push_on_the_whole_arm_hides_no_small_law_of_a_joint(self):
         push = {"force_x": 60.0, "force_y": 60.0, "start": 2.0, "duration": 1.0}
         ripple = TorqueRipple((1,), {"sine": 0.12, "cosine": 0.0, "periods": 6.0})

@@ -11,9 +11,12 @@ from hybrid.diagnose.candidates import Candidate, same
 from hybrid.diagnose.diagnosis import Finding, Shrink, Value
 from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.reversals import vanishes
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds
 from hybrid.effects import Effect
+from hybrid.effects.asymmetric_friction import AsymmetricFriction
+from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.robot.chain import Array
 
 _RESAMPLES = 400
@@ -41,7 +44,18 @@ def alternatives(search: Search, term: Term, limits: Thresholds) -> tuple[str, .
                 slack = limits.alike
             if gain > best - slack:
                 found.append(c.place[0])
+    if _is_friction(search, term) and TorqueOffset.id in found:
+        found.remove(TorqueOffset.id)
     return tuple(found)
+
+
+def _is_friction(search: Search, term: Term) -> bool:
+    """Whether a torque that differs by direction is gone at reversals."""
+    effect_id, joints = term.place
+    if effect_id != AsymmetricFriction.id:
+        return False
+    (level,) = search.evidence.solve(search.base()).of(term.index)
+    return bool(vanishes(search.gap, joints[0], float(level)))
 
 
 def _contains(search: Search, other: Candidate, own: Candidate) -> bool:

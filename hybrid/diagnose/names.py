@@ -1,16 +1,19 @@
-"""The plainer of two names for what has the same columns under both."""
+"""Which of two names to give what has the same columns under both."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from hybrid.diagnose.candidates import Candidate, candidate
-from hybrid.diagnose.model import Model
+from hybrid.diagnose.model import ALIKE, Model
 from hybrid.diagnose.refine import gain
+from hybrid.diagnose.reversals import vanishes
 from hybrid.diagnose.term import Term
+from hybrid.effects.asymmetric_friction import AsymmetricFriction
 from hybrid.effects.counterbalance import Counterbalance
 from hybrid.effects.payload import LinkInertia, Payload
 from hybrid.effects.spring import Spring
+from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 
 _SURELY = 2.0  # deviations
@@ -25,6 +28,8 @@ def name_plainly(model: Model) -> None:
             plain = _payload(model, term)
         elif term.place[0] == Counterbalance.id:
             plain = _without_a_crank(model, term)
+        elif term.place[0] in (TorqueOffset.id, AsymmetricFriction.id):
+            plain = _at_reversals(model, term)
         if plain is not None:
             model.terms[k] = model.term(plain)
 
@@ -55,3 +60,19 @@ def _without_a_crank(model: Model, term: Term) -> Candidate | None:
         if model.pool.at(c.place) and gain(model.evidence, base, c) > least:
             return c
     return None
+
+
+def _at_reversals(model: Model, term: Term) -> Candidate | None:
+    """Friction that differs by direction, or an offset, if reversals tell that."""
+    joints = term.place[1]
+    (level,) = model.evidence.solve(model.base()).of(term.index)
+    gone = vanishes(model.gap, joints[0], float(level))
+    if gone is None:
+        return None
+    other = AsymmetricFriction if gone else TorqueOffset
+    found = model.pool.at((other.id, joints))
+    least = model.loss(term) - ALIKE
+    if other.id == term.place[0] or not found:
+        return None
+    better = gain(model.evidence, model.base(term), found[0]) > least
+    return found[0] if better else None
