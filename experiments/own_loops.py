@@ -20,10 +20,11 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
-from own_loop import KINDS, OwnLoop
+from own_fault import KINDS
+from own_loop import OwnLoop
 from rich.console import Console
 
-from hybrid import diagnose
+from hybrid import Diagnosis, diagnose
 from hybrid.benchmark.robots import load_arm
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
@@ -49,38 +50,40 @@ def bare(robot: Robot) -> Robot:
 
 
 def run(
-    arm: str, kind: str, seed: int, left_out: Collection[str] = ()
+    arm: str,
+    kinds: tuple[str, ...],
+    seed: int,
+    left_out: Collection[str] = (),
+    without: Collection[str] = (),
 ) -> dict[str, Any]:
-    """Log one fault on one arm, and diagnose it."""
-    loop = OwnLoop(load_arm(arm), kind, seed)
+    """Log faults on one arm, and diagnose them."""
+    loop = OwnLoop(load_arm(arm), kinds, seed)
     logs = [loop.record() for _ in range(RECORDINGS)]
-    start = process_time()
+    robot, start = bare(loop.robot) if left_out else loop.robot, process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
-        found = diagnose(bare(loop.robot) if left_out else loop.robot, logs)
-    named = [
-        {"effect": f.effect, "joints": f.joints, "class": f.alternatives}
-        for f in found.findings
-    ]
-    joint = loop.robot.joints[loop.j]
+        found = diagnose(robot, logs, without=tuple(without))
     return {
-        "arm": Path(arm).stem, "kind": kind, "joint": joint, "verdict": found.verdict,
-        "named": named, "relative": found.relative[loop.j],
-        "outcome": outcome(kind, joint, found.verdict, named, left_out),
+        "arm": Path(arm).stem, "true": loop.named, "verdict": found.verdict,
+        "named": named(found), "relative": found.relative,
         "cpu_s": process_time() - start,
     }  # fmt: skip
 
 
-def outcome(
-    kind: str,
-    joint: str,
-    verdict: str,
-    named: list[dict[str, Any]],
-    left_out: Collection[str] = (),
-) -> str:
-    """What the answer is worth."""
+def named(found: Diagnosis) -> list[dict[str, Any]]:
+    """What a diagnosis names."""
+    return [
+        {"effect": f.effect, "joints": f.joints, "class": f.alternatives}
+        for f in found.findings
+    ]
+
+
+def outcome(found: dict[str, Any], left_out: Collection[str] = ()) -> str:
+    """What the answer is worth, where there is one fault."""
+    ((kind, joint),), named = found["true"], found["named"]
     if not named:
-        return "right" if kind == "none" and verdict == "no_gap" else verdict
+        right = kind == "none" and found["verdict"] == "no_gap"
+        return "right" if right else found["verdict"]
     named = [x for x in named if x["effect"] not in left_out or x["effect"] == kind]
     if not named:
         return "right" if kind == "none" else "not found"
@@ -101,8 +104,10 @@ def main() -> None:
     arms, runs = args.arms.split(","), []
     for arm in arms:
         for kind in KINDS:
-            runs.append(run(arm, kind, args.seed, LEFT_OUT if args.bare else ()))
-            console.print(arm, kind, runs[-1]["outcome"], highlight=False)
+            found = run(arm, (kind,), args.seed, LEFT_OUT if args.bare else ())
+            found["outcome"] = outcome(found, LEFT_OUT if args.bare else ())
+            runs.append(found)
+            console.print(arm, kind, found["outcome"], highlight=False)
     by_arm = [[r for r in runs if r["arm"] == Path(arm).stem] for arm in arms]
     outcomes = list(
         zip(*([r["outcome"] for r in rows] for rows in by_arm), strict=True)

@@ -21,8 +21,9 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from own_loop import KINDS, OwnLoop
-from own_loops import RECORDINGS, outcome, write_report
+from own_fault import KINDS
+from own_loop import OwnLoop
+from own_loops import RECORDINGS, named, outcome, write_report
 from rich.console import Console
 
 from hybrid import diagnose
@@ -80,24 +81,19 @@ WEAR: dict[str, Callable[[Sequence[Recording], np.ndarray, Any], list[Recording]
 
 def run(arm: str, kind: str, seed: int) -> list[dict[str, Any]]:
     """Log one fault, and diagnose it from the logs as they are, and worse."""
-    loop = OwnLoop(load_arm(arm), kind, seed)
+    loop, found = OwnLoop(load_arm(arm), (kind,), seed), []
     logs = [loop.record() for _ in range(RECORDINGS)]
-    joint, found = loop.robot.joints[loop.j], []
     for wear, change in WEAR.items():
         worn = change(logs, loop.rated, np.random.default_rng(seed))
         start = process_time()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", HybridWarning)
             said = diagnose(loop.robot, worn)
-        named = [
-            {"effect": f.effect, "joints": f.joints, "class": f.alternatives}
-            for f in said.findings
-        ]
-        found.append({
-            "kind": kind, "joint": joint, "logs": wear, "verdict": said.verdict,
-            "named": named, "outcome": outcome(kind, joint, said.verdict, named),
-            "cpu_s": process_time() - start,
-        })  # fmt: skip
+        answer = {
+            "true": loop.named, "logs": wear, "verdict": said.verdict,
+            "named": named(said), "cpu_s": process_time() - start,
+        }  # fmt: skip
+        found.append(answer | {"outcome": outcome(answer)})
     return found
 
 
@@ -113,10 +109,10 @@ def main() -> None:
         for found in pool.map(each, KINDS):
             runs.append(found)
             outcomes = [r["outcome"] for r in found]
-            console.print(found[0]["kind"], outcomes, highlight=False)
+            console.print(found[0]["true"][0], outcomes, highlight=False)
     table = Table(
         ("", *WEAR),
-        tuple((r[0]["kind"], *(x["outcome"] for x in r)) for r in runs),
+        tuple((r[0]["true"][0][0], *(x["outcome"] for x in r)) for r in runs),
         f"What is said of one fault of each kind on {Path(args.arm).stem}",
         words=True,
     )

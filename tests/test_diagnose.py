@@ -13,8 +13,8 @@ from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from simulated import arm
 
 from hybrid.diagnose.attribute import Search
-from hybrid.diagnose.candidates import candidate, mere
-from hybrid.diagnose.contacts import Contacts
+from hybrid.diagnose.candidates import candidate, mere, prompt
+from hybrid.diagnose.contacts import Contacts, witnessed
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.diagnosis import Shrink
 from hybrid.diagnose.explanation import Explanation, between, split
@@ -212,6 +212,44 @@ class TestGap:
         most = np.abs(result.gap.measured).max(axis=0)
         assert np.all([s.torque for s in result.gap.scales] >= most)
         assert named(result) == {("torque_ripple", ("elbow",))}
+
+    @pytest.mark.parametrize("count", [1, 2, 4, 5])
+    def test_what_is_in_one_part_alone_is_learnt_from(self, count):
+        robot, recordings = logs([], count=count, duration=10.0)
+        gap = measure_gap(robot, recordings)
+        usual = split(gap)
+        large = replace(gap, left=np.where(usual[:, None], 1.0, 10.0) * gap.left)
+        learn = split(large)
+        part = gap.trajectory if count >= 4 else gap.fold * count + gap.trajectory
+        alone = part == part[~usual][0]
+        assert learn[alone].all() or len(np.unique(part[~usual])) > 1
+        assert learn[~usual].any() and 0.5 < learn.mean() < 1.0
+        small = replace(gap, left=np.where(usual[:, None], 1.0, 2.0) * gap.left)
+        np.testing.assert_array_equal(split(small), usual)
+
+    def test_a_fault_in_the_last_log_alone_is_found(self):
+        robot, recordings = logs([])
+        push = np.where(np.abs(recordings[3].t - 3.0) < 0.5, 8.0, 0.0)
+        tau = recordings[3].tau + np.array([1.0, 0.5]) * push[:, None]
+        diagnosis = examine(robot, [*recordings[:3], replace(recordings[3], tau=tau)])
+        (finding,) = diagnosis.diagnosis.findings
+        assert finding.effect == "contact"
+        assert any("no step has seen" in x for x in diagnosis.diagnosis.warnings)
+
+    def test_a_torque_held_by_a_controller_is_no_lag(self):
+        assert prompt(ActuatorLag((0,), {"time": 0.0006}))
+        assert not prompt(Delay((0,), {"time": -0.003}))
+        assert not prompt(Coulomb((0,), {"level": 0.0006}))
+
+    @pytest.mark.parametrize(("start", "seen"), [(0.0, False), (1.0, True)])
+    def test_a_contact_that_nobody_saw_come_is_none(self, start, seen):
+        """Friction remembers what was before the log."""
+        gap = faultless().gap
+        values = {"start": start, "duration": 0.5, "recording": 1.0}
+        assert witnessed(gap, Contact((0, 1), values)) is seen
+        values["recording"] = -1.0
+        assert witnessed(gap, Contact((0, 1), values)) is seen
+        assert witnessed(gap, Coulomb((0,), {"level": 1.0}))
 
     def test_fit_and_score_share_nothing(self):
         gap = planar().gap
@@ -906,8 +944,10 @@ class TestDrives:
         (finding,) = examine(arm("planar"), recordings).diagnosis.findings
         return finding, {p.name: p.value for p in finding.parameters}
 
-    def test_what_clips_is_a_saturation_at_its_limit(self):
-        limit = 0.8 * np.abs(self.log(lambda x: x, 0).tau[:, 1]).max()
+    @pytest.mark.filterwarnings("ignore:.*above 5 times the rating")  # it winds up
+    @pytest.mark.parametrize("part", [0.8, 0.5, 0.4])
+    def test_what_clips_is_a_saturation_at_its_limit(self, part):
+        limit = part * np.abs(self.log(lambda x: x, 0).tau[:, 1]).max()
         bounds = np.array([np.inf, limit])
         finding, values = self.named_of(lambda x: np.clip(x, -bounds, bounds))
         assert finding.effect == "saturation" and finding.joints == ("elbow",)

@@ -39,6 +39,7 @@ HARDLY = 1e-3  # of a law's evidence: none holds more exactly
 _EARLY = {"delay": "actuator_lag", "actuator_lag": "delay"}  # if time is negative
 _EARLY_SLACK = 0.08  # of the evidence: noise of positions costs a lag that much
 _MERE = 0.05  # of a number of the file
+_PROMPT = 1e-3  # s: what a controller of 500 Hz is late by, as it holds its torque
 _LINK_OFF = 0.15  # a link that is wrong is so by this much
 _LINK_MOST = 1.0  # and hardly ever by more than all that it is
 
@@ -156,6 +157,15 @@ def _grid(
     for values in product(*axes):
         named = {s.name: float(x) for s, x in zip(shapes, values, strict=True)}
         yield cls(joints, named)
+    if more := cls.suggested(gap.motions, joints[-1]):
+        bounds = {s.name: s for s in shapes}
+        yield cls(
+            joints,
+            {
+                k: float(np.clip(x, bounds[k].lower, bounds[k].upper))
+                for k, x in more.items()
+            },
+        )
 
 
 def grid(shape: Quantity, count: int) -> Array:
@@ -197,6 +207,11 @@ def mere(robot: Robot, effect: Effect) -> bool:
     if known is None:
         return False
     return bool(abs(effect.gain_values[0]) < _MERE * known[effect.joints[0]])
+
+
+def prompt(effect: Effect) -> bool:
+    """Whether all that an effect is late by is what any sampled drive is."""
+    return effect.id in _EARLY and abs(effect.values["time"]) < _PROMPT
 
 
 def scale_of(gap: Gap, effect: Effect) -> Scale:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hybrid.diagnose.bayes import loudness
 from hybrid.diagnose.gap import Gap
+from hybrid.effects import Effect
 from hybrid.effects.contact import Contact
 from hybrid.robot.chain import Array
 
@@ -66,6 +67,21 @@ class _Stretch:
             return False
         ends = self.first + self.length, other.first + other.length
         return self.first < ends[1] and other.first < ends[0]
+
+
+def witnessed(gap: Gap, effect: Effect) -> bool:
+    """Whether the arm was seen without a contact before it, if an effect is one.
+
+    As a log begins, friction and play still remember what was before.
+    """
+    if effect.id != Contact.id:
+        return True
+    use, own = gap.moving.any(axis=1), effect.values["recording"]
+    for r in range(len(gap.motions)):
+        t = gap.sampled.t[use & (gap.trajectory == r)]
+        if own in (_OF_ALL, r) and len(t) and effect.values["start"] < t[0] + _CHUNK:
+            return False
+    return True
 
 
 class Contacts:

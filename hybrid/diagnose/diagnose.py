@@ -140,12 +140,12 @@ def examine(
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
     verdict, unexplained = _verdict(found, causes, limits, left_unseen(found, scored))
-    if verdict == "explained" and left_somewhere(found, scored):
+    if (left := left_somewhere(found, scored)) and verdict == "explained":
         verdict = "partly_explained"
     strained = None if torn else far_off(search)
     if strained:
         doubts.append(strained)
-    if (useless or strained) and verdict == "no_gap":
+    if (useless or strained or left) and verdict == "no_gap":
         verdict, unexplained = "unexplained", 1.0  # there is something, unlike all laws
     if too_little(gap):
         verdict, unexplained = "not_excited", 1.0

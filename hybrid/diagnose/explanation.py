@@ -19,6 +19,7 @@ from hybrid.robot.chain import Array
 
 _BLOCK_SECONDS = 1.0
 _TAIL = 0.02  # of a term's squares: no more than a filter spreads
+_FAR_LARGER = 10.0  # times the mean squares
 _ORDERS = 24  # of terms, and as many reversed
 
 
@@ -124,17 +125,34 @@ def split(gap: Gap) -> NDArray[np.bool_]:
     """Samples to learn from, shape (M,); the others are for scoring only.
 
     Every fourth trajectory is kept for scoring; of fewer than four, every fourth block
-    of time, less a sixth at both of its ends, which is used for nothing.
+    of time, less a sixth at both of its ends, which is used for nothing. It is others
+    if those alone hold what is far larger than anything that is left to learn from.
     """
-    count = gap.trajectory.max() + 1
-    if count >= 4:
-        return np.asarray(gap.trajectory % 4 != 3)
-    # Not the same one of each: trajectories often end alike. Nor none at all.
-    for turn in (1, 2, 0):
-        learn = (gap.fold + turn * gap.trajectory) % 4 != 3
-        if not learn.all():
-            break
-    return np.asarray(learn)
+    part, count = gap.trajectory, gap.trajectory.max() + 1
+    masks = [part % 4 != k for k in (3, 2, 1, 0)]
+    if count < 4:
+        part = gap.fold * count + gap.trajectory
+        # Not the same block of each: trajectories often end alike. Nor none at all.
+        masks = [
+            (gap.fold + turn * gap.trajectory + more) % 4 != 3
+            for more in range(4) for turn in (1, 2, 0)
+        ]  # fmt: skip
+        masks = [x for x in masks if x.any() and not x.all()] or masks[:1]
+    alone = [_alone(gap, part, learn) for learn in masks]
+    chosen = 0 if alone[0] < _FAR_LARGER else int(np.argmin(alone))
+    return np.asarray(masks[chosen])
+
+
+def _alone(gap: Gap, part: NDArray[np.intp], learn: NDArray[np.bool_]) -> float:
+    """Mean squares of a joint in the worst part that is kept, over one learnt from."""
+    squares = np.where(gap.moving, gap.left, 0.0) ** 2
+    most = np.zeros((2, gap.robot.size))
+    for k in np.unique(part):
+        own = part == k
+        mean = squares[own].sum(axis=0) / np.maximum(gap.moving[own].sum(axis=0), 1)
+        side = int(learn[own][0])
+        most[side] = np.maximum(most[side], mean)
+    return float(np.max(most[0] / np.maximum(most[1], 1e-300)))
 
 
 def between(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:

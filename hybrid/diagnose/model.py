@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import Candidate, Place, simpler, undeclared
+from hybrid.diagnose.candidates import (
+    Candidate,
+    Place,
+    prompt,
+    simpler,
+    undeclared,
+    with_gains,
+)
+from hybrid.diagnose.contacts import witnessed
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.pool import Pool
@@ -147,8 +155,9 @@ class Model:
         return near[0] if near else (best, most)
 
     def holds(self, c: Candidate) -> bool:
-        """Whether every motion bears a candidate out."""
-        return all(c.effect.holds(motion) for motion in self.gap.motions)
+        """Whether every motion bears a candidate out, and one shows it come."""
+        borne_out = all(c.effect.holds(motion) for motion in self.gap.motions)
+        return borne_out and witnessed(self.gap, c.effect)
 
     def _likely(self, base: Index, c: Candidate) -> bool:
         columns = self.gap.columns(c.effect)
@@ -200,7 +209,12 @@ class Model:
                     if o.place[1][-1] == t.place[1][-1] or t.place[0] == Contact.id)
                 for t, j in zip(self.terms, at, strict=True)
             ]  # fmt: skip
-            margin = losses - np.maximum(least, WORTH)
+            solution = self.evidence.solve(self.base())
+            idle = [
+                prompt(with_gains(t.candidate.effect, solution.of(t.index)))
+                for t in self.terms
+            ]
+            margin = losses - np.where(idle, np.inf, np.maximum(least, WORTH))
             weakest = int(np.argmin(margin))
             if margin[weakest] >= 0:
                 return

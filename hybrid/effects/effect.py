@@ -206,6 +206,14 @@ class Effect(Instant, ABC):
             return np.zeros((len(motion.t), len(self.reaches(motion.q.shape[1]))))
         return self.columns(motion, body) @ self.gain_values
 
+    @classmethod
+    def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
+        """Shapes at a joint that motions suggest to start from, beside a grid of them.
+
+        For a law that fits nowhere but near its own; none by default.
+        """
+        return {}
+
     def holds(self, motion: Motion) -> bool:
         """Whether a motion bears out what the law implies besides its torque."""
         return True

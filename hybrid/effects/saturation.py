@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -16,7 +16,8 @@ _NEAR = 0.2  # of the limit: how far from it a drive that clips delivers, at mos
 _SELDOM = 0.1  # of the samples, at which it may not
 _MOVING = 0.05  # of the highest speed; at rest friction holds what it gets
 _MOSTLY = 0.8  # of the time; a limit is above the torques of the rest
-_ENOUGH = 100  # samples below the limit, to learn from
+_ENOUGH = 100  # samples below the limit, or beyond, to learn from
+_CLEARLY, _HIGH = 1.1, 0.9  # times what is delivered in this part of the time
 
 
 class Saturation(Effect):
@@ -50,6 +51,25 @@ class Saturation(Effect):
             return np.nan_to_num(self._beyond(tau))[:, :, None]
         beyond = self._beyond(motion.asked[:, self.joints])
         return beyond[:, :, None] * float(self.holds(motion))
+
+    @classmethod
+    def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
+        """The torque that is delivered where clearly more is asked for, if it often is.
+
+        A drive that clips is no such one at other limits than near its own.
+        """
+        both = [
+            (m.tau[m.mask, j], m.asked[m.mask, j])
+            for m in motions
+            if m.asked is not None
+        ]
+        if not both:
+            return {}
+        delivered, asked = np.abs(np.concatenate(both, axis=1))
+        more = asked > _CLEARLY * np.nanquantile(delivered, _HIGH)
+        if more.sum() < _ENOUGH:
+            return {}
+        return {"limit": float(np.nanmedian(delivered[more])), "total": 1.0}
 
     def holds(self, motion: Motion) -> bool:
         """Whether a drive that clips delivers its limit when more is asked for."""

@@ -1,0 +1,82 @@
+"""Are both faults of a loop found that has two?
+
+Pairs of the faults of ``own_loops``, drawn at random, each at a joint of its own or at
+the same. Some leave next to no trace at the joint that they fall on, and are counted.
+
+    python experiments/own_loops_pairs.py --arms models/scara.xml,ur5,z1 --seed 41
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import numpy as np
+from own_fault import IN_COMMAND, KINDS
+from own_loops import REPORT, run, write_report
+from rich.console import Console
+
+from hybrid.report import Table
+
+
+def outcome(found: dict[str, Any]) -> str:
+    """Which of two faults are found, and what else is named."""
+    named = found["named"]
+    there = [
+        kind for kind, joint in found["true"]
+        if any(kind in x["class"] and joint in x["joints"] for x in named)
+    ]  # fmt: skip
+    kinds = {kind for kind, _ in found["true"]}
+    false = [x["effect"] for x in named if not kinds & {*x["class"]}]
+    word = ("neither", f"only {''.join(there)}", "both")[len(there)]
+    return word + "".join(f", and {x}" for x in false)
+
+
+def pair(job: tuple[str, tuple[str, ...], int]) -> dict[str, Any]:
+    """Diagnose two faults on an arm."""
+    found = run(*job)
+    return found | {"outcome": outcome(found)}
+
+
+def draw(arms: list[str], count: int, seed: int) -> Iterator[tuple[Any, ...]]:
+    """Arm, kinds and seed of each pair."""
+    kinds = [k for k in KINDS if k not in ("none", *IN_COMMAND)]
+    rng = np.random.default_rng(seed)
+    for k in range(count):
+        both = rng.choice(kinds, 2, replace=False)
+        yield arms[k % len(arms)], tuple(map(str, both)), seed + k
+
+
+def main() -> None:
+    """Diagnose all pairs, print the table, write the report."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--arms", default="models/scara.xml,ur5,z1")
+    parser.add_argument("--count", type=int, default=36)
+    parser.add_argument("--seed", type=int, default=41)
+    parser.add_argument("--workers", type=int, default=2)
+    args, console, runs = parser.parse_args(), Console(width=160), []
+    jobs = list(draw(args.arms.split(","), args.count, args.seed))
+    with ProcessPoolExecutor(args.workers) as pool:
+        for found in pool.map(pair, jobs):
+            console.print(found["arm"], found["true"], found["outcome"])
+            runs.append(found)
+    rows = [
+        (r["arm"], *(" at ".join(x) for x in r["true"]), r["outcome"]) for r in runs
+    ]
+    table = Table(
+        ("arm", "one", "the other", "found"), tuple(rows),
+        "What is found of two faults at once", words=True,
+    )  # fmt: skip
+    count = Counter(r["outcome"].split(" ")[0].strip(",") for r in runs)
+    count["something false"] = sum("and" in r["outcome"] for r in runs)
+    summary = "; ".join(f"{name}: {n}" for name, n in count.most_common())
+    command = "python experiments/own_loops_pairs.py"
+    command += f" --arms {args.arms} --count {args.count} --seed {args.seed}"
+    write_report(REPORT.with_name("own_loops_pairs"), table, summary, command, runs)
+
+
+if __name__ == "__main__":
+    main()
