@@ -119,3 +119,12 @@ def test_the_step_of_a_file_is_read_and_kept(tmp_path):
     old = {k: v for k, v in robot.as_dict().items() if k != "timestep"}
     assert np.isnan(Robot.from_dict(old).timestep)
     assert np.isnan(Robot.load(MODELS / "coman_like.urdf").timestep)
+
+
+@pytest.mark.parametrize("parts", [(1.3, 2.0, 6.0), (1.8, 2.0, 4.0)])
+def test_a_heavier_last_link_is_no_convention(parts):
+    """Its inertia is felt at each joint, about as the servos' damping would be."""
+    robot, logs = raw_logs("scara", EULER, False)
+    links, moments = robot.chain.inertial.copy(), np.repeat(parts, (1, 3, 6))
+    light = robot.with_inertial(np.vstack([links[0], links[1] / moments]))
+    assert not find_convention(measure_gap(light, logs), logs)

@@ -315,6 +315,7 @@ class TestGap:
         search = SimpleNamespace(terms=[*terms], gap=planar().gap)
         search.losses = lambda: np.array([t.worth for t in search.terms])
         search.parts = lambda: [np.eye(2)[t.place[1][-1]] for t in search.terms]
+        search.idle = lambda: [False for _ in search.terms]
         Search.remove(search)
         assert search.terms == (terms[:1] if goes else terms)
 

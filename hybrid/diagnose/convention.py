@@ -109,7 +109,33 @@ def find_convention(gap: Gap, recordings: Sequence[Recording | Motion]) -> Conve
         ages, rotors = _answers(gap, joints, kd, loaded)
         late = late or _agreed(*ages, steps)
         step = step or _agreed(*rotors, steps)
+    if step and _carries(gap, joints):
+        step = 0.0
     return Convention(late, step)
+
+
+def _carries(gap: Gap, joints: Sequence[int]) -> bool:
+    """Whether something that the arm carries explains more than an implicit step."""
+    evidence, n = Evidence(gap), gap.robot.size
+    rigid = np.concatenate(evidence.add(*background(gap)))
+    evidence.spread(rigid, _OFF)
+    load = candidate(gap, Payload(tuple(range(n))))
+    beside = [candidate(gap, kind((j,))) for kind in _BESIDE for j in joints]
+    alike = {
+        j: gap.robot.kd[j] * gap.columns(Armature((j,)))[j]
+        for j in joints if gap.robot.kd[j] > 0
+    }  # fmt: skip
+    found = [*beside, load]
+    blocks = [gap.columns(c.effect) for c in found]
+    *others, loads, step = evidence.add(
+        [*blocks, alike], [*(c.std for c in found), np.array([_OPEN])]
+    )
+    evidence.estimate_noise(np.arange(evidence.size))
+    base = np.concatenate([rigid, *others])
+    carried, stepped = (
+        evidence.solve(np.concatenate([base, x])).evidence for x in (loads, step)
+    )
+    return carried > stepped
 
 
 def _answers(

@@ -138,21 +138,25 @@ def split(gap: Gap) -> NDArray[np.bool_]:
             for more in range(4) for turn in (1, 2, 0)
         ]  # fmt: skip
         masks = [x for x in masks if x.any() and not x.all()] or masks[:1]
-    alone = [_alone(gap, part, learn) for learn in masks]
+    most = _unusual(gap, part)
+    alone = [most[~x].max(initial=0.0) / most[x].max() for x in masks]
     chosen = 0 if alone[0] < _FAR_LARGER else int(np.argmin(alone))
     return np.asarray(masks[chosen])
 
 
-def _alone(gap: Gap, part: NDArray[np.intp], learn: NDArray[np.bool_]) -> float:
-    """Mean squares of a joint in the worst part that is kept, over one learnt from."""
+def _unusual(gap: Gap, part: NDArray[np.intp]) -> Array:
+    """Mean squares of a sample's part over those of a usual one, shape (M,).
+
+    Of the joint at which that is most.
+    """
+    parts, own = np.unique(part, return_inverse=True)
     squares = np.where(gap.moving, gap.left, 0.0) ** 2
-    most = np.zeros((2, gap.robot.size))
-    for k in np.unique(part):
-        own = part == k
-        mean = squares[own].sum(axis=0) / np.maximum(gap.moving[own].sum(axis=0), 1)
-        side = int(learn[own][0])
-        most[side] = np.maximum(most[side], mean)
-    return float(np.max(most[0] / np.maximum(most[1], 1e-300)))
+    mean = np.stack([
+        squares[own == k].sum(axis=0) / np.maximum(gap.moving[own == k].sum(axis=0), 1)
+        for k in range(len(parts))
+    ])  # fmt: skip
+    usual = np.maximum(np.median(mean, axis=0), 1e-300)
+    return np.asarray((mean / usual).max(axis=1)[own])
 
 
 def between(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:

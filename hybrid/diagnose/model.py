@@ -209,16 +209,20 @@ class Model:
                     if o.place[1][-1] == t.place[1][-1] or t.place[0] == Contact.id)
                 for t, j in zip(self.terms, at, strict=True)
             ]  # fmt: skip
-            solution = self.evidence.solve(self.base())
-            idle = [
-                prompt(with_gains(t.candidate.effect, solution.of(t.index)))
-                for t in self.terms
-            ]
-            margin = losses - np.where(idle, np.inf, np.maximum(least, WORTH))
+            wanted = np.where(self.idle(), np.inf, np.maximum(least, WORTH))
+            margin = losses - wanted
             weakest = int(np.argmin(margin))
             if margin[weakest] >= 0:
                 return
             del self.terms[weakest]
+
+    def idle(self) -> list[bool]:
+        """Whether each term is late by no more than any sampled drive."""
+        gains = self.evidence.solve(self.base())
+        effects = [
+            with_gains(t.candidate.effect, gains.of(t.index)) for t in self.terms
+        ]
+        return [prompt(e) for e in effects]
 
     def parts(self) -> list[Array]:
         """How what each term makes is parted among the joints, shape (n,) each."""
