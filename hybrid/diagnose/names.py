@@ -24,8 +24,8 @@ def name_plainly(model: Model) -> None:
     """Exchange the terms of a model for the plainest effects that they may be."""
     for k, term in enumerate(model.terms):
         plain = None
-        if term.place[0] == LinkInertia.id:
-            plain = _payload(model, term)
+        if term.place[0] in (LinkInertia.id, Payload.id):
+            plain = _load(model, term)
         elif term.place[0] == Counterbalance.id:
             plain = _without_a_crank(model, term)
         elif term.place[0] in (TorqueOffset.id, AsymmetricFriction.id):
@@ -34,18 +34,19 @@ def name_plainly(model: Model) -> None:
             model.terms[k] = model.term(plain)
 
 
-def _payload(model: Model, term: Term) -> Candidate | None:
-    """A payload, if a link is surely too heavy and the last one.
+def _load(model: Model, term: Term) -> Candidate | None:
+    """A payload for a last link that is surely too heavy, a link for a lighter one.
 
     A link may be wrong anywhere, and too light; a payload is here alone.
     """
     joints, mass = term.place[1], term.index[:1]
     solution = model.evidence.solve(model.base())
-    heavy = solution.of(mass) > _SURELY * solution.deviation(mass)
-    if not heavy or not model.pool.at((Payload.id, joints)):
+    (more,), (deviation,) = solution.of(mass), solution.deviation(mass)
+    kind = Payload if more > _SURELY * deviation else LinkInertia
+    sure = kind is Payload or more < 0.0
+    if not sure or kind.id == term.place[0] or not model.pool.at((kind.id, joints)):
         return None
-    effect = Payload(joints, term.candidate.effect.values)
-    return replace(term.candidate, effect=effect)
+    return replace(term.candidate, effect=kind(joints, term.candidate.effect.values))
 
 
 def _without_a_crank(model: Model, term: Term) -> Candidate | None:
