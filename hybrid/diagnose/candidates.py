@@ -158,14 +158,8 @@ def _grid(
         named = {s.name: float(x) for s, x in zip(shapes, values, strict=True)}
         yield cls(joints, named)
     if more := cls.suggested(gap.motions, joints[-1]):
-        bounds = {s.name: s for s in shapes}
-        yield cls(
-            joints,
-            {
-                k: float(np.clip(x, bounds[k].lower, bounds[k].upper))
-                for k, x in more.items()
-            },
-        )
+        named = {s.name: float(np.clip(more[s.name], s.lower, s.upper)) for s in shapes}
+        yield cls(joints, named)
 
 
 def grid(shape: Quantity, count: int) -> Array:

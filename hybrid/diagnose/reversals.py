@@ -10,7 +10,7 @@ from hybrid.diagnose.gap import Gap
 
 _STANDING = 0.02  # of the highest speed
 _REACH = 1.0  # over the cut-off: how far the filter carries a reversal
-_FEWEST = 4
+_FEWEST = 3  # each way
 _SURELY = 3.0  # deviations
 
 
@@ -44,11 +44,11 @@ def dip(gap: Gap, j: int) -> tuple[float, float]:
         j: Joint.
 
     Returns:
-        The mean and its standard deviation, [N·m]; 0 and infinity of fewer than four.
+        The mean and its standard deviation, [N·m]; 0 and infinity of fewer than three either way.
     """
     found = [x for r in range(len(gap.motions)) for x in _reversals(gap, j, r)]
     height, way = np.array(found).reshape(-1, 2).T
-    if min((way > 0).sum(), (way < 0).sum()) < _FEWEST / 2:
+    if min((way > 0).sum(), (way < 0).sum()) < _FEWEST:
         return 0.0, np.inf
     parts = [height[way > 0], height[way < 0]]
     scatter = sum(((x - x.mean()) ** 2).sum() for x in parts) / (len(way) - 2)

@@ -208,9 +208,9 @@ class Effect(Instant, ABC):
 
     @classmethod
     def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
-        """Shapes at a joint that motions suggest to start from, beside a grid of them.
+        """All shapes, as motions of a joint suggest them, beside a grid; or none.
 
-        For a law that fits nowhere but near its own; none by default.
+        Of a law that fits nowhere but near its own shapes.
         """
         return {}
 
