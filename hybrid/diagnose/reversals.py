@@ -44,7 +44,8 @@ def dip(gap: Gap, j: int) -> tuple[float, float]:
         j: Joint.
 
     Returns:
-        The mean and its standard deviation, [N·m]; 0 and infinity of fewer than three either way.
+        The mean and its standard deviation, [N·m]; 0 and infinity if there are fewer
+        than three either way.
     """
     found = [x for r in range(len(gap.motions)) for x in _reversals(gap, j, r)]
     height, way = np.array(found).reshape(-1, 2).T
