@@ -139,7 +139,7 @@ def split(gap: Gap) -> NDArray[np.bool_]:
         ]  # fmt: skip
         masks = [x for x in masks if x.any() and not x.all()] or masks[:1]
     most = _unusual(gap, part)
-    alone = [most[~x].max(initial=0.0) / most[x].max() for x in masks]
+    alone = [most[~x].max(initial=0.0) / most[x].max(initial=1e-300) for x in masks]
     chosen = 0 if alone[0] < _FAR_LARGER else int(np.argmin(alone))
     return np.asarray(masks[chosen])
 

@@ -12,6 +12,7 @@ _STANDING = 0.02  # of the highest speed
 _REACH = 1.0  # over the cut-off: how far the filter carries a reversal
 _FEWEST = 3  # each way
 _SURELY = 3.0  # deviations
+_TELLING = 0.05  # of the torque: with a larger deviation it might be gone unseen
 
 
 def vanishes(gap: Gap, j: int, level: float) -> bool | None:
@@ -25,12 +26,12 @@ def vanishes(gap: Gap, j: int, level: float) -> bool | None:
         level: The torque, [N·m].
 
     Returns:
-        Nothing if there are too few reversals to tell.
+        Nothing if there are too few reversals to tell, or other things happen there.
     """
     height, deviation = dip(gap, j)
-    if not np.isfinite(deviation):
-        return None
-    return bool(-np.sign(level) * height > _SURELY * deviation)
+    if -np.sign(level) * height > _SURELY * deviation:
+        return True
+    return False if deviation < _TELLING * abs(level) else None
 
 
 def dip(gap: Gap, j: int) -> tuple[float, float]:

@@ -60,16 +60,15 @@ class Saturation(Effect):
         """
         both = [
             (m.tau[m.mask, j], m.asked[m.mask, j])
-            for m in motions
-            if m.asked is not None
-        ]
-        if not both:
+            for m in motions if m.asked is not None
+        ]  # fmt: skip
+        delivered, asked = np.abs(np.concatenate([np.zeros((2, 0)), *both], axis=1))
+        if len(asked) < _ENOUGH:
             return {}
-        delivered, asked = np.abs(np.concatenate(both, axis=1))
-        more = asked > _CLEARLY * np.nanquantile(delivered, _HIGH)
+        more = asked > _CLEARLY * np.quantile(delivered, _HIGH)
         if more.sum() < _ENOUGH:
             return {}
-        return {"limit": float(np.nanmedian(delivered[more])), "total": 1.0}
+        return {"limit": float(np.median(delivered[more])), "total": 1.0}
 
     def holds(self, motion: Motion) -> bool:
         """Whether a drive that clips delivers its limit when more is asked for."""
