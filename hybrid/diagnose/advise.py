@@ -16,6 +16,7 @@ from hybrid.diagnose.diagnosis import Advice
 from hybrid.diagnose.menu import Experiment, Menu, gap_along
 from hybrid.diagnose.separation import Outlook, Rival, fit_rival, needed, shapes_of
 from hybrid.diagnose.term import Term
+from hybrid.diagnose.threads import one_thread
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.effects import effect_class
 from hybrid.effects.effect import Port
@@ -66,6 +67,7 @@ class Plan:
     experiment: Experiment | None = None
 
 
+@one_thread
 def advise(
     result: Result, rng: np.random.Generator, *, directory: str | Path | None = None
 ) -> tuple[Advice, ...]:

@@ -23,6 +23,7 @@ from hybrid.diagnose.refit import refit
 from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.result import Result
 from hybrid.diagnose.term import Term
+from hybrid.diagnose.threads import one_thread
 from hybrid.diagnose.thresholds import Thresholds, thresholds
 from hybrid.diagnose.unseen import (
     left_somewhere,
@@ -87,6 +88,7 @@ def diagnose(
     return replace(result.diagnosis, advice=advise(result, rng))
 
 
+@one_thread
 def examine(
     robot: Robot,
     recordings: Sequence[Recording | Motion],
