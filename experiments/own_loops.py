@@ -120,11 +120,15 @@ def main() -> None:
         words=True,
     )
     count = Counter(r["outcome"].split(" (")[0].split(",")[0] for r in runs)
-    summary = "; ".join(f"{name}: {n}" for name, n in count.most_common())
     command = f"python experiments/own_loops.py --arms {args.arms} --seed {args.seed}"
     command += " --bare" * args.bare
     folder = REPORT.with_name("own_loops_bare") if args.bare else REPORT
-    write_report(folder, table, summary, command, runs)
+    write_report(folder, table, counted(count), command, runs)
+
+
+def counted(count: Counter[str]) -> str:
+    """How often each outcome came, in words."""
+    return "; ".join(f"{name}: {n}" for name, n in count.most_common())
 
 
 def write_report(

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from own_fault import IN_COMMAND, KINDS
-from own_loops import REPORT, run, write_report
+from own_loops import REPORT, counted, run, write_report
 from rich.console import Console
 
 from hybrid.report import Table
@@ -72,10 +72,11 @@ def main() -> None:
     )  # fmt: skip
     count = Counter(r["outcome"].split(" ")[0].strip(",") for r in runs)
     count["something false"] = sum("and" in r["outcome"] for r in runs)
-    summary = "; ".join(f"{name}: {n}" for name, n in count.most_common())
     command = "python experiments/own_loops_pairs.py"
     command += f" --arms {args.arms} --count {args.count} --seed {args.seed}"
-    write_report(REPORT.with_name("own_loops_pairs"), table, summary, command, runs)
+    write_report(
+        REPORT.with_name("own_loops_pairs"), table, counted(count), command, runs
+    )
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from own_fault import IN_COMMAND, KINDS
-from own_loops import REPORT, run, write_report
+from own_loops import REPORT, counted, run, write_report
 from rich.console import Console
 
 from hybrid.benchmark.score import EQUIVALENT
@@ -62,10 +62,11 @@ def main() -> None:
         words=True,
     )
     count = Counter(x.split(" (")[0] for x in outcomes)
-    summary = "; ".join(f"{name}: {n}" for name, n in count.most_common())
     command = "python experiments/own_loops_withheld.py"
     command += f" --arms {args.arms} --seed {args.seed}"
-    write_report(REPORT.with_name("own_loops_withheld"), table, summary, command, runs)
+    write_report(
+        REPORT.with_name("own_loops_withheld"), table, counted(count), command, runs
+    )
 
 
 if __name__ == "__main__":

@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import candidate
+from hybrid.diagnose.candidates import Candidate, candidate
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.gap import Columns, Gap, measure_gap
+from hybrid.diagnose.products import Index
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.payload import Payload
@@ -116,26 +117,31 @@ def find_convention(gap: Gap, recordings: Sequence[Recording | Motion]) -> Conve
 
 def _carries(gap: Gap, joints: Sequence[int]) -> bool:
     """Whether something that the arm carries explains more than an implicit step."""
-    evidence, n = Evidence(gap), gap.robot.size
-    rigid = np.concatenate(evidence.add(*background(gap)))
-    evidence.spread(rigid, _OFF)
-    load = candidate(gap, Payload(tuple(range(n))))
-    beside = [candidate(gap, kind((j,))) for kind in _BESIDE for j in joints]
-    alike = {
+    evidence, rigid, found = _beside(gap, joints)
+    found.append(candidate(gap, Payload(tuple(range(gap.robot.size)))))
+    damped = {
         j: gap.robot.kd[j] * gap.columns(Armature((j,)))[j]
         for j in joints if gap.robot.kd[j] > 0
     }  # fmt: skip
-    found = [*beside, load]
-    blocks = [gap.columns(c.effect) for c in found]
-    *others, loads, step = evidence.add(
-        [*blocks, alike], [*(c.std for c in found), np.array([_OPEN])]
+    blocks = [*(gap.columns(c.effect) for c in found), damped]
+    *others, load, step = evidence.add(
+        blocks, [*(c.std for c in found), np.array([_OPEN])]
     )
     evidence.estimate_noise(np.arange(evidence.size))
     base = np.concatenate([rigid, *others])
     carried, stepped = (
-        evidence.solve(np.concatenate([base, x])).evidence for x in (loads, step)
+        evidence.solve(np.concatenate([base, x])).evidence for x in (load, step)
     )
     return carried > stepped
+
+
+def _beside(gap: Gap, joints: Sequence[int]) -> tuple[Evidence, Index, list[Candidate]]:
+    """Evidence with the background in it, and effects that may be there as well."""
+    evidence = Evidence(gap)
+    rigid = np.concatenate(evidence.add(*background(gap)))
+    evidence.spread(rigid, _OFF)
+    found = [candidate(gap, kind((j,))) for kind in _BESIDE for j in joints]
+    return evidence, rigid, found
 
 
 def _answers(
@@ -152,10 +158,7 @@ def _answers(
     Returns:
         Values and standard deviations of both.
     """
-    robot, evidence = gap.robot, Evidence(gap)
-    rigid = np.concatenate(evidence.add(*background(gap)))
-    evidence.spread(rigid, _OFF)
-    beside = [candidate(gap, kind((j,))) for kind in _BESIDE for j in joints]
+    robot, (evidence, _, beside) = gap.robot, _beside(gap, joints)
     servo = [j for j, k in zip(joints, kd, strict=True) if k > 0]
     # A rotor that the file lacks is no age of torque.
     beside += [candidate(gap, Armature((j,))) for j in joints if j not in servo]

@@ -44,18 +44,10 @@ def alternatives(search: Search, term: Term, limits: Thresholds) -> tuple[str, .
                 slack = limits.alike
             if gain > best - slack:
                 found.append(c.place[0])
-    if _is_friction(search, term) and TorqueOffset.id in found:
+    rubs = term.place[0] == AsymmetricFriction.id and TorqueOffset.id in found
+    if rubs and vanishes(search, term):
         found.remove(TorqueOffset.id)
     return tuple(found)
-
-
-def _is_friction(search: Search, term: Term) -> bool:
-    """Whether a torque that differs by direction is gone at reversals."""
-    effect_id, joints = term.place
-    if effect_id != AsymmetricFriction.id:
-        return False
-    (level,) = search.evidence.solve(search.base()).of(term.index)
-    return bool(vanishes(search.gap, joints[0], float(level)))
 
 
 def _contains(search: Search, other: Candidate, own: Candidate) -> bool:

@@ -65,15 +65,13 @@ def _without_a_crank(model: Model, term: Term) -> Candidate | None:
 
 def _at_reversals(model: Model, term: Term) -> Candidate | None:
     """Friction that differs by direction, or an offset, if reversals tell that."""
-    joints = term.place[1]
-    (level,) = model.evidence.solve(model.base()).of(term.index)
-    gone = vanishes(model.gap, joints[0], float(level))
+    gone = vanishes(model, term)
     if gone is None:
         return None
     other = AsymmetricFriction if gone else TorqueOffset
-    found = model.pool.at((other.id, joints))
-    least = model.loss(term) - ALIKE
+    found = model.pool.at((other.id, term.place[1]))
     if other.id == term.place[0] or not found:
         return None
+    least = model.loss(term) - ALIKE
     better = gain(model.evidence, model.base(term), found[0]) > least
     return found[0] if better else None

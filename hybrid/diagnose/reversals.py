@@ -7,6 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.model import Model
+from hybrid.diagnose.term import Term
 
 _STANDING = 0.02  # of the highest speed
 _REACH = 1.0  # over the cut-off: how far the filter carries a reversal
@@ -15,20 +17,21 @@ _SURELY = 3.0  # deviations
 _TELLING = 0.05  # of the torque: with a larger deviation it might be gone unseen
 
 
-def vanishes(gap: Gap, j: int, level: float) -> bool | None:
+def vanishes(model: Model, term: Term) -> bool | None:
     """Whether a torque that hardly changes is gone where its joint reverses.
 
     Friction may go through zero there; what the log is shifted by does not.
 
     Args:
-        gap: The gap.
-        j: Joint.
-        level: The torque, [N·m].
+        model: All terms.
+        term: That torque: one level [N·m] at one joint.
 
     Returns:
         Nothing if there are too few reversals to tell, or other things happen there.
     """
-    height, deviation = dip(gap, j)
+    (j,) = term.place[1]
+    (level,) = model.evidence.solve(model.base()).of(term.index)
+    height, deviation = dip(model.gap, j)
     if -np.sign(level) * height > _SURELY * deviation:
         return True
     return False if deviation < _TELLING * abs(level) else None

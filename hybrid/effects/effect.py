@@ -208,9 +208,16 @@ class Effect(Instant, ABC):
 
     @classmethod
     def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
-        """All shapes, as motions of a joint suggest them, beside a grid; or none.
+        """Shapes to start a search from, as motions suggest them, beside a grid.
 
         Of a law that fits nowhere but near its own shapes.
+
+        Args:
+            motions: Motions with the torque delivered and asked for, [N·m].
+            j: Joint.
+
+        Returns:
+            The value of every shape in its unit, by name; nothing by default.
         """
         return {}
 
