@@ -179,6 +179,16 @@ class TestGap:
         assert "delay" in finding.alternatives
         assert abs(finding.parameters[0].value - 0.01) < 0.001
 
+    @pytest.mark.parametrize(("joint", "time"), [(0, -0.026), (1, 0.03)])
+    def test_a_long_delay_is_all_delay_and_as_long_as_it_is(self, joint, time):
+        robot, delay = arm("coman_like"), Delay((joint,), {"time": time})
+        noise = Noise.typical(robot)
+        plant = Plant(robot, [delay], nominal=robot, noise=noise)
+        recordings = simulate(plant, trajectories=4, duration=8.0, seed=3)
+        (finding,) = examine(robot, recordings).diagnosis.findings
+        assert finding.effect == "delay"
+        assert finding.parameters[0].value == pytest.approx(time, rel=0.05)
+
     @pytest.mark.parametrize(
         "effect", [Delay((0,), {"time": 0.01}), ActuatorLag((0,), {"time": 0.01})]
     )

@@ -18,7 +18,7 @@ from hybrid.diagnose.candidates import (
     simpler,
     with_gains,
 )
-from hybrid.diagnose.model import ALIKE, OFF, WIDEST, WORTH, Model, far, linearised
+from hybrid.diagnose.model import ALIKE, OFF, WIDEST, WORTH, Model, far, mending
 from hybrid.diagnose.names import name_plainly
 from hybrid.diagnose.pool import REPEATED
 from hybrid.diagnose.refine import gain, shape_steps
@@ -285,13 +285,17 @@ class Search(Model):
             gains = self.evidence.solve(self.base())
             moved = [
                 k for k, t in enumerate(self.terms)
-                if linearised(t.candidate.effect)
+                if t.candidate.effect.linearised and not t.candidate.effect.shifts
                 and far(t.candidate.effect, gains.of(t.index)) > _SAME
             ]  # fmt: skip
             for k in moved:
                 c = self.terms[k].candidate
                 effect = with_gains(c.effect, gains.of(self.terms[k].index))
                 self.terms[k] = self.term(replace(c, effect=effect))
+        for k, term in enumerate(self.terms):
+            if term.candidate.effect.shifts:
+                own, _ = self.refine(self.base(term), term.candidate)
+                self.terms[k] = self.term(own)
 
     def _moved(self, term: Term, steps: Array) -> Term:
         effect = term.candidate.effect
@@ -317,12 +321,15 @@ class Search(Model):
                 continue
             rest = [t.index for t in self.terms if t is not term and t is not other]
             base = np.concatenate([self.background, *rest])
-            wanted = self.worth() - self.evidence.solve(base).evidence - WORTH
+            both = self.worth() - self.evidence.solve(base).evidence
+            wanted = both - max(WORTH, mending(self.gap.robot, other, term) * both)
             if fuller(other.candidate.effect) == term.place[0]:
                 wanted *= _ONE  # a law and what it becomes at a bound of its shapes
-            if gain(self.evidence, base, term.candidate) < wanted - _NEAR:
+            own = term.candidate
+            quick = not own.effect.linearised  # right near its own gains only
+            if quick and gain(self.evidence, base, own) < wanted - _NEAR:
                 continue
-            alone, found = self.refine(base, term.candidate)
+            alone, found = self.refine(base, own)
             name, slack = simpler(alone.effect)
             if name == other.place[0]:
                 plain, less = self.refine(base, other.candidate)

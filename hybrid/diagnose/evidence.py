@@ -192,7 +192,18 @@ class Evidence(Products):
             lower: Smallest physical values of these, shape (p,).
             made_at: Their values, shape (p,), where the columns are of these alone.
         """
-        p = len(std)
+        H, s = self._beyond(base, columns, len(std))
+        weight = 1.0 / np.maximum(std, 1e-12) ** 2
+        gain, gains = log_bayes(H, s, weight, lower, made_at)
+        return float(gain), gains
+
+    def at(self, base: Index, columns: Columns, gains: Array) -> float:
+        """Log-likelihood that columns that are not in add at gains (p,), [nat]."""
+        H, s = self._beyond(base, columns, len(gains))
+        return float(s @ gains - 0.5 * gains @ H @ gains)
+
+    def _beyond(self, base: Index, columns: Columns, p: int) -> tuple[Array, Array]:
+        """Normal matrix and right-hand side of columns, less what others explain."""
         H, s = np.zeros((p, p)), np.zeros(p)
         across = np.zeros((len(base), p))
         for i, x in columns.items():
@@ -205,9 +216,7 @@ class Evidence(Products):
         across /= np.sqrt(self.precision[base])[:, None]
         H -= across.T @ cho_solve(factor, across)
         s -= across.T @ cho_solve(factor, b)
-        weight = 1.0 / np.maximum(std, 1e-12) ** 2
-        gain, gains = log_bayes(H, s, weight, lower, made_at)
-        return float(gain), gains
+        return H, s
 
     def _factor(self, base: Index) -> tuple[tuple[Array, bool], Array]:
         """Cholesky factor and right-hand side of some columns, kept for the next.

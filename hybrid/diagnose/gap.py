@@ -118,7 +118,7 @@ class Gap:
         """Decimated samples per second, [Hz]."""
         return self.motions[0].rate / self.samplers[0].factor
 
-    def columns(self, effect: Effect, *, calm: bool = False) -> Columns:
+    def columns(self, effect: Effect, *, calm: bool | None = None) -> Columns:
         """Torque per unit of each gain, filtered as the gap is.
 
         First order at gains of zero. Effects that change signals are not linear in
@@ -127,7 +127,7 @@ class Gap:
 
         Args:
             effect: The effect.
-            calm: Whether to make them of :attr:`calm`, as always if it differentiates.
+            calm: Whether to make them of :attr:`calm`; if it differentiates by default.
 
         Returns:
             For each joint that the effect's torque reaches, shape (M, p).
@@ -138,12 +138,10 @@ class Gap:
             small = {g.name: _SMALL * g.scaled(scale).typical for g in effect.gains}
             effect = effect.at(small)
         gains = effect.gain_values
-        signal = (effect.observes or effect.reports) and not effect.steep
+        calm = effect.differentiates if calm is None else calm
         parts = []
-        for motion, body, sampler in (
-            self.calm if calm or effect.differentiates else self
-        ):
-            if signal and gains.any():
+        for motion, body, sampler in self.calm if calm else self:
+            if effect.linearised and gains.any():
                 first = self._first(effect, motion, body)
                 rest = self._change(effect, motion, body) - first @ gains
                 along = rest[:, :, None] * gains / (gains @ gains)

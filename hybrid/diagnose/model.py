@@ -28,6 +28,7 @@ from hybrid.diagnose.shapes import price
 from hybrid.diagnose.term import Term
 from hybrid.effects import Effect
 from hybrid.effects.contact import Contact
+from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 
 WORTH = 10.0  # nats that a term must add
@@ -186,26 +187,21 @@ class Model:
         Those of an effect on signals are not linear: far off they are another law's.
         """
         effect = term.candidate.effect
-        if not linearised(effect):
+        if not effect.linearised:
             return True
         gains = self.evidence.solve(self.base()).of(term.index)
         return far(effect, gains) <= _FAR
 
     def remove(self) -> None:
         """Take out terms that add little, the weakest first."""
-        n = self.gap.robot.size
+        robot = self.gap.robot
         while self.terms:
             losses = self.losses()
-            large = [
-                (o, x * part) for o, x, part in zip(
-                    self.terms, losses, self.parts(), strict=True)
-                if not undeclared(self.gap.robot, o.candidate.effect)
-            ]  # fmt: skip
+            large = list(zip(self.terms, losses, self.parts(), strict=True))
             # Beside a large one at the same joint, a small term mends an inexact law.
-            at = [list(t.candidate.effect.reaches(n)) for t in self.terms]
+            at = [list(t.candidate.effect.reaches(robot.size)) for t in self.terms]
             least = [
-                0.0 if undeclared(self.gap.robot, t.candidate.effect) else
-                max(_mending(t, o) * x[j].sum() for o, x in large
+                max(mending(robot, t, o) * x * part[j].sum() for o, x, part in large
                     if o.place[1][-1] == t.place[1][-1] or t.place[0] == Contact.id)
                 for t, j in zip(self.terms, at, strict=True)
             ]  # fmt: skip
@@ -231,24 +227,24 @@ class Model:
         return [x / max(x.sum(), 1e-300) for x in made]
 
 
-def _mending(small: Term, large: Term) -> float:
+def mending(robot: Robot, small: Term, large: Term) -> float:
     """Part of a term's evidence that another one needs, not to mend its law.
 
-    Play and springs are right but for when a link lands or swings: a delay makes up.
+    Play and springs are right but for when a link lands or swings: a delay makes up, as
+    it does for a lag that is not quite one. Nothing is needed beside what every drive
+    has and the file lacks, nor of it.
     """
-    effect = small.candidate.effect
-    late = (effect.observes or effect.reports) and not effect.steep
-    rough = late and large.candidate.effect.steep
+    effect, other = small.candidate.effect, large.candidate.effect
+    if undeclared(robot, effect) or undeclared(robot, other):
+        return 0.0
+    late = effect.differentiates and other.differentiates
+    rough = late or (effect.linearised and other.steep)
     return _MENDING_ROUGH if rough else _MENDING
 
 
-def linearised(effect: Effect) -> bool:
-    """Whether an effect's columns are made at its gains, and hold near them."""
-    signal = effect.observes or effect.reports
-    return signal and not effect.steep and bool(effect.gain_values.any())
-
-
 def far(effect: Effect, gains: Array) -> float:
-    """How far some gains are from those of an effect, relative."""
+    """How far some gains are from those of an effect, if any, relative."""
     made = effect.gain_values
+    if not made.any():
+        return 0.0
     return float(np.linalg.norm(gains - made) / np.linalg.norm(made))

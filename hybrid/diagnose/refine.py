@@ -17,6 +17,7 @@ from hybrid.robot.chain import Array
 
 _EXACT_PASSES = 4
 _SHAPE_SPREAD = 0.3  # prior deviation of a shape, of its range
+_SHORTER, _LONGER, _SHIFTS, _FINE = 0.5, 2.0, 15, 0.003  # factors; times tried; part
 _STEP, _SCAN = 1.15, 9  # factor to either side of a steep gain; values tried
 
 
@@ -40,8 +41,7 @@ def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, fl
     effect, best = fit_shapes(first, worth, evidence.gap)
     if best < start:
         effect, best = first, start
-    signal = effect.observes or effect.reports
-    if signal and not effect.steep:
+    if effect.linearised:
         effect, best = _exact(evidence, base, replace(c, effect=effect))
     return replace(c, effect=effect), best
 
@@ -58,12 +58,48 @@ def _exact(evidence: Evidence, base: Index, c: Candidate) -> tuple[Effect, float
     effect, best, scale = c.effect, -np.inf, scale_of(evidence.gap, c.effect)
     bounds = [g.scaled(scale) for g in effect.gains]
     lower, upper = [b.lower for b in bounds], [b.upper for b in bounds]
+    names = [g.name for g in effect.gains]
     for _ in range(_EXACT_PASSES):
         columns = evidence.gap.columns(effect)
         best, gains = evidence.trial(base, columns, c.std, c.lower)
-        best -= price(effect)
-        effect = with_gains(effect, np.clip(gains, lower, upper))
-    return effect, best
+        values = np.clip(gains, lower, upper)
+        effect = effect.at(dict(zip(names, map(float, values), strict=True)))
+    if effect.shifts:
+        effect = shifted(evidence, base, effect)
+        best = gain(evidence, base, replace(c, effect=effect))
+        return effect, best
+    return effect, best - price(effect)
+
+
+def shifted(
+    evidence: Evidence, base: Index, effect: Effect, *, calm: bool | None = None
+) -> Effect:
+    """A shift by the time at which its own torque, and no part of it, fits best.
+
+    Noise takes from the part that fits, which is not to be taken for a shorter time.
+
+    Args:
+        evidence: Cross-products of the gap.
+        base: Columns that are in already, shape (k,).
+        effect: The shift, by a time near the best.
+        calm: See :meth:`.Gap.columns`.
+    """
+    (own,), (now,) = effect.gains, effect.gain_values
+    name, bounds = own.name, own.scaled(scale_of(evidence.gap, effect))
+
+    def loss(time: float) -> float:
+        columns = evidence.gap.columns(effect.at({name: time}), calm=calm)
+        return -evidence.at(base, columns, np.array([time]))
+
+    ends = sorted([_SHORTER * now, _LONGER * now])
+    ends = np.clip(ends, bounds.lower, bounds.upper)
+    found = minimize_scalar(
+        loss,
+        bounds=(float(ends[0]), float(ends[1])),
+        method="bounded",
+        options={"maxiter": _SHIFTS, "xatol": _FINE * abs(now)},
+    )
+    return effect.at({name: float(found.x)})
 
 
 def _scanned(

@@ -16,7 +16,7 @@ from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.model import WIDEST
 from hybrid.diagnose.pool import REPEATED
 from hybrid.diagnose.products import Index
-from hybrid.diagnose.refine import take_nudges
+from hybrid.diagnose.refine import shifted, take_nudges
 from hybrid.diagnose.shapes import at_places, places, shape_units
 from hybrid.effects import Effect
 from hybrid.robot.chain import Array
@@ -50,6 +50,12 @@ def refit(gap: Gap, search: Search) -> tuple[Effect, ...]:
         with_gains(t.candidate.effect, solution.of(i))
         for t, i in zip(search.terms, own, strict=True)
     ]
+    # The band's upper half tells the time best, if it is a shift for sure.
+    effects = [
+        shifted(evidence, np.setdiff1d(index, i), effect, calm=False)
+        if effect.shifts else effect
+        for effect, i in zip(effects, own, strict=True)
+    ]  # fmt: skip
     shapes = [take_nudges(evidence, effect) for effect in effects]
     # How far the file's numbers are off was chosen by the same data.
     evidence.spread(index[: len(search.background)], WIDEST)

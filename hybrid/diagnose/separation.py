@@ -187,8 +187,8 @@ class Outlook:
         effect, best = fit_shapes(start[1], gain, self._ahead.gap)
         if best < start[0]:
             best, effect = start
-        single = len(effect.gains) == 1 and not effect.steep
-        if (effect.observes or effect.reports) and single:
+        timed = effect.shifts and effect.gain_values.any()
+        if effect.linearised and len(effect.gains) == 1 and not timed:
             bounds = effect.gains[0].scaled(scale_of(self._ahead.gap, effect))
             for _ in range(_EXACT_PASSES):
                 best, gains = self._trial(told, replace(candidate, effect=effect))

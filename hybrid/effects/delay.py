@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 
 from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
@@ -14,6 +17,9 @@ class Delay(Effect):
     id = "delay"
     port = Port.MEASUREMENT
     differentiates = True
+    shifts = True
+    # The torque that is late is that of the file, whose numbers are a little off.
+    inexact: ClassVar[Mapping[str, float]] = {"time": 0.03}
     not_in_loop = "it is of the log's clocks; a drive needs its torque now"
     gains = (Quantity("time", "s", 0.005, -0.05, 0.05),)
     equation = "τ_reported(t) = τ(t − T)"

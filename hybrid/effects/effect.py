@@ -79,6 +79,9 @@ class Effect(Instant, ABC):
     steep: ClassVar[bool] = False
     # Whether its torque is of derivatives of the torque or acceleration.
     differentiates: ClassVar[bool] = False
+    # Whether it shifts torque in time, which a fit has to scan: noise lessens how much
+    # of a shifted torque fits, and that would be taken for a shorter time.
+    shifts: ClassVar[bool] = False
     # Whether noise of positions, which is in the torque that it is held against too,
     # may be taken for it.
     echoes: ClassVar[bool] = False
@@ -240,6 +243,11 @@ class Effect(Instant, ABC):
     def observe(self, motion: Motion, body: Body) -> Motion:
         """The motion as the rigid body made it, from the motion as measured."""
         return motion
+
+    @property
+    def linearised(self) -> bool:
+        """Whether it changes signals, and its torque is linear near its gains only."""
+        return (self.observes or self.reports) and not self.steep
 
     @property
     def reports(self) -> bool:
