@@ -555,12 +555,25 @@ class TestCause:
             assert abs(found.values[name] - truth) < 1.96 * found.std[name]
 
     def test_columns_of_a_signal_are_made_at_the_gain_that_is_reported(self):
-        robot, recordings = logs([Delay((0,), {"time": 0.01})])
+        robot, recordings = logs([TorqueGain((0,), {"gain": 0.25})])
         search = Search(measure_gap(robot, recordings))
         search.run()
         (term,) = search.terms
         (gain,) = search.evidence.solve(search.base()).of(term.index)
-        assert term.candidate.effect.values["time"] == pytest.approx(gain, rel=0.01)
+        assert term.candidate.effect.values["gain"] == pytest.approx(gain, rel=0.01)
+
+    def test_columns_of_a_delay_are_made_at_the_time_that_fits_best(self):
+        robot, recordings = logs([Delay((0,), {"time": 0.01})])
+        search = Search(measure_gap(robot, recordings))
+        search.run()
+        (term,) = search.terms
+        effect, fits = term.candidate.effect, []
+        for part in (0.9, 1.0, 1.1):
+            time = part * effect.values["time"]
+            columns = search.gap.columns(effect.at({"time": time}))
+            fit = search.evidence.at(search.background, columns, np.array([time]))
+            fits.append(fit)
+        assert np.argmax(fits) == 1
 
     def test_a_joint_that_keeps_its_gap_is_not_explained(self):
         robot, recordings = logs([TorqueGain((0,), {"gain": 0.25})])

@@ -58,17 +58,14 @@ def _exact(evidence: Evidence, base: Index, c: Candidate) -> tuple[Effect, float
     effect, best, scale = c.effect, -np.inf, scale_of(evidence.gap, c.effect)
     bounds = [g.scaled(scale) for g in effect.gains]
     lower, upper = [b.lower for b in bounds], [b.upper for b in bounds]
-    names = [g.name for g in effect.gains]
     for _ in range(_EXACT_PASSES):
         columns = evidence.gap.columns(effect)
         best, gains = evidence.trial(base, columns, c.std, c.lower)
-        values = np.clip(gains, lower, upper)
-        effect = effect.at(dict(zip(names, map(float, values), strict=True)))
-    if effect.shifts:
-        effect = shifted(evidence, base, effect)
-        best = gain(evidence, base, replace(c, effect=effect))
-        return effect, best
-    return effect, best - price(effect)
+        effect = with_gains(effect, np.clip(gains, lower, upper))
+    if not effect.shifts:
+        return effect, best - price(effect)
+    effect = shifted(evidence, base, effect)
+    return effect, gain(evidence, base, replace(c, effect=effect))
 
 
 def shifted(
