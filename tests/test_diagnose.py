@@ -451,6 +451,31 @@ class TestCause:
         step = np.median(np.diff(recordings[0].t))
         assert high - low > 3.9 * step / np.sqrt(12.0)
 
+    def test_a_link_may_be_far_off(self):
+        """By a weight far out on it: its moments are off by many times the usual."""
+        mass, centre = 0.45, np.array([0.13, -0.06, -0.11])
+        moments = mass * ((centre @ centre) * np.eye(3) - np.outer(centre, centre))
+        moments += 1e-3 * np.eye(3)
+        order = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
+        values = dict(
+            zip(
+                (g.name for g in LinkInertia.gains),
+                [mass, *(mass * centre), *moments[order]],
+                strict=True,
+            )
+        )
+        robot = arm("coman_like")
+        effect, noise = LinkInertia((0, 1, 2, 3), values), Noise.typical(robot)
+        plant = Plant(robot, [effect], nominal=robot, noise=noise)
+        recordings = simulate(plant, trajectories=4, duration=8.0, seed=3)
+        (finding,) = examine(robot, recordings).diagnosis.findings
+        assert finding.effect == "link_inertia"
+        found = {p.name: p for p in finding.parameters if p.joint in robot.joints}
+        for name, truth in values.items():
+            low, high = found[name].interval
+            assert low <= truth <= high
+        assert found["Izz"].value == pytest.approx(values["Izz"], rel=0.1)
+
     @pytest.mark.parametrize("arm_carries", [Payload, LinkInertia])
     def test_a_link_is_hardly_another_one_but_a_payload_may_be_anything(
         self, arm_carries

@@ -36,6 +36,7 @@ _NEAR = 10.0
 _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _SAME = 0.01  # of the gain that columns are made at: no matter
 _LESS = 0.1  # of the noise: worth another search
+_FURTHER = (1.0, 3.0, 10.0, 30.0)  # times what a link is off by that is wrong
 _ONE = 0.9  # of the evidence for two forms of one law, by one of them
 
 
@@ -68,6 +69,7 @@ class Search(Model):
         self._scan()
         self._polish()
         self._settle()
+        self._widen()
         self.remove()  # what mended shapes that were short of their best
         name_plainly(self)
         return self.terms
@@ -296,6 +298,17 @@ class Search(Model):
             if term.candidate.effect.shifts:
                 own, _ = self.refine(self.base(term), term.candidate)
                 self.terms[k] = self.term(own)
+
+    def _widen(self) -> None:
+        """Let a link be further off than most are, where that explains more."""
+        for k, term in enumerate(self.terms):
+            if term.place[0] == LinkInertia.id:
+                worth = []
+                for factor in _FURTHER:
+                    self.evidence.spread(term.index, factor)
+                    worth.append(self.worth())
+                std = _FURTHER[int(np.argmax(worth))] * term.candidate.std
+                self.terms[k] = self.term(replace(term.candidate, std=std))
 
     def _moved(self, term: Term, steps: Array) -> Term:
         effect = term.candidate.effect
