@@ -15,7 +15,9 @@ import argparse
 import warnings
 from collections import Counter
 from collections.abc import Collection, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -100,14 +102,16 @@ def main() -> None:
     parser.add_argument("--arms", default="models/scara.xml,ur5,panda")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--bare", action="store_true", help="no friction in the file")
+    parser.add_argument("--workers", type=int, default=2)
     args, console = parser.parse_args(), Console(width=160)
-    arms, runs = args.arms.split(","), []
-    for arm in arms:
-        for kind in KINDS:
-            found = run(arm, (kind,), args.seed, LEFT_OUT if args.bare else ())
-            found["outcome"] = outcome(found, LEFT_OUT if args.bare else ())
-            runs.append(found)
-            console.print(arm, kind, found["outcome"], highlight=False)
+    arms, runs, left_out = args.arms.split(","), [], LEFT_OUT if args.bare else ()
+    with ProcessPoolExecutor(args.workers) as pool:
+        for arm in arms:
+            each = partial(run, arm, seed=args.seed, left_out=left_out)
+            for found in pool.map(each, [(kind,) for kind in KINDS]):
+                runs.append(found | {"outcome": outcome(found, left_out)})
+                said = found["true"], runs[-1]["outcome"]
+                console.print(arm, *said, highlight=False)
     by_arm = [[r for r in runs if r["arm"] == Path(arm).stem] for arm in arms]
     outcomes = list(
         zip(*([r["outcome"] for r in rows] for rows in by_arm), strict=True)
