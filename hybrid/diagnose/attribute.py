@@ -37,6 +37,7 @@ _POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
 _SAME = 0.01  # of the gain that columns are made at: no matter
 _LESS = 0.1  # of the noise: worth another search
 _FURTHER = (1.0, 3.0, 10.0, 30.0)  # times what a link is off by that is wrong
+_KEPT = 0.5  # of the evidence for each other term, whatever a link is off by
 _ONE = 0.9  # of the evidence for two forms of one law, by one of them
 
 
@@ -300,15 +301,21 @@ class Search(Model):
                 self.terms[k] = self.term(own)
 
     def _widen(self) -> None:
-        """Let a link be further off than most are, where that explains more."""
+        """Let a link be further off than most are, where that explains more.
+
+        Not if it would take over what others do, as so many numbers can.
+        """
         for k, term in enumerate(self.terms):
-            if term.place[0] == LinkInertia.id:
-                worth = []
-                for factor in _FURTHER:
-                    self.evidence.spread(term.index, factor)
-                    worth.append(self.worth())
-                std = _FURTHER[int(np.argmax(worth))] * term.candidate.std
-                self.terms[k] = self.term(replace(term.candidate, std=std))
+            if term.place[0] != LinkInertia.id:
+                continue
+            rest = [t for t in self.terms if t is not term]
+            least, worth = _KEPT * self.losses(rest), []
+            for factor in _FURTHER:
+                self.evidence.spread(term.index, factor)
+                kept = np.all(self.losses(rest) >= least)
+                worth.append(self.worth() if kept else -np.inf)
+            std = _FURTHER[int(np.argmax(worth))] * term.candidate.std
+            self.terms[k] = self.term(replace(term.candidate, std=std))
 
     def _moved(self, term: Term, steps: Array) -> Term:
         effect = term.candidate.effect
@@ -335,7 +342,9 @@ class Search(Model):
             rest = [t.index for t in self.terms if t is not term and t is not other]
             base = np.concatenate([self.background, *rest])
             both = self.worth() - self.evidence.solve(base).evidence
-            wanted = both - max(WORTH, mending(self.gap.robot, other, term) * both)
+            late = all(t.candidate.effect.differentiates for t in (term, other))
+            least = mending(self.gap.robot, other, term) if late else 0.0
+            wanted = both - max(WORTH, least * both)
             if fuller(other.candidate.effect) == term.place[0]:
                 wanted *= _ONE  # a law and what it becomes at a bound of its shapes
             own = term.candidate
