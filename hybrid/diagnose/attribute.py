@@ -18,7 +18,15 @@ from hybrid.diagnose.candidates import (
     simpler,
     with_gains,
 )
-from hybrid.diagnose.model import ALIKE, OFF, WIDEST, WORTH, Model, far, mending
+from hybrid.diagnose.model import (
+    ALIKE,
+    MENDING_ROUGH,
+    OFF,
+    WIDEST,
+    WORTH,
+    Model,
+    far,
+)
 from hybrid.diagnose.names import name_plainly
 from hybrid.diagnose.pool import REPEATED
 from hybrid.diagnose.refine import gain, shape_steps
@@ -343,8 +351,7 @@ class Search(Model):
             base = np.concatenate([self.background, *rest])
             both = self.worth() - self.evidence.solve(base).evidence
             late = all(t.candidate.effect.differentiates for t in (term, other))
-            least = mending(self.gap.robot, other, term) if late else 0.0
-            wanted = both - max(WORTH, least * both)
+            wanted = both - max(WORTH, MENDING_ROUGH * both if late else 0.0)
             if fuller(other.candidate.effect) == term.place[0]:
                 wanted *= _ONE  # a law and what it becomes at a bound of its shapes
             own = term.candidate

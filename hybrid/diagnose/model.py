@@ -40,7 +40,7 @@ WIDEST = OFF[-1]
 _RIPPLES = 9  # orders tried at each joint at first
 _SHORTLIST = 4
 _MENDING = 0.015  # of the evidence for the largest term at a joint
-_MENDING_ROUGH = 0.2  # if the law of that one holds roughly, and in time at that
+MENDING_ROUGH = 0.2  # if the law of that one holds roughly, and in time at that
 _FAR = 0.5  # of the gain that columns are made at
 
 
@@ -201,7 +201,7 @@ class Model:
             # Beside a large one at the same joint, a small term mends an inexact law.
             at = [list(t.candidate.effect.reaches(robot.size)) for t in self.terms]
             least = [
-                max(mending(robot, t, o) * x * part[j].sum() for o, x, part in large
+                max(_mending(robot, t, o) * x * part[j].sum() for o, x, part in large
                     if o.place[1][-1] == t.place[1][-1] or t.place[0] == Contact.id)
                 for t, j in zip(self.terms, at, strict=True)
             ]  # fmt: skip
@@ -227,7 +227,7 @@ class Model:
         return [x / max(x.sum(), 1e-300) for x in made]
 
 
-def mending(robot: Robot, small: Term, large: Term) -> float:
+def _mending(robot: Robot, small: Term, large: Term) -> float:
     """Part of a term's evidence that another one needs, not to mend its law.
 
     Play and springs are right but for when a link lands or swings: a delay makes up, as
@@ -239,7 +239,7 @@ def mending(robot: Robot, small: Term, large: Term) -> float:
         return 0.0
     late = effect.differentiates and other.differentiates
     rough = late or (effect.linearised and other.steep)
-    return _MENDING_ROUGH if rough else _MENDING
+    return MENDING_ROUGH if rough else _MENDING
 
 
 def far(effect: Effect, gains: Array) -> float:
