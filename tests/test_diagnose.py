@@ -476,6 +476,20 @@ class TestCause:
             assert low <= truth <= high
         assert found["Izz"].value == pytest.approx(values["Izz"], rel=0.1)
 
+    @pytest.mark.parametrize(("kept", "factor"), [(100.0, 30.0), (10.0, 1.0)])
+    def test_a_link_is_not_far_off_at_the_price_of_others(self, kept, factor):
+        gap, tried = planar().gap, [1.0]
+        found = [candidate(gap, e) for e in (LinkInertia((0, 1)), Coulomb((1,)))]
+        terms = [SimpleNamespace(candidate=c, place=c.place, index=0) for c in found]
+        search = SimpleNamespace(terms=list(terms))
+        search.evidence = SimpleNamespace(spread=lambda index, x: tried.append(x))
+        search.worth = lambda: tried[-1]
+        search.losses = lambda rest: np.array([100.0 if tried[-1] == 1.0 else kept])
+        search.term = lambda c: SimpleNamespace(candidate=c, place=c.place)
+        Search._widen(search)
+        assert search.terms[0].candidate.std == pytest.approx(factor * found[0].std)
+        assert search.terms[1] is terms[1]
+
     @pytest.mark.parametrize("arm_carries", [Payload, LinkInertia])
     def test_a_link_is_hardly_another_one_but_a_payload_may_be_anything(
         self, arm_carries
