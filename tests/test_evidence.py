@@ -1,5 +1,6 @@
 """Evidence: the same numbers as Bayesian regression written out, sample by sample."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,19 @@ from hybrid.diagnose.evidence import Evidence
 from hybrid.signals import butterworth
 
 M = 60
+
+
+def one_joint(left, *, block=50, cutoff=np.inf):
+    """A made-up gap of one joint that moves all the time, 100 Hz."""
+    return SimpleNamespace(
+        robot=SimpleNamespace(size=1),
+        left=left[:, None],
+        moving=np.ones((len(left), 1), dtype=bool),
+        measured=np.ones((len(left), 1)),
+        fold=np.arange(len(left)) // block % 4,
+        rate=100.0,
+        cutoff=cutoff,
+    )
 
 
 def problem(seed=0, widths=(2, 1, 3)):
@@ -113,15 +127,7 @@ def test_noise_is_found_beside_many_columns():
     for _ in range(20):
         X = rng.standard_normal((600, 40))
         left = X[:, :5] @ rng.standard_normal(5) + 0.3 * rng.standard_normal(600)
-        gap = SimpleNamespace(
-            robot=SimpleNamespace(size=1),
-            left=left[:, None],
-            moving=np.ones((600, 1), dtype=bool),
-            measured=np.ones((600, 1)),
-            fold=np.arange(600) // 50 % 4,
-            rate=100.0,
-        )
-        evidence = Evidence(gap, None)
+        evidence = Evidence(one_joint(left), None)
         (index,) = evidence.add([{0: X}], [np.ones(40)])
         evidence.estimate_noise(index)
         found.append(evidence.noise[0])
@@ -132,14 +138,7 @@ def noisy(rng, *, samples, columns, used=0, size=1.0):
     """Evidence of white noise, 0.3 RMS, and torque along the first columns."""
     X = rng.standard_normal((samples, columns))
     torque = size * X[:, :used] @ np.ones(used)
-    gap = SimpleNamespace(
-        robot=SimpleNamespace(size=1),
-        left=(torque + 0.3 * rng.standard_normal(samples))[:, None],
-        moving=np.ones((samples, 1), dtype=bool),
-        measured=np.ones((samples, 1)),
-        fold=np.arange(samples) // 50 % 4,
-        rate=100.0,
-    )
+    gap = one_joint(torque + 0.3 * rng.standard_normal(samples))
     evidence = Evidence(gap, None)
     return evidence, *evidence.add([{0: X}], [np.ones(columns)])
 
@@ -152,6 +151,21 @@ def test_noise_is_found_beside_nearly_as_many_columns_as_samples():
         evidence.estimate_noise(index)
         found.append(evidence.noise[0])
     assert np.median(found) == pytest.approx(0.09, rel=0.2)
+
+
+def test_noise_is_not_small_where_many_columns_take_it():
+    """Filtered noise has few dimensions, and columns rest for the last second."""
+    rng, found = np.random.default_rng(8), []
+    for _ in range(20):
+        columns = rng.standard_normal((400, 100)) * (np.arange(400) < 300)[:, None]
+        torque = 5.0 * columns.sum(axis=1) + 0.3 * rng.standard_normal(400)
+        slow = partial(butterworth, rate=100.0, cutoff=15.0)
+        gap = one_joint(slow(torque), cutoff=15.0)
+        evidence = Evidence(gap, None)
+        (index,) = evidence.add([{0: slow(columns)}], [np.ones(100)])
+        evidence.estimate_noise(index)
+        found.append(evidence.noise[0])
+    assert np.median(found) > 0.5 * 0.09
 
 
 def test_what_is_known_to_be_there_lowers_the_noise():
@@ -176,14 +190,7 @@ def test_noise_is_not_what_happened_once():
     X = rng.standard_normal((1200, 10))
     left = 0.3 * rng.standard_normal(1200)
     left[300:400] += 30.0
-    gap = SimpleNamespace(
-        robot=SimpleNamespace(size=1),
-        left=left[:, None],
-        moving=np.ones((1200, 1), dtype=bool),
-        measured=np.ones((1200, 1)),
-        fold=np.arange(1200) // 100 % 4,
-        rate=100.0,
-    )
+    gap = one_joint(left, block=100)
     evidence = Evidence(gap, None)
     (index,) = evidence.add([{0: X}], [np.ones(10)])
     evidence.estimate_noise(index)

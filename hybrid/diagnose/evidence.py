@@ -286,9 +286,12 @@ class Evidence(Products):
             back: Order of its samples in time, shape (R,).
 
         Returns:
-            What it leaves in time, shape (R,); the mean square that it leaves on each
-            fold if fitted to the others, times the memory of what it leaves, [N²·m²];
-            and that memory.
+            What it leaves in time, larger by what so many columns take from noise
+            alone, shape (R,); the mean square that it leaves on each fold if fitted to
+            the others, times the memory of what it leaves, [N²·m²]; and that memory.
+
+        Source: Golub, Heath, Wahba 1979, doi 10.1080/00401706.1979.10489751 (what a
+        ridge takes from noise).
         """
         G, c = self._gram[i][:, here[:, None], here], self._moment[i][:, here]
         size = np.sqrt(np.maximum(np.diagonal(G.sum(axis=0)), 1e-300))
@@ -303,8 +306,12 @@ class Evidence(Products):
             left = (self.left[i] - columns @ weights)[back]
             alike = memory(left, row)
             variance = (self.power[i].sum() + power) / len(row)
-            found.append((left, variance * alike, alike))
-        return min(found, key=lambda x: x[1])
+            found.append((left, variance * alike, alike, ridge))
+        left, noise, alike, ridge = min(found, key=lambda x: x[1])
+        kept = ridge * np.trace(_ridge(A, np.eye(len(A)), ridge))
+        # Filtered noise has fewer dimensions than samples.
+        whole = max(len(row) * min(2.0 * self.gap.cutoff / self.gap.rate, 1.0), 1.0)
+        return left / max(1.0 - (len(A) - kept) / whole, 1e-3), noise, alike
 
 
 def _ridge(A: Array, b: Array, ridge: float) -> Array:
