@@ -12,6 +12,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 from own_fault import KINDS, Fault
+from own_motion import Make
 
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
@@ -29,9 +30,17 @@ class OwnLoop:
         robot: The file, of which link masses and friction are off by up to 2 %.
         kinds: Which faults, of ``own_fault.KINDS``.
         seed: Source of joints, motions and noise.
+        motion: What makes the motions.
     """
 
-    def __init__(self, robot: Robot, kinds: tuple[str, ...], seed: int) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        kinds: tuple[str, ...],
+        seed: int,
+        motion: Make = random_fourier,
+    ) -> None:
+        self.motion = motion
         self.rng = np.random.default_rng([seed, *map(KINDS.index, kinds)])
         scales = joint_scales(robot)
         self.rated = np.array([s.torque for s in scales])
@@ -79,8 +88,8 @@ class OwnLoop:
         return np.maximum(np.diag(full), 1e-3)
 
     def record(self) -> Recording:
-        """Follow a random motion and log it."""
-        reference = random_fourier(
+        """Follow a motion and log it."""
+        reference = self.motion(
             self.robot, duration=DURATION, rate=1 / (STEP * HOLD), rng=self.rng
         )
         d, robot, n = self.data, self.robot, self.robot.size

@@ -24,12 +24,14 @@ from typing import Any
 
 from own_fault import KINDS
 from own_loop import OwnLoop
+from own_motion import Make
 from rich.console import Console
 
 from hybrid import Diagnosis, diagnose
 from hybrid.benchmark.robots import load_arm
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
+from hybrid.plant import random_fourier
 from hybrid.report import (
     Table,
     markdown_table,
@@ -57,9 +59,10 @@ def run(
     seed: int,
     left_out: Collection[str] = (),
     without: Collection[str] = (),
+    motion: Make = random_fourier,
 ) -> dict[str, Any]:
     """Log faults on one arm, and diagnose them."""
-    loop = OwnLoop(load_arm(arm), kinds, seed)
+    loop = OwnLoop(load_arm(arm), kinds, seed, motion)
     logs = [loop.record() for _ in range(RECORDINGS)]
     robot, start = bare(loop.robot) if left_out else loop.robot, process_time()
     with warnings.catch_warnings():
@@ -123,11 +126,37 @@ def main() -> None:
         + ", of a file without friction and rotors" * args.bare,
         words=True,
     )
-    count = Counter(r["outcome"].split(" (")[0].split(",")[0] for r in runs)
+    count = Counter(_short(r["outcome"]) for r in runs)
     command = f"python experiments/own_loops.py --arms {args.arms} --seed {args.seed}"
     command += " --bare" * args.bare
     folder = REPORT.with_name("own_loops_bare") if args.bare else REPORT
     write_report(folder, table, counted(count), command, runs)
+
+
+def by_condition(
+    runs: Sequence[Sequence[dict[str, Any]]], conditions: Sequence[str], arm: str
+) -> tuple[Table, str]:
+    """A table of kinds and conditions, and how often each outcome came in each.
+
+    Args:
+        runs: For each kind, what is said under each condition.
+        conditions: Their names.
+        arm: Name of the arm.
+    """
+    table = Table(
+        ("", *conditions),
+        tuple((r[0]["true"][0][0], *(x["outcome"] for x in r)) for r in runs),
+        f"What is said of one fault of each kind on {Path(arm).stem}",
+        words=True,
+    )
+    counts = [Counter(_short(x["outcome"]) for x in c) for c in zip(*runs, strict=True)]
+    lines = zip(conditions, map(counted, counts), strict=True)
+    return table, "\n".join(f"- {name}: {count}" for name, count in lines)
+
+
+def _short(outcome: str) -> str:
+    """An outcome without the names of effects."""
+    return outcome.split(" (")[0].split(",")[0]
 
 
 def counted(count: Counter[str]) -> str:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -23,14 +22,13 @@ from typing import Any
 import numpy as np
 from own_fault import KINDS
 from own_loop import OwnLoop
-from own_loops import RECORDINGS, named, outcome, write_report
+from own_loops import RECORDINGS, by_condition, named, outcome, write_report
 from rich.console import Console
 
 from hybrid import diagnose
 from hybrid.benchmark.robots import load_arm
 from hybrid.errors import HybridWarning
 from hybrid.recording import Recording
-from hybrid.report import Table
 
 REPORT = Path(__file__).parents[1] / "reports" / "worn_logs"
 EACH = 5  # samples of 500 Hz to one of 100 Hz
@@ -110,20 +108,7 @@ def main() -> None:
             runs.append(found)
             outcomes = [r["outcome"] for r in found]
             console.print(found[0]["true"][0], outcomes, highlight=False)
-    table = Table(
-        ("", *WEAR),
-        tuple((r[0]["true"][0][0], *(x["outcome"] for x in r)) for r in runs),
-        f"What is said of one fault of each kind on {Path(args.arm).stem}",
-        words=True,
-    )
-    counts = [
-        Counter(r[k]["outcome"].split(" (")[0].split(",")[0] for r in runs)
-        for k in range(len(WEAR))
-    ]
-    summary = "\n".join(
-        f"- {wear}: " + ", ".join(f"{name} {n}" for name, n in count.most_common())
-        for wear, count in zip(WEAR, counts, strict=True)
-    )
+    table, summary = by_condition(runs, tuple(WEAR), args.arm)
     command = f"python experiments/worn_logs.py --arm {args.arm} --seed {args.seed}"
     write_report(REPORT, table, summary, command, runs)
 
