@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from simulated import arm
 
+from hybrid.diagnose import motion
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import candidate
 from hybrid.diagnose.explanation import explain, split
@@ -167,6 +168,21 @@ def test_a_replay_that_diverges_ends_as_lost():
     shown = rollout(arm("planar"), [wild], replay.motions, replay.windows)
     assert np.isnan(shown[-1]).any()
     assert np.isfinite(replay.squares_of([wild])).all()
+
+
+@pytest.mark.parametrize(("stable", "chosen"), [(1.0, 1e-3), (2e-4, 1e-4), (0.0, 1e-3)])
+def test_the_step_is_one_with_which_nothing_diverges(monkeypatch, stable, chosen):
+    """If none is, that is not the step's fault."""
+
+    def unstable(*given, step):
+        shown = rollout(*given, step=step)
+        return shown if step <= stable else np.full_like(shown, np.nan)
+
+    monkeypatch.setattr(motion, "rollout", unstable)
+    replay = Replay(explained(("coulomb",), ("coulomb",)))
+    assert replay.step == chosen
+    lost = np.allclose(replay.squares(replay.all_terms), np.pi**2)
+    assert lost == (stable == 0.0)
 
 
 def test_windows_hold_the_last_sample_where_a_motion_ends():

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ HORIZONS = (0.1, 0.5, 2.0)  # s
 _USUAL = 0.5  # s; also the least time between the starts of two windows
 _MOST_WINDOWS = 24
 _FEWEST_WINDOWS = 3
-_STEP = 0.001  # s
+_STEPS = 1e-3, 3e-4, 1e-4  # s
 _RESAMPLES = 400
 _IDLE = 0.01  # of the largest torque squared; windows below do not show a term
 _BYPRODUCT = 0.05  # of the largest fall in torque; joints below are merely touched
@@ -42,7 +43,6 @@ class Replay:
     Args:
         scored: What was found.
         most: Most windows; they start half a second apart or more.
-        step: Longest physics step, [s].
 
     Attributes:
         scored: What was found.
@@ -53,13 +53,10 @@ class Replay:
         fits: Where a window's samples up to each horizon are all usable, shape (H, W).
     """
 
-    def __init__(
-        self, scored: Explanation, *, most: int = _MOST_WINDOWS, step: float = _STEP
-    ) -> None:
+    def __init__(self, scored: Explanation, *, most: int = _MOST_WINDOWS) -> None:
         self.scored = scored
         self.effects = scored_effects(scored)
         self.motions, usable, self._start = _motions(scored)
-        self._step = step
         self._spans = [max(1, round(h * scored.gap.rate)) for h in HORIZONS]
         self.windows, self.fits = _windows(usable, self._spans, most)
         self._known: dict[tuple[frozenset[int], float], Array] = {}
@@ -69,25 +66,43 @@ class Replay:
 
         Args:
             terms: Indices of the terms that the simulator has.
-            step: Longest physics step, [s].
+            step: Longest physics step, [s]; :attr:`step` by default.
 
         Returns:
             For each horizon, window and joint, shape (H, W, n), [rad²].
         """
-        key = frozenset(terms), step or self._step
+        key = frozenset(terms), step or self.step
         if key not in self._known:
             effects = [self.effects[k] for k in sorted(key[0])]
             self._known[key] = self.squares_of(effects, step=key[1])
         return self._known[key]
 
-    def squares_of(self, effects: Sequence[Effect], *, step: float = _STEP) -> Array:
+    def squares_of(
+        self, effects: Sequence[Effect], *, step: float | None = None
+    ) -> Array:
         """The same with any effects: candidates that torque alone cannot settle."""
-        robot, others = corrected(self.scored, effects)
-        shown = rollout(robot, others, self.motions, self.windows, step=step)
-        off = shown - self.windows.of([m.q for m in self.motions])
+        off = self._off(effects, step or self.step)
         off = np.where(np.isnan(off), _LOST, np.clip(off, -_LOST, _LOST))
         total = np.cumsum(off[1:] ** 2, axis=0)
         return np.stack([total[s - 1] / s for s in self._spans])
+
+    @cached_property
+    def step(self) -> float:
+        """Longest physics step with which no replay with all terms diverges, [s].
+
+        Stiff friction on light links needs a short one. If each of them diverges, that
+        is not the step's fault, and the longest one serves.
+        """
+        for step in _STEPS:
+            if np.isfinite(self._off(self.effects, step)).all():
+                return step
+        return _STEPS[0]
+
+    def _off(self, effects: Sequence[Effect], step: float) -> Array:
+        """Motion error, shape (S + 1, W, n), [rad]; NaN where a replay has diverged."""
+        robot, others = corrected(self.scored, effects)
+        shown = rollout(robot, others, self.motions, self.windows, step=step)
+        return shown - self.windows.of([m.q for m in self.motions])
 
     @property
     def all_terms(self) -> frozenset[int]:
@@ -223,15 +238,16 @@ def step_warning(replay: Replay) -> str | None:
         squares = replay.squares(terms, step=step)
         return float(np.median(replay.error(squares, joints, _USUAL)[fits]))
 
-    before = error((), _STEP)
+    step = replay.step
+    before = error((), step)
     changes = [
-        abs(error(terms, _STEP / 2) - error(terms, _STEP))
+        abs(error(terms, step / 2) - error(terms, step))
         for terms in {frozenset[int](), replay.all_terms}
     ]
     if max(changes) <= _STEP_MATTERS * before:
         return None
     return (
-        f"replayed at half the step of {1e3 * _STEP:g} ms, the motion error differs by "
+        f"replayed at half the step of {1e3 * step:g} ms, the motion error differs by "
         f"{max(changes) / before:.0%}; take its shrinkage as a rough figure"
     )
 
