@@ -156,7 +156,8 @@ def by_condition(
 
 def _short(outcome: str) -> str:
     """An outcome without the names of effects."""
-    return outcome.split(" (")[0].split(",")[0]
+    first, *more = outcome.split(", and ")
+    return first.split(" (")[0] + " with something false" * bool(more)
 
 
 def counted(count: Counter[str]) -> str:
