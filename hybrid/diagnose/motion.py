@@ -71,20 +71,11 @@ class Replay:
         Returns:
             For each horizon, window and joint, shape (H, W, n), [rad²].
         """
-        key = frozenset(terms), step or self.step
-        if key not in self._known:
-            effects = [self.effects[k] for k in sorted(key[0])]
-            self._known[key] = self.squares_of(effects, step=key[1])
-        return self._known[key]
+        return self._squares(self._off(frozenset(terms), step or self.step))
 
-    def squares_of(
-        self, effects: Sequence[Effect], *, step: float | None = None
-    ) -> Array:
+    def squares_of(self, effects: Sequence[Effect]) -> Array:
         """The same with any effects: candidates that torque alone cannot settle."""
-        off = self._off(effects, step or self.step)
-        off = np.where(np.isnan(off), _LOST, np.clip(off, -_LOST, _LOST))
-        total = np.cumsum(off[1:] ** 2, axis=0)
-        return np.stack([total[s - 1] / s for s in self._spans])
+        return self._squares(self._run(effects, self.step))
 
     @cached_property
     def step(self) -> float:
@@ -94,15 +85,28 @@ class Replay:
         is not the step's fault, and the longest one serves.
         """
         for step in _STEPS:
-            if np.isfinite(self._off(self.effects, step)).all():
+            if np.isfinite(self._off(self.all_terms, step)).all():
                 return step
         return _STEPS[0]
 
-    def _off(self, effects: Sequence[Effect], step: float) -> Array:
+    def _off(self, terms: frozenset[int], step: float) -> Array:
+        """Motion error with some terms, replayed once for each step."""
+        if (terms, step) not in self._known:
+            effects = [self.effects[k] for k in sorted(terms)]
+            self._known[terms, step] = self._run(effects, step)
+        return self._known[terms, step]
+
+    def _run(self, effects: Sequence[Effect], step: float) -> Array:
         """Motion error, shape (S + 1, W, n), [rad]; NaN where a replay has diverged."""
         robot, others = corrected(self.scored, effects)
         shown = rollout(robot, others, self.motions, self.windows, step=step)
         return shown - self.windows.of([m.q for m in self.motions])
+
+    def _squares(self, off: Array) -> Array:
+        """Mean squares of it up to each horizon, shape (H, W, n), [rad²]."""
+        off = np.where(np.isnan(off), _LOST, np.clip(off, -_LOST, _LOST))
+        total = np.cumsum(off[1:] ** 2, axis=0)
+        return np.stack([total[s - 1] / s for s in self._spans])
 
     @property
     def all_terms(self) -> frozenset[int]:
