@@ -55,3 +55,21 @@ def test_noise_of_positions_is_no_structure():
     left = -noise[rows, 1]
     squares, of, rest = recoverable(spoilt, 1, left, rows, float(np.mean(left**2)))
     assert squares < 0.05 * left @ left
+
+
+def test_structure_that_one_fold_hardly_shows_is_structure_still():
+    """A recording may not go where it is: it gains nothing there, or loses a little."""
+    gap, rows = gap_rows(1)
+    x = np.sin(23 * gap.sampled.t[rows] + 1.0) * (gap.fold[rows] > 0)
+    x = 0.5 * x / x.std()
+    noise = np.random.default_rng(0).standard_normal(len(rows))
+    squares, *_ = recoverable(gap, 1, x + noise, rows, 1.0)
+    assert squares > 0.3 * x @ x
+
+
+def test_what_one_fold_alone_has_is_no_structure():
+    gap, rows = gap_rows(1)
+    x = np.sin(7 * gap.sampled.q[rows, 1]) * (gap.fold[rows] == gap.fold[rows][0])
+    noise = np.random.default_rng(0).standard_normal(len(rows))
+    squares, *_ = recoverable(gap, 1, x + noise, rows, 1.0)
+    assert squares < 0.1 * x @ x

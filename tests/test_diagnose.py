@@ -116,6 +116,18 @@ class TestGap:
         rest = np.sqrt(np.mean(bare.left[here, j] ** 2))
         assert np.sqrt(np.mean((seen - shown) ** 2)) < 0.1 * scale + 2 * rest
 
+    def test_dry_friction_of_a_late_log_turns_as_sharply_as_any(self):
+        """Columns of the lower half of the band keep what has no noise as it is."""
+        robot = replace(arm("planar"), frictionloss=np.array([6.0, 2.0]))
+        late = Delay((0,), {"time": 0.012})
+        plant = Plant(robot, [late], nominal=robot, noise=Noise.none(robot.size))
+        recordings = simulate(plant, trajectories=4, duration=6.0, seed=1)
+        gap = measure_gap(robot, recordings, cutoff=20.0)
+        here = gap.moving[:, 0]
+        column, left = gap.columns(late)[0][here, 0], gap.left[here, 0]
+        time = (column @ left) / (column @ column)
+        assert time == pytest.approx(0.012, rel=0.15)
+
     @pytest.mark.parametrize("size", [0.0, 1.0])
     def test_an_encoders_error_acts_on_rotor_and_damping_too(self, size):
         """At no error columns are first order, at any other they make it up."""
@@ -548,6 +560,18 @@ class TestCause:
         assert {t.place[0] for t in search.run()} == {"contact", "torque_ripple"}
         large, small = sorted(search.terms, key=search.loss)[::-1]
         assert search.loss(small) < 0.015 * search.loss(large)
+
+    def test_a_notch_at_one_angle_is_no_ripple(self):
+        """Nine orders evenly apart make it up, as they make up any law over a range."""
+        robot, recordings = logs([], duration=10.0)
+        notched = []
+        for x in recordings:
+            y, tau = (x.q[:, 1] - 0.3) / 0.08, x.tau.copy()
+            tau[:, 1] += 4.0 * y * np.exp(-0.5 * y**2)
+            notched.append(replace(x, tau=tau))
+        result = examine(robot, notched)
+        assert result.diagnosis.verdict == "unexplained"
+        assert result.diagnosis.where[0].joint == "elbow"
 
     def test_three_logs_are_as_good_as_four(self):
         robot, recordings = logs([STRIBECK], count=3)

@@ -16,6 +16,7 @@ from hybrid.diagnose.gap import measure_gap
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
+from hybrid.effects.presliding import Presliding
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.viscous import Viscous
 from hybrid.plant import Plant, simulate
@@ -141,3 +142,19 @@ def test_what_comes_and_goes_does_not_end_the_search(monkeypatch):
 
     monkeypatch.setattr(Search, "best", first)
     assert {t.place for t in search.run()} == {("viscous", (0,))}
+
+
+def test_presliding_in_place_of_declared_friction_is_one_finding():
+    declared = replace(arm("planar"), frictionloss=np.array([0.8, 0.4]))
+    real = replace(declared, frictionloss=np.array([0.0, 0.4]))
+    law = Presliding((0,), {"level": 0.8, "distance": 0.02})
+    plant = Plant(real, [law], nominal=declared)
+    result = examine(declared, simulate(plant, trajectories=4, duration=6.0, seed=1))
+    assert {t.place[0] for t in result.scored.terms} == {"presliding", "coulomb"}
+    (finding,) = result.diagnosis.findings
+    assert (finding.effect, finding.alternatives) == ("presliding", ("presliding",))
+    assert "takes the place of the coulomb friction" in finding.sentence
+    values = {v.name: v.value for v in finding.parameters}
+    assert values["level"] == pytest.approx(0.8, rel=0.1)
+    assert values["coulomb level"] == pytest.approx(-0.8, rel=0.1)
+    assert finding.share == pytest.approx(1.0)

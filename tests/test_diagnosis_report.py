@@ -22,6 +22,7 @@ from hybrid.report.diagnosis_text import (
     MOST_LINES,
     range_name,
     region_name,
+    shrink_sentence,
     value_cells,
     verdict_lines,
 )
@@ -114,6 +115,11 @@ class TestPage:
         assert "a velocity ladder — tells stribeck from coulomb; expected" in words
         assert "14 times the noise ( next.csv )" in words
         assert "the clock jumps" in words and "elbow above 3 rad/s" in words
+
+    def test_a_gap_that_grows_is_said_to_be_more(self):
+        grown = Shrink(0.01, 0.033, -2.3, (-5.9, 0.4), 0.5)
+        words = shrink_sentence("motion", grown).replace("\u00a0", " ")
+        assert words.endswith("0.033 rad, 230% more (95% interval −40 to 590%)")
 
     def test_without_a_gap_nothing_is_blamed(self):
         result = faultless()

@@ -94,3 +94,15 @@ def test_a_saturated_torque_is_found(limit):
     found = find_faults(replace(log(), tau=tau))
     np.testing.assert_array_equal(found.torque[:, 0], np.abs(tau[:, 0]) == limit)
     assert "saturated" in found.notes[0]
+
+
+def test_a_leap_of_torque_on_the_way_is_left_out_and_told():
+    sound = log()
+    leap = np.flatnonzero(np.diff(np.sign(np.sin(T))) != 0)[1]  # at full speed
+    tau = sound.tau.copy()
+    tau[leap:, 0] += 6.0
+    found = find_faults(replace(sound, tau=tau))
+    assert {leap - 1, leap} == {*np.flatnonzero(found.posture)}
+    (note,) = found.notes
+    assert "jumps" in note and f"{T[leap - 1]:.3g} s" in note
+    assert find_faults(sound).notes == ()  # dry friction turns at rest

@@ -35,6 +35,8 @@ _SIMPLER = {
 }
 # Laws that say by how much friction differs from another, which they come on top of.
 _UPON = {"stribeck": "coulomb", "nonlinear_viscous": "viscous"}
+# Laws that an arm may have in place of the one that its file declares.
+_INSTEAD = {"presliding": "coulomb", "thermal_friction": "viscous"}
 HARDLY = 1e-3  # of a law's evidence: none holds more exactly
 _EARLY = {"delay": "actuator_lag", "actuator_lag": "delay"}  # if time is negative
 _EARLY_SLACK = 0.08  # of the evidence: noise of positions costs a lag that much
@@ -242,6 +244,11 @@ def plainer(effect: Effect) -> str:
 def fuller(effect: Effect) -> str:
     """Id of the law that becomes an effect's at a bound of its shapes, or nothing."""
     return next((f for f, s in _SIMPLER.items() if s == effect.id), "")
+
+
+def instead(effect: Effect) -> str:
+    """Id of the declared law whose place an effect may take, or nothing."""
+    return _INSTEAD.get(effect.id, "")
 
 
 def same(a: Columns, b: Columns) -> bool:

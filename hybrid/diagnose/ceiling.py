@@ -27,6 +27,7 @@ _RIDGES = (1e-3, 3e-2, 1.0)
 _MOST_GROUPS = 6
 _WAVES = 3
 _WAVY = ("position waves", "lines in time")
+_MOST_FOLDS = 0.6
 _PICKED = _WAVES * 2 * np.log(400)  # the largest of so many squares of noise
 
 
@@ -63,7 +64,7 @@ def recoverable(
             )
             # Waves were picked out of hundreds with all folds in view.
             chance = _PICKED * noise if name in _WAVY else 0.0
-            if np.all(gained > 0) and gained.sum() - chance > worth:
+            if _recurs(gained) and gained.sum() - chance > worth:
                 best, chosen = float(gained.sum()), name
                 worth = best - chance
                 fitted = np.empty_like(rest)
@@ -74,6 +75,12 @@ def recoverable(
         total, first = total + worth, first or chosen
         rest = rest - fitted
     return total, first, rest
+
+
+def _recurs(gained: Array) -> bool:
+    """Whether squares fall on most folds, and not on one of them alone."""
+    rest = gained.sum() - gained.max()
+    return bool(rest > 0 and np.mean(gained > 0) > _MOST_FOLDS)
 
 
 def _cross_validated(G: Array, c: Array, samples: int) -> tuple[Array, Array]:

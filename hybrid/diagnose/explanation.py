@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.background import background
+from hybrid.diagnose.candidates import instead
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.gap import Gap, block_seconds
 from hybrid.diagnose.products import Index
@@ -20,6 +21,7 @@ from hybrid.robot.chain import Array
 _BLOCK_SECONDS = 1.0
 _TAIL = 0.02  # of a term's squares: no more than a filter spreads
 _FAR_LARGER = 10.0  # times the mean squares
+_INSTEAD = 0.7  # of what is less of a law, at least of the one that takes its place
 _ORDERS = 24  # of terms, and as many reversed
 
 
@@ -79,9 +81,30 @@ class Explanation:
             w - a for w, a in zip(self.left(self.without(k)), self.after, strict=True)
         ]
 
+    @cached_property
+    def named(self) -> tuple[str, ...]:
+        """Id of the effect that each term belongs to.
+
+        Less of a law that the file declares belongs to the one that takes its place.
+        """
+        first = [self.gains[self.index == own[0]].item() for own in self.own]
+
+        def owner(k: int) -> str:
+            law, joints = self.terms[k].place
+            for other, gain in zip(self.terms, first, strict=True):
+                place = instead(other.candidate.effect), other.place[1]
+                if (
+                    place == (law, joints)
+                    and first[k] < 0 < _INSTEAD * -first[k] < gain
+                ):
+                    return other.place[0]
+            return law
+
+        return tuple(map(owner, range(len(self.terms))))
+
     def members(self, effect_id: str) -> list[int]:
-        """Terms that are of one effect."""
-        return [k for k, t in enumerate(self.terms) if t.place[0] == effect_id]
+        """Terms that belong to one effect."""
+        return [k for k, name in enumerate(self.named) if name == effect_id]
 
     def kept(self, members: Sequence[int]) -> tuple[float, float]:
         """Fall of the squares by some terms, over the fall if their torque were right.

@@ -1,4 +1,4 @@
-"""Samples of a recording that are no measurement: frozen or saturated channels."""
+"""Samples of a recording that are no measurement: frozen, saturated, or in between."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ _COARSE = 0.1  # distinct values of a torque that a sensor has rounded, per samp
 _UNUSUAL = 3.0  # times the third longest run
 _ALONE = 5.0  # times the samples of the next level
 _JUMP = 5.0  # times the usual step, by which a frozen encoder is left
+_LEAP = 0.25  # of the range of torque, from one sample to the next
+_UNDER_WAY = 0.05  # of the highest speed; at rest, dry friction may turn as quickly
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +38,7 @@ class Faults:
 
 
 def find_faults(recording: Recording) -> Faults:
-    """Samples where a channel repeats one value, though the arm moves."""
+    """Samples where a channel repeats one value, though the arm moves, or leaps."""
     q, tau, t = recording.q, recording.tau, recording.t
     least = max(_FEWEST, round(_LONGEST_REPEAT / float(np.median(np.diff(t)))))
     notes = []
@@ -54,8 +56,35 @@ def find_faults(recording: Recording) -> Faults:
             if bad.any():
                 torque[:, j] |= bad
                 notes.append(f"torque of {name} is {word} for {bad.mean():.0%}")
+    leaps = _leaps(t, q, tau)
+    if leaps.any():
+        posture |= leaps.any(axis=1)
+        where = [recording.joints[j] for j in np.flatnonzero(leaps.any(axis=0))]
+        first = t[leaps.any(axis=1)][0]
+        notes.append(
+            f"torque of {', '.join(where)} jumps on the way, at {first:.3g} s first, "
+            "by more than samples so far apart resolve: what is near is left out"
+        )
     place = f"{recording.source}: " if recording.source else ""
     return Faults(posture, torque, tuple(place + note for note in notes))
+
+
+def _leaps(t: Array, q: Array, tau: Array) -> NDArray[np.bool_]:
+    """Samples beside a rare leap of torque while a joint moves, shape (N, n).
+
+    A reference that jumps takes the acceleration along. Between two samples nobody
+    knows when, and derivatives of positions spread it over several.
+    """
+    steps, v = np.abs(np.diff(tau, axis=0)), np.diff(q, axis=0) / np.diff(t)[:, None]
+    speed = np.abs(v)
+    speed = np.minimum(speed, np.minimum(np.roll(speed, 3, 0), np.roll(speed, -3, 0)))
+    usual = np.quantile(steps, 0.99, axis=0)
+    far = steps > np.maximum(_JUMP * usual, _LEAP * np.ptp(tau, axis=0))
+    leap = far & (speed > _UNDER_WAY * np.abs(v).max(axis=0, initial=0.0))
+    beside = np.zeros(tau.shape, dtype=bool)
+    beside[1:] |= leap
+    beside[:-1] |= leap
+    return beside
 
 
 def _usual_run(x: Array) -> int:

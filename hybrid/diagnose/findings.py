@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,6 +24,7 @@ _RESAMPLES = 400
 _NORMAL = 1.96
 _CLOSE = 6  # alternatives that are fitted in full
 _CONTAINED = 0.01  # of the squares of a law, that another may miss
+_PLACE = " It takes the place of the {} friction that the file declares."
 _ANYWHERE = 1.0  # nat, which does not settle the joint
 
 
@@ -116,24 +118,34 @@ def findings(
     gap = scored.gap
     grouped: dict[str, list[int]] = {}
     for k in sorted(range(len(effects)), key=lambda k: _where(effects[k])):
-        grouped.setdefault(scored.terms[k].place[0], []).append(k)
+        grouped.setdefault(scored.named[k], []).append(k)
     found = []
     for effect_id, members in grouped.items():
+        # What the file declares, and this takes the place of, comes last.
+        members.sort(key=lambda k: effects[k].id != effect_id)
         cls = effects[members[0]]
         joints = tuple(dict.fromkeys(j for k in members for j in _where(effects[k])))
         names = tuple(gap.robot.joints[j] for j in sorted(joints))
-        alike = [a for k in members for a in kinds[k]]
+        alike = [a for k in members if effects[k].id == effect_id for a in kinds[k]]
+        gone = dict.fromkeys(x for k in members if (x := effects[k].id) != effect_id)
         found.append(
             Finding(
                 effect=effect_id,
                 joints=names,
                 alternatives=tuple(dict.fromkeys((effect_id, *alike))),
                 share=float(parts[members].sum()),
-                parameters=tuple(v for k in members for v in values(gap, effects[k])),
+                parameters=tuple(
+                    v
+                    if effects[k].id == effect_id
+                    else replace(v, name=f"{effects[k].id} {v.name}")
+                    for k in members
+                    for v in values(gap, effects[k])
+                ),
                 shrink={
                     "torque": torque_shrink(scored.where_seen(members), members, rng)
                 },
-                sentence=cls.sentence.format(joints=listed(names)),
+                sentence=cls.sentence.format(joints=listed(names))
+                + "".join(_PLACE.format(x) for x in gone),
                 remedy=cls.remedy,
             )
         )
@@ -207,7 +219,11 @@ def _where(effect: Effect) -> tuple[int, ...]:
 
 
 def values(gap: Gap, effect: Effect) -> list[Value]:
-    """The parameters of an effect with their 95 % intervals."""
+    """The parameters of an effect with their 95 % intervals.
+
+    Of a shape that the recordings do not tell, all of its range.
+    """
+    scale = gap.scales[effect.joints[-1]]
     joint = "+".join(gap.robot.joints[j] for j in _where(effect))
     if effect.scope == "arm":
         joint = "arm"
@@ -216,7 +232,11 @@ def values(gap: Gap, effect: Effect) -> list[Value]:
         if x.inner:
             continue
         value, half = effect.values[x.name], _NORMAL * effect.std.get(x.name, 0.0)
-        values.append(Value(joint, x.name, value, x.unit, (value - half, value + half)))
+        low, high = value - half, value + half
+        if half > 0 and x in effect.shapes:
+            bounds = x.scaled(scale)
+            low, high = max(low, bounds.lower), min(high, bounds.upper)
+        values.append(Value(joint, x.name, value, x.unit, (low, high)))
     return values
 
 

@@ -193,7 +193,10 @@ class Gap:
         for m, sampler in zip(self.motions, self.samplers, strict=True):
             low = partial(butterworth, rate=m.rate, cutoff=_CALM * self.cutoff)
             # Its torque is filtered, not made anew: dry friction would turn elsewhere.
-            slow = replace(m, q=low(m.q), v=low(m.v), a=low(m.a), tau=low(m.tau))
+            # That has no noise, and stays as sharp as it is in the log.
+            dry = self.robot.frictionloss * np.sign(m.v)
+            tau = low(m.tau - dry) + dry
+            slow = replace(m, q=low(m.q), v=low(m.v), a=low(m.a), tau=tau)
             parts.append((slow, RigidBody(self.robot.chain, slow), sampler))
         return parts
 

@@ -16,12 +16,14 @@ from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds
 from hybrid.effects.contact import Contact
 from hybrid.effects.effect import Port
+from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
 
 _ECHO = 0.1  # of the evidence, least in the lower half of the band
 _SLACK = 0.02  # of the range of a gain
 _CALM = 0.25  # of the cut-off: the band in which events are looked for
 _HALF = 0.5  # of what is there, explained by laws that hold roughly
+_NEAR, _SERIES = 2.2, 4  # waves over the range of a joint between orders; how many
 _MOST_CONTACTS = 3  # what happens more often is no contact
 _MOST_TOUCHED = 0.6  # of the time; what lasts longer is none
 
@@ -45,7 +47,7 @@ class Check:
             noise that its columns and the gap share.
         rough: Whether its law holds roughly, so that it may leave more.
         recurs: Whether it is of what happens once, and there are many such, or it lasts
-            nearly all the time.
+            nearly all the time; or an order of ripple that is one of a series.
     """
 
     complete: float
@@ -192,7 +194,7 @@ def check(search: Search, term: Term, found: Account, limits: Thresholds) -> Che
         bool(minor),
         _echo(search, term),
         term.candidate.effect.steep,
-        term in contacts and _all_along(search.gap, contacts),
+        term in contacts and _all_along(search.gap, contacts) or _series(search, term),
     )
 
 
@@ -241,6 +243,21 @@ def _physical(search: Search, term: Term) -> bool:
         elif gain.per == (0, 0) and value > bound.upper + slack:
             return False
     return True
+
+
+def _series(search: Search, term: Term) -> bool:
+    """Whether orders of ripple at a joint are a wave or two over its range apart.
+
+    So many of them are the Fourier series of a law over this range, whatever it is.
+    """
+    if term.place[0] != TorqueRipple.id:
+        return False
+    gap, joint = search.gap, term.place[1][0]
+    alike = [t.candidate.effect for t in search.terms if t.place == term.place]
+    q = gap.sampled.q[gap.moving[:, joint], joint]
+    apart = np.diff(sorted(e.values["periods"] for e in alike))
+    near = apart * max(float(np.ptp(q)), 1e-9) < _NEAR * 2 * np.pi
+    return int(np.sum(np.append(near, False) | np.insert(near, 0, False))) >= _SERIES
 
 
 def _echo(search: Search, term: Term) -> bool:

@@ -88,12 +88,13 @@ def shrink_sentence(kind: str, s: Shrink) -> str:
     """How far a gap falls: of torque in N·m, of motion in rad."""
     unit = "rad" if kind == "motion" else "N·m"
     over = f" over {s.horizon_s:g} s" if s.horizon_s is not None else ""
-    removed, low, high = (
-        f"{100 * x:.0f}".replace("-", "−") for x in (s.removed, *s.interval)
-    )
+    change: tuple[float, ...] = (s.removed, *s.interval)
+    if s.removed < 0:
+        change = (-s.removed, *(-x for x in reversed(s.interval)))
+    size, low, high = (f"{100 * x:.0f}".replace("-", "−") for x in change)
     return (
         f"{kind} gap{over} {number(s.before)} → {number(s.after)}{_BOUND}{unit}, "
-        f"{removed}% less (95% interval {low} to {high}%)"
+        f"{size}% {'more' if s.removed < 0 else 'less'} (95% interval {low} to {high}%)"
     )
 
 
