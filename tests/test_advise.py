@@ -86,7 +86,7 @@ def test_friction_that_may_fall_when_warm_is_measured_again_when_warm():
 
 def pair():
     """Two explanations of the same recordings, and the search that they are from."""
-    result, _ = poorly_recorded("delay", 0, 4.0)
+    result, _ = poorly_recorded("load_friction", 0, 0.3)
     (term,) = [t for t in result.search.terms if t.place[1] == (0,)]
     own = fit_rival(result.search, term, term.candidate)
     ids = result.diagnosis.findings[0].alternatives[1:]

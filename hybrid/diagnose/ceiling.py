@@ -33,7 +33,7 @@ _PICKED = _WAVES * 2 * np.log(400)  # the largest of so many squares of noise
 
 def recoverable(
     gap: Gap, joint: int, left: Array, rows: NDArray[np.intp], noise: float
-) -> tuple[float, str, Array]:
+) -> tuple[float, float, str, Array]:
     """Squares of a residual that a flexible regression recovers on held-out folds.
 
     Args:
@@ -44,43 +44,50 @@ def recoverable(
         noise: Square that one chosen function recovers from noise, [N²·m²].
 
     Returns:
-        Recovered sum of squares, [N²·m²]; what the first function is of, or nothing
+        Recovered sum of squares, on every fold and on most of them only, [N²·m²];
+        what the first function is of, or nothing
         where none helps; and what is left, shape (R,), [N·m].
     """
     fold = gap.fold[rows]
     folds = [fold == f for f in np.unique(fold)]
     groups = {name: x[rows] for name, x in _groups(gap, joint)}
     grams = {n: np.stack([x[f].T @ x[f] for f in folds]) for n, x in groups.items()}
-    rest, total, first = left, 0.0, ""
+    rest, first = left, ""
+    total = {True: 0.0, False: 0.0}
     for _ in range(_MOST_GROUPS):
         groups |= _waves(gap, joint, rest, rows)
         for name in _WAVY:
             x = groups[name]
             grams[name] = np.stack([x[f].T @ x[f] for f in folds])
-        best, chosen, fitted, worth = 0.0, "", rest, 0.0
+        chosen, fitted, worth, everywhere = "", rest, 0.0, True
         for name, x in groups.items():
             gained, w = _cross_validated(
                 grams[name], np.stack([x[f].T @ rest[f] for f in folds]), len(rows)
             )
             # Waves were picked out of hundreds with all folds in view.
             chance = _PICKED * noise if name in _WAVY else 0.0
-            if _recurs(gained) and gained.sum() - chance > worth:
-                best, chosen = float(gained.sum()), name
-                worth = best - chance
+            sure = _recurring(gained)
+            if sure - chance > worth:
+                chosen, everywhere = name, bool(np.all(gained > 0))
+                worth = sure - chance
                 fitted = np.empty_like(rest)
                 for k, f in enumerate(folds):
                     fitted[f] = x[f] @ w[k]
         if worth <= 0.002 * float(rest @ rest):
             break
-        total, first = total + worth, first or chosen
+        total[everywhere] += worth
+        first = first or chosen
         rest = rest - fitted
-    return total, first, rest
+    return total[True], total[False], first, rest
 
 
-def _recurs(gained: Array) -> bool:
-    """Whether squares fall on most folds, and not on one of them alone."""
-    rest = gained.sum() - gained.max()
-    return bool(rest > 0 and np.mean(gained > 0) > _MOST_FOLDS)
+def _recurring(gained: Array) -> float:
+    """Squares gained on folds, less the most of one where not all of them gain."""
+    if np.all(gained > 0):
+        return float(gained.sum())
+    if np.mean(gained > 0) < _MOST_FOLDS:
+        return 0.0
+    return float(gained.sum() - gained.max())
 
 
 def _cross_validated(G: Array, c: Array, samples: int) -> tuple[Array, Array]:

@@ -19,7 +19,9 @@ _UNUSUAL = 3.0  # times the third longest run
 _ALONE = 5.0  # times the samples of the next level
 _JUMP = 5.0  # times the usual step, by which a frozen encoder is left
 _LEAP = 0.25  # of the range of torque, from one sample to the next
-_UNDER_WAY = 0.05  # of the highest speed; at rest, dry friction may turn as quickly
+_KNOCK = 3.0  # times a large step of speed
+_ALIKE = 1 / 3  # of a step, the next one
+_UNDER_WAY, _BESIDE = 0.05, 3  # of the highest speed; samples to either side
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +77,22 @@ def _leaps(t: Array, q: Array, tau: Array) -> NDArray[np.bool_]:
     A reference that jumps takes the acceleration along. Between two samples nobody
     knows when, and derivatives of positions spread it over several.
     """
-    steps, v = np.abs(np.diff(tau, axis=0)), np.diff(q, axis=0) / np.diff(t)[:, None]
-    speed = np.abs(v)
-    speed = np.minimum(speed, np.minimum(np.roll(speed, 3, 0), np.roll(speed, -3, 0)))
-    usual = np.quantile(steps, 0.99, axis=0)
-    far = steps > np.maximum(_JUMP * usual, _LEAP * np.ptp(tau, axis=0))
-    leap = far & (speed > _UNDER_WAY * np.abs(v).max(axis=0, initial=0.0))
+    steps, v = np.diff(tau, axis=0), np.diff(q, axis=0) / np.diff(t)[:, None]
+    around = np.stack([np.roll(v, k, axis=0) for k in (-_BESIDE, 0, _BESIDE)])
+    slowest = _UNDER_WAY * np.abs(v).max(axis=0, initial=0.0)
+    # Where it turns round, dry friction does, between two samples if these are rare.
+    on_the_way = np.all(around > slowest, axis=0) | np.all(around < -slowest, axis=0)
+    size = np.abs(steps)
+    # A drive that hurries takes several steps the same way.
+    same = [np.roll(steps, k, axis=0) * np.sign(steps) for k in (-1, 1)]
+    alone = np.maximum(*same) < _ALIKE * size
+    # What is knocked, as by play that closes, leaps in speed as well.
+    knocks = np.abs(np.diff(v, axis=0, append=v[-1:]))
+    knocked = np.max([np.roll(knocks, k, axis=0) for k in (-1, 0, 1)], axis=0)
+    knocked = knocked > _KNOCK * np.quantile(knocks, 0.99, axis=0)
+    usual = np.quantile(size, 0.99, axis=0)
+    far = size > np.maximum(_JUMP * usual, _LEAP * np.ptp(tau, axis=0))
+    leap = on_the_way & alone & far & ~knocked
     beside = np.zeros(tau.shape, dtype=bool)
     beside[1:] |= leap
     beside[:-1] |= leap

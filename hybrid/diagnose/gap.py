@@ -30,6 +30,7 @@ _SLOWEST = 0.002  # rad/s or m/s; a servo at rest seems to move as fast
 # rest, which is the solver's own.
 _REST = 0.7
 _CALM = 0.5  # of the cut-off
+_TURNING = 25.0  # Hz; no dry friction turns round more quickly than that shows
 _FAR = 10.0  # deviations of noise: so far off, torque is what the log says
 _NORMAL = 1.4826  # standard deviation over median size
 _BLOCK_SECONDS = 3.0
@@ -140,7 +141,8 @@ class Gap:
         gains = effect.gain_values
         calm = effect.differentiates if calm is None else calm
         parts = []
-        for motion, body, sampler in self.calm if calm else self:
+        known = self.late if effect.reports else self.calm
+        for motion, body, sampler in known if calm else self:
             if effect.linearised and gains.any():
                 first = self._first(effect, motion, body)
                 rest = self._change(effect, motion, body) - first @ gains
@@ -193,11 +195,25 @@ class Gap:
         for m, sampler in zip(self.motions, self.samplers, strict=True):
             low = partial(butterworth, rate=m.rate, cutoff=_CALM * self.cutoff)
             # Its torque is filtered, not made anew: dry friction would turn elsewhere.
-            # That has no noise, and stays as sharp as it is in the log.
-            dry = self.robot.frictionloss * np.sign(m.v)
-            tau = low(m.tau - dry) + dry
-            slow = replace(m, q=low(m.q), v=low(m.v), a=low(m.a), tau=tau)
+            slow = replace(m, q=low(m.q), v=low(m.v), a=low(m.a), tau=low(m.tau))
             parts.append((slow, RigidBody(self.robot.chain, slow), sampler))
+        return parts
+
+    @cached_property
+    def late(self) -> list[tuple[Motion, RigidBody, Sampler]]:
+        """:attr:`calm` for what reports torque late, with dry friction as it turns.
+
+        That has no noise. It takes its time, but no longer where the band is narrow.
+        """
+        parts = []
+        turning = float(np.clip(_TURNING, _CALM * self.cutoff, self.cutoff))
+        for m, (slow, body, sampler) in zip(self.motions, self.calm, strict=True):
+            dry = self.robot.frictionloss * np.sign(m.v)
+            turned, spread = (
+                butterworth(dry, rate=m.rate, cutoff=x)
+                for x in (turning, _CALM * self.cutoff)
+            )
+            parts.append((replace(slow, tau=slow.tau + turned - spread), body, sampler))
         return parts
 
     def __iter__(self) -> Iterator[tuple[Motion, RigidBody, Sampler]]:

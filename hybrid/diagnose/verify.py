@@ -85,6 +85,7 @@ class Account:
         before: With the background alone, shape (n,).
         after: With all terms, shape (n,).
         recovered: What a flexible regression still recovers, beyond chance, shape (n,).
+        doubtful: What it recovers besides, on most folds but not on all, shape (n,).
         missed: What is there and has no cause, if it matters, shape (n,).
         refused: What terms explain that do not hold, shape (n,).
         depends: What the missed part depends on first, for each joint.
@@ -94,6 +95,7 @@ class Account:
     before: Array
     after: Array
     recovered: Array
+    doubtful: Array
     missed: Array
     refused: Array
     depends: tuple[str, ...]
@@ -125,7 +127,7 @@ def account(
     after = evidence.squares(whole.index, whole.gains).sum(axis=1) / weight
     refused = np.zeros_like(after) if reached is None else after - reached
     refused = np.where(refused > limits.evident, refused, 0.0)
-    (recovered, missed), depends = np.zeros((2, len(weight))), []
+    (recovered, doubtful, missed), depends = np.zeros((3, len(weight))), []
     for i, rows in enumerate(evidence.rows):
         if not len(rows):
             depends.append("")
@@ -134,20 +136,22 @@ def account(
         # Time order: what lags needs its past.
         order = np.argsort(rows)
         rows = rows[order]
-        squares, of, rest = recoverable(gap, i, left[order], rows, weight[i])
+        squares, more, of, rest = recoverable(gap, i, left[order], rows, weight[i])
         # Noise as estimated before may hold what no effect explains.
         calm = quiet(rest, rows, gap.rate, _CALM * gap.cutoff)
         usual = float(np.mean(rest[calm] ** 2))
         noise = usual * memory(rest[calm], rows[calm])
         events = float(np.sum(rest[~calm] ** 2 - usual))
-        recovered[i] = max(0.0, squares - limits.evident * noise) / weight[i]
+        evident = limits.evident * noise
+        recovered[i] = max(0.0, squares - evident) / weight[i]
+        doubtful[i] = max(0.0, squares + more - evident) / weight[i] - recovered[i]
         squares = max(0.0, squares - limits.spurious * float(left @ left))
         colour = coloured(rest[calm], rows[calm], gap.rate, gap.cutoff)
         if colour > limits.coloured * float(rest @ rest):
             squares, of = squares + colour, of or "what does not recur"
         tau = gap.measured[rows, i]
         small = limits.negligible**2 * float(tau @ tau)
-        least = max(limits.evident * noise, small)
+        least = max(evident, small)
         parts = [
             (x, name) for x, name in ((squares, of), (events, "events")) if x > least
         ]
@@ -156,7 +160,14 @@ def account(
         if refused[i] > max(missed[i], small / weight[i]):
             missed[i], depends[i] = refused[i], depends[i] or "what no known law fits"
     return Account(
-        before, after, recovered, missed, refused, tuple(depends), after - missed
+        before,
+        after,
+        recovered,
+        doubtful,
+        missed,
+        refused,
+        tuple(depends),
+        after - missed,
     )
 
 
@@ -176,7 +187,10 @@ def check(search: Search, term: Term, found: Account, limits: Thresholds) -> Che
     # The joints where it explains most; others it merely touches.
     main = gained > 0.2 * gained.max() if gained.max() > 0 else gained >= 0
     explained = found.explained[main].sum()
-    complete = explained / max(explained + found.recovered[main].sum(), 1e-12)
+    remains = found.recovered[main].sum()
+    if explained < _HALF * found.before[main].sum():
+        remains += found.doubtful[main].sum()
+    complete = explained / max(explained + remains, 1e-12)
     joint = term.place[1]
     crowd = sum(t.place[1] == joint for t in search.terms)
     missed = np.maximum(found.missed, found.refused)
