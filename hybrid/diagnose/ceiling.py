@@ -45,40 +45,47 @@ def recoverable(
 
     Returns:
         Recovered sum of squares, on every fold and on most of them only, [N²·m²];
-        what the first function is of, or nothing
-        where none helps; and what is left, shape (R,), [N·m].
+        what the first function is of, or nothing where none helps; and what is left
+        but for the former, shape (R,), [N·m].
     """
     fold = gap.fold[rows]
     folds = [fold == f for f in np.unique(fold)]
     groups = {name: x[rows] for name, x in _groups(gap, joint)}
     grams = {n: np.stack([x[f].T @ x[f] for f in folds]) for n, x in groups.items()}
     rest, first = left, ""
+    sure_rest: Array | None = None
     total = {True: 0.0, False: 0.0}
     for _ in range(_MOST_GROUPS):
         groups |= _waves(gap, joint, rest, rows)
         for name in _WAVY:
             x = groups[name]
             grams[name] = np.stack([x[f].T @ x[f] for f in folds])
-        chosen, fitted, worth, everywhere = "", rest, 0.0, True
+        # What every fold shows comes first, and counts as if there were nothing else.
+        best = {everywhere: ("", rest, 0.0) for everywhere in (True, False)}
         for name, x in groups.items():
             gained, w = _cross_validated(
                 grams[name], np.stack([x[f].T @ rest[f] for f in folds]), len(rows)
             )
             # Waves were picked out of hundreds with all folds in view.
             chance = _PICKED * noise if name in _WAVY else 0.0
-            sure = _recurring(gained)
-            if sure - chance > worth:
-                chosen, everywhere = name, bool(np.all(gained > 0))
-                worth = sure - chance
+            everywhere = bool(np.all(gained > 0))
+            sure = _recurring(gained) - chance
+            if sure > best[everywhere][2]:
                 fitted = np.empty_like(rest)
                 for k, f in enumerate(folds):
                     fitted[f] = x[f] @ w[k]
-        if worth <= 0.002 * float(rest @ rest):
+                best[everywhere] = name, fitted, sure
+        least = 0.002 * float(rest @ rest)
+        everywhere = best[True][2] > least
+        chosen, fitted, worth = best[everywhere]
+        if worth <= least:
             break
+        if not everywhere and sure_rest is None:
+            sure_rest = rest
         total[everywhere] += worth
         first = first or chosen
         rest = rest - fitted
-    return total[True], total[False], first, rest
+    return total[True], total[False], first, rest if sure_rest is None else sure_rest
 
 
 def _recurring(gained: Array) -> float:

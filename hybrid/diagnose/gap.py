@@ -206,14 +206,14 @@ class Gap:
         That has no noise. It takes its time, but no longer where the band is narrow.
         """
         parts = []
-        turning = float(np.clip(_TURNING, _CALM * self.cutoff, self.cutoff))
         for m, (slow, body, sampler) in zip(self.motions, self.calm, strict=True):
             dry = self.robot.frictionloss * np.sign(m.v)
-            turned, spread = (
-                butterworth(dry, rate=m.rate, cutoff=x)
-                for x in (turning, _CALM * self.cutoff)
-            )
-            parts.append((replace(slow, tau=slow.tau + turned - spread), body, sampler))
+            low = partial(butterworth, dry, rate=m.rate)
+            usual = low(cutoff=_CALM * self.cutoff)
+            turned = dry if self.cutoff < _TURNING else low(cutoff=_TURNING)
+            if _CALM * self.cutoff < _TURNING:
+                slow = replace(slow, tau=slow.tau + turned - usual)
+            parts.append((slow, body, sampler))
         return parts
 
     def __iter__(self) -> Iterator[tuple[Motion, RigidBody, Sampler]]:
