@@ -46,10 +46,12 @@ def effect_of(name, joint=1, **values):
 
 
 @cache
-def logs(effects, noisy=False, trajectories=4):
+def logs(effects, noisy=False, trajectories=4, fundamental=None):
     robot, rng = arm("planar"), np.random.default_rng(4)
     references = [
-        random_fourier(robot, duration=6.0, rate=500.0, rng=rng)
+        random_fourier(
+            robot, duration=6.0, rate=500.0, rng=rng, fundamental=fundamental
+        )
         for _ in range(trajectories)
     ]
     noise = None if noisy else Noise.none(robot.size)
@@ -59,9 +61,10 @@ def logs(effects, noisy=False, trajectories=4):
 
 
 @cache
-def explained(effects, terms, noisy=False, trajectories=4):
+def explained(effects, terms, noisy=False, trajectories=4, fundamental=None):
     """An explanation with some terms, fitted; no search."""
-    gap = measure_gap(arm("planar"), logs(effects, noisy, trajectories), cutoff=40.0)
+    recordings = logs(effects, noisy, trajectories, fundamental)
+    gap = measure_gap(arm("planar"), recordings, cutoff=40.0)
     learn = split(gap)
     search = Search(gap, learn, without=list(effect_classes()))
     search.evidence.spread(search.background, 0.003)
@@ -93,6 +96,13 @@ def test_the_true_effect_removes_the_motion_gap(name):
     still = error(Replay(as_it_stands(explained((), ()))), [])
     assert before > 2 * still, "the effect shows in motion"
     assert after - still < 0.1 * before
+
+
+def test_a_replay_starts_with_a_spring_where_it_swings():
+    """Not where its load alone would hold it, which may be worse than no spring."""
+    swung = as_it_stands(explained(("elasticity",), (), fundamental=1.0))
+    replay = Replay(swung)
+    assert error(replay, [effect_of("elasticity")]) < 0.5 * error(replay, [])
 
 
 @pytest.mark.parametrize("name", ["coulomb", "payload", "torque_ripple"])

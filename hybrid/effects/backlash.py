@@ -39,6 +39,7 @@ class Backlash(Effect):
     port = Port.TRANSMISSION
     not_in_loop = "it needs the load that comes next, to know when the gap is crossed"
     steep = True
+    behind = "play"
     inexact: ClassVar[Mapping[str, float]] = {"half_width": 0.1}  # how soft stops are
     gains = (Quantity("half_width", "rad", 0.001, 0.0, 0.01),)
     equation = "τ = rigid(θ + d); d = −b sgn(τ_load) at a stop, d̈ = −τ_load/M between"
@@ -100,7 +101,7 @@ class Backlash(Effect):
                 f"backlash at {name!r} needs a rotor: add the armature effect first"
             )
         play = spec.body(name).add_joint(
-            name=f"{name}/play", type=motor.type, axis=motor.axis
+            name=f"{name}/{self.behind}", type=motor.type, axis=motor.axis
         )
         play.armature = _GEAR * motor.armature
         play.limited, play.range = True, np.array([-half, half])

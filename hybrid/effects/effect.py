@@ -82,6 +82,8 @@ class Effect(Instant, ABC):
     # Whether it shifts torque in time, which a fit has to scan: noise lessens how much
     # of a shifted torque fits, and that would be taken for a shorter time.
     shifts: ClassVar[bool] = False
+    # What the second joint is called that it puts behind a motor's, if it does.
+    behind: ClassVar[str] = ""
     # Whether noise of positions, which is in the torque that it is held against too,
     # may be taken for it.
     echoes: ClassVar[bool] = False

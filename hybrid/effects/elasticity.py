@@ -33,6 +33,7 @@ class Elasticity(Effect):
     id = "elasticity"
     port = Port.TRANSMISSION
     steep = True
+    behind = "deflection"
     echoes = True
     # Noise of positions is largest where it swings, which looks like damping.
     inexact: ClassVar[Mapping[str, float]] = {"compliance": 0.05, "damping": 0.5}
@@ -119,7 +120,7 @@ class Elasticity(Effect):
                 f"elasticity at {name!r} needs a rotor: add the armature effect first"
             )
         spring = spec.body(name).add_joint(
-            name=f"{name}/deflection", type=motor.type, axis=motor.axis
+            name=f"{name}/{self.behind}", type=motor.type, axis=motor.axis
         )
         spring.stiffness = np.array([1.0 / self.values["compliance"], 0.0, 0.0])
         spring.damping = np.array([self.values["damping"], 0.0, 0.0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,8 +29,6 @@ _HOOKS = (
     "edit_spec", "command", "tune", "deliver", "follow", "resist", "push", "sense",
     "measure", "report",
 )  # fmt: skip
-# Second joints behind a motor joint: its twist, and its lost motion.
-_BEHIND = ("deflection", "play")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +41,7 @@ class Arm:
         elastic: Joints that deflect, shape (m,), as indices of the arm; one that both
             twists and has play occurs twice.
         deflection: Dof of each deflection, shape (m,).
+        behind: What each of them is, as :attr:`Effect.behind` calls it.
         armature: Rotor inertia of each motor joint, shape (n,), [kg·m²].
         tip: MuJoCo body of the last link.
     """
@@ -51,6 +50,7 @@ class Arm:
     motor: Index
     elastic: Index
     deflection: Index
+    behind: tuple[str, ...]
     armature: Array
     tip: int
 
@@ -99,23 +99,25 @@ def build_arm(
     ):
         solref[:] = 2 * step, 1.0
         solimp[:, :2] = _IMPEDANCE
-    return _indexed(model, robot.joints)
+    kinds = dict.fromkeys(e.behind for e in effects if e.behind)
+    return _indexed(model, robot.joints, kinds)
 
 
-def _indexed(model: Any, joints: Sequence[str]) -> Arm:
+def _indexed(model: Any, joints: Sequence[str], kinds: Iterable[str]) -> Arm:
     dof = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
     behind = [
-        (k, dof[f"{name}/{kind}"])
+        (k, dof[f"{name}/{kind}"], kind)
         for k, name in enumerate(joints)
-        for kind in _BEHIND
+        for kind in kinds
         if f"{name}/{kind}" in dof
     ]
     motor = np.array([dof[name] for name in joints], dtype=np.intp)
     return Arm(
         model=model,
         motor=motor,
-        elastic=np.array([k for k, _ in behind], dtype=np.intp),
-        deflection=np.array([d for _, d in behind], dtype=np.intp),
+        elastic=np.array([k for k, _, _ in behind], dtype=np.intp),
+        deflection=np.array([d for _, d, _ in behind], dtype=np.intp),
+        behind=tuple(kind for _, _, kind in behind),
         armature=model.dof_armature[motor].copy(),
         tip=model.body(joints[-1]).id,
     )

@@ -107,7 +107,12 @@ class _Moving(Lockstep):
     """
 
     def __init__(
-        self, arm: Arm, effects: Sequence[Effect], start: Motion, load: Array
+        self,
+        arm: Arm,
+        effects: Sequence[Effect],
+        start: Motion,
+        load: Array,
+        behind: Array,
     ) -> None:
         """Place every trajectory in its state.
 
@@ -115,20 +120,20 @@ class _Moving(Lockstep):
             arm: The arm.
             effects: Effects on it.
             start: True motor state of each trajectory, its samples being trajectories.
-            load: Torque that the links need there, and its rate, shape (2, B, n).
+            load: Torque that the links need there, shape (B, n).
+            behind: Position and speed of joints behind motors, shape (2, B, m).
         """
         self.lost = np.zeros(len(start.q), dtype=bool)
         super().__init__(arm, effects, start.q)
-        twist, speed = _behind(arm, load)
         # The semi-implicit step knows speed half a step before position.
         v = start.v - arm.model.opt.timestep / 2 * start.a
         for k, data in enumerate(self._datas):
             data.time = start.t[k]
             data.qvel[arm.motor] = v[k]
-            data.qpos[arm.deflection], data.qvel[arm.deflection] = twist[k], speed[k]
+            data.qpos[arm.deflection], data.qvel[arm.deflection] = behind[:, k]
         self.temperature = start.temperature
         self._read()
-        self.a, self.load = start.a.copy(), load[0].copy()
+        self.a, self.load = start.a.copy(), load.copy()
 
     def bend(self, torques: Sequence[Array]) -> None:
         """Set what effects with a past resist with, shape (B, k) each, [N·m]."""
@@ -146,15 +151,29 @@ class _Moving(Lockstep):
             self.q[k] = self.v[k] = 0.0
 
 
-def _behind(arm: Arm, load: Array) -> tuple[Array, Array]:
-    """Position and speed of the joints behind motors under a load and its rate."""
+def _behind(
+    arm: Arm,
+    effects: Sequence[Effect],
+    motions: Sequence[tuple[Motion, RigidBody]],
+    windows: Windows,
+) -> Array:
+    """Where the joints behind motors are, and how fast, as their effects' laws say.
+
+    A spring swings: where its load alone would hold it is not where it is.
+    """
+    found = np.empty((2, len(windows.motion), len(arm.deflection)))
     joint = arm.model.dof_jntid[arm.deflection]
-    stiffness, stop = arm.model.jnt_stiffness[joint], arm.model.jnt_range[joint, 1]
-    now, rate = load[:, :, arm.elastic]
-    soft = stiffness > 0
-    spring = np.where(soft, stiffness, 1.0)
-    twist = np.where(soft, now / spring, np.sign(now) * stop)
-    return -twist, np.where(soft, -rate / spring, 0.0)
+    limited, stop = arm.model.jnt_limited[joint], arm.model.jnt_range[joint, 1]
+    for k, (j, kind) in enumerate(zip(arm.elastic, arm.behind, strict=True)):
+        (effect,) = (e for e in effects if e.behind == kind and j in e.joints)
+        links = [effect.observe(m, body) for m, body in motions]
+        pairs = [(x, m) for x, (m, _) in zip(links, motions, strict=True)]
+        twist = windows.first([(x.q - m.q)[:, j] for x, m in pairs])
+        speed = windows.first([(x.v - m.v)[:, j] for x, m in pairs])
+        if limited[k]:
+            twist = np.clip(twist, -stop[k], stop[k])
+        found[:, :, k] = twist, speed
+    return found
 
 
 def _start(
@@ -174,9 +193,9 @@ def _start(
     t, q, v, a, tau = map(first, ("t", "q", "v", "a", "tau"))
     start = Motion(t, q, v, a, tau, np.ones(len(t), dtype=bool), warm)
     pairs = list(zip(seen, bodies, strict=True))
-    rates = [np.gradient(body.load, m.t, axis=0) for m, body in pairs]
-    load = np.stack([windows.first([b.load for b in bodies]), windows.first(rates)])
-    state = _Moving(arm, effects, start, load)
+    behind = _behind(arm, effects, pairs, windows)
+    load = windows.first([body.load for body in bodies])
+    state = _Moving(arm, effects, start, load, behind)
     past = [e for e in effects if overrides(e, "resist")]
     state.bend([windows.first([e.torque(m, b) for m, b in pairs]) for e in past])
     return state
