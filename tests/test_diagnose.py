@@ -17,7 +17,7 @@ from hybrid.diagnose.candidates import candidate, mere, prompt
 from hybrid.diagnose.contacts import Contacts, witnessed
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.diagnosis import Shrink
-from hybrid.diagnose.explanation import Explanation, between, split
+from hybrid.diagnose.explanation import Explanation, between, explain, split
 from hybrid.diagnose.findings import alternatives
 from hybrid.diagnose.gap import measure_gap, simulated_torque
 from hybrid.diagnose.refine import shape_steps
@@ -25,6 +25,7 @@ from hybrid.diagnose.refit import refit
 from hybrid.diagnose.shapes import nudges, shape_units
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.dynamics import RigidBody
+from hybrid.effects import effect_classes
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact
@@ -34,6 +35,7 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.encoder_eccentricity import EncoderEccentricity
 from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.payload import LinkInertia, Payload
+from hybrid.effects.saturation import Saturation
 from hybrid.effects.spring import Spring
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
@@ -735,6 +737,26 @@ class TestCause:
         rng = np.random.default_rng(0)
         useful = UNSEEN.useful_terms(scored, result.account, rng)
         assert useful == (list(scored.terms) if kept else [])
+
+    @pytest.mark.parametrize("often", [True, False])
+    def test_one_event_is_no_law(self, often):
+        """Any fits it; that of a drive at its limit fits a knock."""
+        robot, recordings = logs([])
+        limit = 0.95 * max(np.abs(x.tau[:, 0]).max() for x in recordings[:3])
+        law = Saturation((0,), {"loss": 0.5, "limit": 0.3 * limit if often else limit})
+        worn = []
+        for x in recordings:
+            lost = law.torque(measure_gap(robot, [x]).motions[0], None)
+            worn.append(replace(x, tau=x.tau + np.pad(lost, ((0, 0), (0, 1)))))
+        gap = measure_gap(robot, worn)
+        learn = split(gap)
+        search = Search(gap, learn, without=list(effect_classes()))
+        search.terms = [search.term(candidate(gap, law))]
+        scored = explain(gap, search, learn)
+        found = VERIFY.account(gap, search, thresholds())
+        rng = np.random.default_rng(0)
+        useful = UNSEEN.useful_terms(scored, found, rng)
+        assert useful == (search.terms if often else [])
 
 
 class TestSilence:

@@ -142,11 +142,11 @@ class Prospects:
     """
 
     def __init__(self, result: Result, menu: Menu) -> None:
-        self._gap, self._menu = result.gap, menu
+        self._gap, self._menu = result.scored.gap, menu
         self._tried = shapes_of(result.search)
         self._noise = result.search.evidence.noise
         rows = result.search.evidence.rows
-        self._recorded = Along(coarse(result.gap), self._noise, rows)
+        self._recorded = Along(coarse(self._gap), self._noise, rows)
         self._known: dict[Experiment, Outlook] = {}
 
     def about(self, joint: int, *, warm: bool) -> list[Experiment]:

@@ -4,13 +4,15 @@ A loop that steps and then logs writes the position after a step beside the torq
 the instant before it. And an implicit step feels a servo's damping at the speed that
 it arrives at, while the torque it reports is that of the speed it left from: over a
 step h the report is too high by ``h k_d a``. Both are the log's, not the arm's, and are
-taken back where most joints agree on them.
+taken back where most joints agree on them. So is torque that is late by a time which is
+no step, as if stamped by another clock; but that is a cause, and is named.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -37,6 +39,10 @@ _OPEN = 0.1  # s, and seconds of a servo's damping: the same of what is asked fo
 _TELLING = 0.2  # standard deviation of a joint's answer, of what it may be
 _AGREES = 0.5  # of what it may be
 _FEWEST, _MOST = 2, 0.6  # of the joints that tell, at least; and that part
+_NEAR = 0.15  # of a time that all joints share; a step that is farther off is not it
+_SURE = 4.0  # standard deviations
+_PROMPT = 1e-3  # s; less than that, or than most of a sample, no log is late by
+_PASSES = 2  # of finding a time: the first takes torque to change evenly over it
 
 
 @dataclass(frozen=True)
@@ -46,19 +52,28 @@ class Convention:
     Attributes:
         late: Torque is of so much before the position, [s].
         step: Step h over which the report leaves out the servo's damping, [s].
+        std: Standard deviation of ``late``, [s], if it is no step of a loop but a
+            cause: torque and position stamped by different clocks.
     """
 
     late: float = 0.0
     step: float = 0.0
+    std: float = 0.0
 
     def __bool__(self) -> bool:
         return self.late > 0 or self.step > 0
+
+    @property
+    def clocks(self) -> bool:
+        """Whether torque is late by a time that is no step of a loop."""
+        return self.std > 0
 
     def in_step(self, log: Recording | Motion) -> Recording | Motion:
         """A log with the torque, and the command, of the instant of each position."""
         if not self.late:
             return log
-        if isinstance(log, Motion) or log.command is None:
+        # Which clock stamps commands is not known.
+        if isinstance(log, Motion) or log.command is None or self.clocks:
             return replace(log, tau=self._later(log.t, log.tau))
         command = self._later(log.t, log.command)
         return replace(log, tau=self._later(log.t, log.tau), command=command)
@@ -69,14 +84,20 @@ class Convention:
     def explicit(self, robot: Robot, motion: Motion) -> Motion:
         """A motion with the torque, and the speed of friction, that acted in a step."""
         taken = self.step * np.nan_to_num(robot.kd) * motion.a
-        v = motion.v + max(self.late, self.step) / 2 * motion.a
+        ahead = self.step if self.clocks else max(self.late, self.step)
+        v = motion.v + ahead / 2 * motion.a
         return replace(motion, tau=motion.tau - taken, v=v)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was taken back, in words."""
         found = []
-        if self.late:
+        if self.clocks:
+            found.append(
+                f"torque is logged {1e3 * self.late:.3g} ms late at every joint: what "
+                "else is said is of the log without that"
+            )
+        elif self.late:
             found.append(
                 f"torque is logged {1e3 * self.late:.3g} ms late at every joint, as by "
                 "a simulation that steps before it logs: taken back"
@@ -89,17 +110,21 @@ class Convention:
         return tuple(found)
 
 
-def find_convention(gap: Gap, recordings: Sequence[Recording | Motion]) -> Convention:
+def find_convention(
+    gap: Gap, recordings: Sequence[Recording | Motion], *, clocks: bool = True
+) -> Convention:
     """What most joints agree on, of the few ways in which a loop may log.
 
     Args:
         gap: The gap with the log taken at its word.
         recordings: What it was measured from.
+        clocks: Whether torque and position may be stamped by different clocks.
     """
     robot = gap.robot
     shortest = min(float(m.t[-1] - m.t[0]) for m in gap.motions)
     lower = max(_LOWER * gap.cutoff, FEWEST_PERIODS / shortest)
-    gap = measure_gap(robot, recordings, cutoff=lower)
+    measured = partial(measure_gap, robot, cutoff=lower)
+    gap = measured(recordings)
     joints = [j for j in range(robot.size) if gap.moving[:, j].any()]
     if not joints:
         return Convention()
@@ -112,7 +137,19 @@ def find_convention(gap: Gap, recordings: Sequence[Recording | Motion]) -> Conve
         step = step or _agreed(*rotors, steps)
     if step and _carries(gap, joints):
         step = 0.0
-    return Convention(late, step)
+    found = Convention(late, step)
+    time, std = _shared(*ages) if clocks else (0.0, 0.0)
+    least = max(_PROMPT, (1.0 - _NEAR) / gap.motions[0].rate)
+    usual = any(abs(time - x) < max(_SURE * std, _NEAR * x) for x in steps)
+    if time < least or usual:
+        return found
+    for _ in range(_PASSES - 1):
+        found = Convention(time, step, std)
+        shifted = measured([found.in_step(x) for x in recordings])
+        (left, own), _ = _answers(shifted, joints, kd, loaded=True)
+        more, std = _mean(left, own)
+        time += more
+    return Convention(time, step, std)
 
 
 def _carries(gap: Gap, joints: Sequence[int]) -> bool:
@@ -195,3 +232,23 @@ def _agreed(value: Array, std: Array, steps: Sequence[float]) -> float:
         if agree.sum() >= max(_FEWEST, _MOST * telling.sum()):
             return step
     return 0.0
+
+
+def _shared(value: Array, std: Array) -> tuple[float, float]:
+    """A time that all joints share which can tell, and its deviation, [s].
+
+    Zero if they are late by different times, or not surely late.
+    """
+    time, spread = _mean(value, std)
+    telling = std < _TELLING * abs(time)
+    off = np.abs(value - time) < np.maximum(_SURE * std, _NEAR * time)
+    few = telling.sum() < min(_FEWEST + 1, len(value)) or len(value) < _FEWEST
+    if few or time < _SURE * spread or not off[telling].all():
+        return 0.0, 0.0
+    return time, spread
+
+
+def _mean(value: Array, std: Array) -> tuple[float, float]:
+    """Mean by certainty, and its standard deviation."""
+    weight = std**-2.0
+    return float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)

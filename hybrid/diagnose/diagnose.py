@@ -10,6 +10,7 @@ import numpy as np
 
 from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.clocks import clocks_apart
 from hybrid.diagnose.command import Link, command_link
 from hybrid.diagnose.convention import find_convention
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
@@ -33,6 +34,7 @@ from hybrid.diagnose.unseen import (
 )
 from hybrid.diagnose.verify import Account, account, check
 from hybrid.diagnose.visited import not_excited
+from hybrid.effects.delay import Delay
 from hybrid.recording import Recording, unbroken
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
@@ -105,11 +107,16 @@ def examine(
     recordings = since_first(_without_holes(recordings))
     tell("measuring the gap")
     gap = measure_gap(robot, recordings, cutoff=cutoff)
-    logged = find_convention(gap, recordings)
+    logged = find_convention(gap, recordings, clocks=Delay.id not in without)
+    as_logged = gap
     if logged:
-        recordings = [logged.in_step(x) for x in recordings]
+        read, recordings = recordings, [logged.in_step(x) for x in recordings]
         explicit = partial(logged.explicit, robot)
-        gap = measure_gap(robot, recordings, cutoff=cutoff, correct=explicit)
+        gap = as_logged = measure_gap(
+            robot, recordings, cutoff=cutoff, correct=explicit
+        )
+        if logged.clocks:
+            as_logged = measure_gap(robot, read, cutoff=gap.cutoff, correct=explicit)
     learn = split(gap)
     tell("trying every effect at every joint")
     search = Search(gap, learn, without=without)
@@ -141,6 +148,11 @@ def examine(
         kinds |= more
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
+    if logged.clocks and not foreign:
+        clocks = clocks_apart(as_logged, scored, logged, rng)
+        causes = clocks.beside(causes)
+        effects = (*effects, *clocks.effects)
+        found = replace(found, before=found.before + clocks.squares)
     verdict, unexplained = _verdict(found, causes, limits, left_unseen(found, scored))
     if (left := left_somewhere(found, scored)) and verdict == "explained":
         verdict = "partly_explained"
@@ -152,21 +164,20 @@ def examine(
     if too_little(gap):
         verdict, unexplained = "not_excited", 1.0
     diagnosis = replace(
-        _diagnosis(gap, search, found, causes, verdict, unexplained),
+        _diagnosis(as_logged, search, found, causes, verdict, unexplained),
         warnings=(*gap.notes, *logged.notes, *doubts),
     )
     tell("finding where the gap lies")
     if verdict != "not_excited":
-        where = locate(gap, np.array(diagnosis.noise_floor), rng)
+        where = locate(as_logged, np.array(diagnosis.noise_floor), rng)
         diagnosis = replace(diagnosis, where=where)
     link = Link()
     if verdict != "not_excited" and not foreign:
         tell("asking whether torque follows the command")
-        reported = [t.place[1] for t in search.terms if t.candidate.effect.reports]
-        distorted = {j for joints in reported for j in joints}
+        distorted = {j for e in effects if e.reports for j in e.joints}
         link = command_link(gap, recordings, rng, without=without, distorted=distorted)
-        diagnosis = joined(diagnosis, found, gap, link, rng)
-    return Result(diagnosis, gap, search, scored, found, effects, link.effects)
+        diagnosis = joined(diagnosis, found, as_logged, link, rng)
+    return Result(diagnosis, as_logged, search, scored, found, effects, link.effects)
 
 
 def since_first(

@@ -160,7 +160,19 @@ def torque_shrink(
     Both sides have the corrected background and the other terms, so that the fall is
     due to these terms. Joints add up in units of N·m.
     """
-    without = scored.left(scored.without(*members))
+    return fall(scored, scored.left(scored.without(*members)), rng)
+
+
+def fall(
+    scored: Explanation, without: Sequence[Array], rng: np.random.Generator
+) -> Shrink:
+    """Torque gap as it is without something, and with all that was found.
+
+    Args:
+        scored: What was found.
+        without: Residual of each joint without it, [N·m].
+        rng: Draws of the bootstrap.
+    """
     joints = [
         i
         for i, (x, y) in enumerate(zip(without, scored.after, strict=True))

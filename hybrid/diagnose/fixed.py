@@ -95,7 +95,7 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
     """
     if not result.effects:
         return result.gap.robot, ()
-    _, solution, _ = solve_all(result.gap, result.search)
+    _, solution, _ = solve_all(result.scored.gap, result.search)
     rigid = len(result.search.background)
     scored: Explanation = result.scored
     return corrected(scored, result.effects, solution.gains[:rigid])

@@ -21,6 +21,7 @@ from hybrid.diagnose.diagnosis import Shrink
 from hybrid.diagnose.explanation import Explanation, between, split
 from hybrid.diagnose.simulator import corrected, scored_effects
 from hybrid.effects import Effect
+from hybrid.effects.delay import Delay
 from hybrid.plant.rollout import Windows, rollout
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
@@ -153,6 +154,7 @@ def motion_shrink(
     rng: np.random.Generator,
     *,
     horizon: float = _USUAL,
+    late: Sequence[Delay] = (),
 ) -> Shrink | None:
     """Motion error with everything but some terms, and with them, where they act.
 
@@ -161,6 +163,7 @@ def motion_shrink(
         members: Indices of the terms; all of them for what they do together.
         rng: Draws of the bootstrap.
         horizon: One of ``HORIZONS``, [s].
+        late: By how much the log's torque was late before all else: no terms.
 
     Returns:
         Median of the RMS over joints and time, [rad], before and after, over the
@@ -172,9 +175,14 @@ def motion_shrink(
     if not replay.has(horizon):
         return None
     joints, pick = _main_joints(replay, members), replay.where(members, horizon)
+    without = replay.squares(replay.all_terms - set(members))
+    if late:
+        joints, pick = [j for e in late for j in e.joints], replay.fit(horizon)
+        again = [e.at({"time": -e.values["time"]}) for e in late]
+        without = replay.squares_of([*replay.effects, *again])
     before, after = (
-        replay.error(replay.squares(terms), joints, horizon)[pick]
-        for terms in (replay.all_terms - set(members), replay.all_terms)
+        replay.error(squares, joints, horizon)[pick]
+        for squares in (without, replay.squares(replay.all_terms))
     )
     blocks = replay.blocks(pick, horizon)
     draws = [_removed(before[drawn], after[drawn]) for drawn in _resampled(blocks, rng)]

@@ -14,6 +14,7 @@ from hybrid.diagnose.motion import (
     step_warning,
 )
 from hybrid.diagnose.result import Result
+from hybrid.effects.delay import Delay
 from hybrid.errors import EffectError
 
 _LOST = 1.0  # rad; a replay that is so far off tells nothing
@@ -34,6 +35,9 @@ def replayed(
 ) -> Result:
     """A result with the gap in motion: the simulator replayed from measured states.
 
+    What lies between motor and link, or is of clocks, explains nothing if the simulator
+    with it moves less like the arm.
+
     Args:
         result: A diagnosis in torque.
         rng: Draws of the bootstrap.
@@ -45,15 +49,18 @@ def replayed(
     diagnosis = result.diagnosis
     replay, found = Replay(result.scored), []
     notes: list[str] = []
+    denied = 0.0
     lost: list[str] = []
     unseen: list[str] = []
     try:
         for f in diagnosis.findings:
             members = result.scored.members(f.effect)
             once = result.scored.where_seen(members) is not result.scored
+            late = [e for e in result.effects if isinstance(e, Delay)]
+            late = late if f.effect == Delay.id and not members else []
             # A replay is driven by torque: what lies before it plays no part.
-            apart = once or not members
-            shrink = None if apart else motion_shrink(replay, members, rng)
+            apart = not late and (once or not members)
+            shrink = None if apart else motion_shrink(replay, members, rng, late=late)
             if shrink is None:
                 unseen += [] if apart else [f.effect]
             elif shrink.after >= _LOST:
@@ -64,6 +71,7 @@ def replayed(
             if f.effect in _IN_MOTION and any(
                 rollout_agrees(replay, k, rng) is False for k in members
             ):
+                denied += f.share
                 notes.append(
                     f"{f.effect} explains torque, but the simulator with it does not "
                     "move more like the arm: do not take it for the cause"
@@ -77,6 +85,9 @@ def replayed(
     if unseen:
         notes.append(_NO_REPLAY.format(", ".join(unseen)))
     notes += [halved] if halved else []
+    if denied and diagnosis.verdict == "explained":
+        left = max(diagnosis.unexplained, min(denied, 1.0))
+        diagnosis = replace(diagnosis, verdict="partly_explained", unexplained=left)
     diagnosis = replace(
         diagnosis,
         findings=tuple(found),

@@ -18,7 +18,7 @@ class Result:
 
     Attributes:
         diagnosis: The answer.
-        gap: The gap.
+        gap: The gap, with the log taken at its word where torque in it is late.
         search: The search, with the terms that may be named.
         scored: The same terms on samples that no step has seen.
         account: What is explained and missed, joint by joint.

@@ -10,6 +10,7 @@ from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.findings import torque_shrink
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.verify import Account
+from hybrid.effects.contact import Contact
 
 _SMALLEST = 0.001  # of the measured torque, RMS
 _LEAST_GAP = 0.002  # the same: two solvers differ by as much
@@ -26,6 +27,7 @@ _MOST_LEFT = 0.8  # of the gap on unseen motions, where a term acts
 _LARGE = 0.1  # of a joint's torque, RMS: a gap that an explanation has to explain
 _MOST_LEFT_ONCE = 0.5  # the same if it does not act in these motions
 _AS_LARGE = 0.1  # mean squares left there over those of what a term does
+_AT_ONCE = 0.95  # of a term's squares, within one second
 
 
 def useful_terms(
@@ -36,7 +38,8 @@ def useful_terms(
     Two effects of one joint may each seem to help, and only undo one another. Of what
     is large where it was learnt, few unseen seconds prove nothing unless they are sure.
     Nor is a cause what leaves nearly all of the gap on such motions where it acts, or
-    what happened only once and the gap is there without it.
+    what happened only once and the gap is there without it; or what happened only once
+    and at once, unless it is of such a kind: one event fits any law.
 
     Args:
         scored: The terms on motions that no step has seen.
@@ -58,6 +61,7 @@ def useful_terms(
             if seen is not scored:
                 if left > _MOST_LEFT_ONCE and _as_large(scored, seen, members, joints):
                     useless |= {*members}
+                useless |= {k for k in members if _is_event(seen, k)}
                 continue
             shrink = torque_shrink(scored, members, rng)
             if not enough and _large(scored.learnt, members, rng):
@@ -87,6 +91,17 @@ def _where(scored: Explanation, members: Sequence[int]) -> list[int]:
     for k in members:
         squares += [float(x @ x) for x in seen.contribution(k)] / seen.evidence.noise
     return [i for i, x in enumerate(squares) if x > _MAIN * squares.max()]
+
+
+def _is_event(seen: Explanation, k: int) -> bool:
+    """Whether a term, which is not of such a kind, acts within one second only."""
+    if seen.terms[k].place[0] == Contact.id:
+        return False
+    parts, noise = seen.contribution(k), seen.evidence.noise
+    weights = np.concatenate([x**2 / s for x, s in zip(parts, noise, strict=True)])
+    blocks = np.concatenate([seen.blocks(i) for i in range(len(parts))])
+    squares = np.bincount(blocks, weights)
+    return bool(squares.max(initial=0.0) > _AT_ONCE * squares.sum())
 
 
 def _as_large(

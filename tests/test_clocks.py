@@ -1,0 +1,92 @@
+"""Torque stamped by another clock than position: late at every joint alike."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import arm
+from test_convention import EULER, STEP, raw_logs
+
+from hybrid.diagnose.convention import find_convention
+from hybrid.diagnose.diagnose import examine
+from hybrid.diagnose.fixed import MODEL, write_fixed
+from hybrid.diagnose.gap import measure_gap
+from hybrid.diagnose.replayed import replayed
+from hybrid.effects.delay import Delay
+from hybrid.effects.nonlinear_viscous import NonlinearViscous
+from hybrid.identify import DynamicModel
+
+TIME = 0.007
+GRIP = NonlinearViscous((2,), {"quadratic": 6.0})
+
+
+def late_logs(time=TIME, rubs=False):
+    """Logs of a loop of MuJoCo's own, whose torque is late; with friction, or not."""
+    robot, logs = raw_logs("coman_like", EULER, False)
+    found = []
+    for x in logs:
+        tau = x.tau.copy()
+        if rubs:
+            v = np.gradient(x.q[:, 2], x.t)
+            tau[:, 2] += GRIP.values["quadratic"] * v * np.abs(v)
+        tau = np.stack([np.interp(x.t - time, x.t, y) for y in tau.T], axis=1)
+        found.append(replace(x, tau=tau, command=None))
+    return robot, found
+
+
+@pytest.mark.parametrize("time", [1.4 * STEP, TIME, 0.015])
+def test_a_time_that_all_joints_share_is_measured(time):
+    robot, logs = late_logs(time)
+    found = find_convention(measure_gap(robot, logs), logs)
+    assert found.clocks
+    assert found.late == pytest.approx(time, abs=max(4 * found.std, 0.03 * time))
+    off = find_convention(measure_gap(robot, logs), logs, clocks=False)
+    assert not off.clocks
+
+
+@pytest.mark.parametrize("rubs", [False, True])
+def test_it_is_named_at_every_joint_with_whatever_else_is_there(rubs, tmp_path):
+    """What else is there is late as well, so that it has to come first."""
+    robot, logs = late_logs(rubs=rubs)
+    result = replayed(examine(robot, logs), np.random.default_rng(0))
+    diagnosis = result.diagnosis
+    named = {f.effect: f for f in diagnosis.findings}
+    assert set(named) == {"delay"} | ({GRIP.id} if rubs else set())
+    assert diagnosis.verdict == "explained"
+    late = named["delay"]
+    assert late.joints == robot.joints
+    assert sum(f.share for f in diagnosis.findings) == pytest.approx(1.0)
+    assert 0 < late.share <= 1 - 0.05 * rubs
+    for value in late.parameters:
+        assert value.interval[0] < TIME < value.interval[1]
+    torque, motion = late.shrink["torque"], late.shrink["motion"]
+    assert torque.interval[0] > 0
+    assert motion.removed > 0.5
+    # The gap that is told is that of the log as it is.
+    as_logged = measure_gap(robot, logs, cutoff=result.scored.gap.cutoff)
+    moving = as_logged.moving
+    rms = np.sqrt(np.sum(np.where(moving, as_logged.left, 0) ** 2, 0) / moving.sum(0))
+    np.testing.assert_allclose(diagnosis.rms, rms, rtol=1e-6)
+    write_fixed(result, tmp_path)
+    written = DynamicModel.load(tmp_path / MODEL).effects
+    assert sorted(e.joints[0] for e in written if e.id == Delay.id) == [*range(6)]
+    if rubs:
+        (value,) = (x for x in named[GRIP.id].parameters if x.name == "quadratic")
+        assert value.interval[0] < GRIP.values["quadratic"] < value.interval[1]
+
+
+def test_it_is_not_named_where_the_library_lacks_it():
+    robot, logs = late_logs()
+    result = examine(robot, logs, without=[Delay.id])
+    assert not any(e.id == Delay.id for e in result.effects)
+    assert all(f.effect != Delay.id for f in result.diagnosis.findings)
+
+
+def test_joints_that_are_late_by_different_times_share_none():
+    robot, logs = arm("coman_like"), []
+    _, plain = late_logs(0.0)
+    for x in plain:
+        times = 0.004 * np.arange(1, 7)
+        tau = [np.interp(x.t - s, x.t, y) for s, y in zip(times, x.tau.T, strict=True)]
+        logs.append(replace(x, tau=np.stack(tau, axis=1)))
+    assert not find_convention(measure_gap(robot, logs), logs)
