@@ -22,6 +22,7 @@ from hybrid.diagnose.findings import alternatives
 from hybrid.diagnose.gap import measure_gap, simulated_torque
 from hybrid.diagnose.refine import shape_steps
 from hybrid.diagnose.refit import refit
+from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.shapes import nudges, shape_units
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.dynamics import RigidBody
@@ -44,6 +45,7 @@ from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.plant import Noise, Plant, Reference, random_fourier, simulate
 from hybrid.recording import Recording
+from hybrid.report.diagnosis_text import verdict_lines
 from hybrid.robot import Robot
 from hybrid.signals import butterworth
 
@@ -1087,3 +1089,29 @@ class TestMakeshifts:
         assert finding.parameters[0].value == pytest.approx(0.0007, rel=0.15)
         blind = examine(robot, recordings, without=["backlash"]).diagnosis
         assert blind.verdict == "unexplained" and blind.findings == ()
+
+
+def test_units_are_those_of_a_joint_that_slides(tmp_path):
+    """Friction of a lift is a force, and the replay misses it by metres."""
+    path = tmp_path / "lift.xml"
+    path.write_text(
+        "<mujoco><compiler angle='radian'/><worldbody>"
+        "<body><inertial mass='4' pos='0.2 0 0' diaginertia='.05 .2 .2'/>"
+        "<joint name='turn' axis='0 0 1' armature='0.2' range='-2 2'/>"
+        "<body pos='0.4 0 0'><inertial mass='3' pos='0 0 0' diaginertia='.1 .1 .1'/>"
+        "<joint name='lift' type='slide' axis='0 0 1' armature='2' range='-.3 .3'/>"
+        "</body></body></worldbody></mujoco>"
+    )
+    robot = Robot.load(path)
+    plant = Plant(robot, [Viscous((1,), {"coefficient": 40.0})], nominal=robot)
+    recordings = simulate(plant, trajectories=4, duration=6.0, seed=1)
+    result = replayed(examine(robot, recordings), np.random.default_rng(0))
+    (finding,) = result.diagnosis.findings
+    (value,) = finding.parameters
+    assert value.unit == "N·s/m"
+    assert value.interval[0] < 40.0 < value.interval[1]
+    assert {k: s.unit for k, s in finding.shrink.items()} == {
+        "torque": "N", "motion": "m",
+    }  # fmt: skip
+    assert result.diagnosis.units == ("N·m", "N")
+    assert "\u00a0N (noise" in "\n".join(verdict_lines(result.diagnosis))

@@ -96,7 +96,7 @@ class TestPage:
 
     def test_motion_advice_warnings_and_limits_are_shown_where_there_are_some(self):
         first, *rest = planar().diagnosis.findings
-        motion = Shrink(0.012, 0.003, 0.75, (-0.01, 0.8), 0.5)
+        motion = Shrink(0.012, 0.003, 0.75, (-0.01, 0.8), 0.5, "rad")
         moved = replace(first, shrink={**first.shrink, "motion": motion})
         advice = Advice("a velocity ladder", ("stribeck", "coulomb"), 14.2, "next.csv")
         words = plain(
@@ -117,7 +117,7 @@ class TestPage:
         assert "the clock jumps" in words and "elbow above 3 rad/s" in words
 
     def test_a_gap_that_grows_is_said_to_be_more(self):
-        grown = Shrink(0.01, 0.033, -2.3, (-5.9, 0.4), 0.5)
+        grown = Shrink(0.01, 0.033, -2.3, (-5.9, 0.4), 0.5, "rad")
         words = shrink_sentence("motion", grown).replace("\u00a0", " ")
         assert words.endswith("0.033 rad, 230% more (95% interval −40 to 590%)")
 

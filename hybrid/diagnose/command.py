@@ -18,6 +18,7 @@ from hybrid.diagnose.findings import listed, values
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.servo import FEWEST, Law, ServoLog, laws, servo_logs
 from hybrid.diagnose.servo_fit import WORTH, Fit, at_once, blur, evidence, fit
+from hybrid.diagnose.units import units
 from hybrid.effects import Effect
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
@@ -303,7 +304,8 @@ def _shrink(
     before, after = np.sqrt(squares.sum(axis=1) / count).tolist()
     low, high = np.quantile(1 - np.sqrt(draws[1] / draws[0]), [0.025, 0.975])
     interval = (float(low), float(high)) if size > 1 else (0.0, 1.0)
-    return Shrink(before, after, 1 - after / before, interval)
+    unit = units(gap.robot, [s.joint for s in servos])[1]
+    return Shrink(before, after, 1 - after / before, interval, unit=unit)
 
 
 def _excess(gap: Gap, servos: Sequence[_Servo]) -> Array:

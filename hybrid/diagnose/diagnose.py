@@ -26,6 +26,7 @@ from hybrid.diagnose.result import Result
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.threads import one_thread
 from hybrid.diagnose.thresholds import Thresholds, thresholds
+from hybrid.diagnose.units import units
 from hybrid.diagnose.unseen import (
     left_somewhere,
     left_unseen,
@@ -304,5 +305,6 @@ def _diagnosis(
         verdict=verdict,
         unexplained=unexplained,
         background=search.off,
+        units=tuple(units(gap.robot, [j])[1] for j in range(gap.robot.size)),
         not_excited=not_excited(gap),
     )

@@ -66,6 +66,7 @@ class Shrink:
         removed: 1 − after/before.
         interval: 95 % interval of ``removed``, over blocks of time.
         horizon_s: Length of the replay, [s]; nothing for torque.
+        unit: Of both; as at turning joints where some slide.
     """
 
     before: float
@@ -73,6 +74,7 @@ class Shrink:
     removed: float
     interval: Interval
     horizon_s: float | None = None
+    unit: str = "N·m"
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ class Finding:
         alternatives: Ids that explain the recordings as well, itself first.
         share: Its part of what is explained (Shapley), 0 to 1.
         parameters: What was fitted.
-        shrink: The gap in ``torque`` [N·m] and in ``motion`` [rad] at its joints,
+        shrink: The gap in ``torque`` and in ``motion`` at its joints,
             before and after.
         sentence: What it means, in plain words.
         remedy: What can be done about it.
@@ -125,15 +127,16 @@ class Diagnosis:
     Attributes:
         robot: Name of the simulator.
         joints: Its joints.
-        rms: Gap of each joint as the simulator stands, [N·m].
+        rms: Gap of each joint as the simulator stands, in :attr:`units`.
         relative: The same over the RMS of measured torque.
-        noise_floor: What no model could remove, [N·m].
+        noise_floor: What no model could remove, in the same.
         where: Parts of the gap, largest first.
         findings: Effects, largest share first.
         verdict: What it comes to.
         unexplained: Share of the explainable gap that no finding explains.
         background: How far off the simulator's own numbers are everywhere, as one
             standard deviation.
+        units: N·m or N, by joint.
         not_excited: What the recordings cannot tell.
         advice: What to run next.
         warnings: What a user should know.
@@ -150,6 +153,7 @@ class Diagnosis:
     verdict: Verdict
     unexplained: float
     background: float
+    units: tuple[str, ...] = ()
     not_excited: tuple[str, ...] = ()
     advice: tuple[Advice, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -165,6 +169,7 @@ class Diagnosis:
                 "rms": list(self.rms),
                 "relative": list(self.relative),
                 "noise_floor": list(self.noise_floor),
+                "units": list(self.units),
             },
             "where": [_region(r) for r in self.where],
             "findings": [_finding(f) for f in self.findings],

@@ -15,6 +15,7 @@ from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.reversals import vanishes
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds
+from hybrid.diagnose.units import unit_at, units
 from hybrid.effects import Effect
 from hybrid.effects.asymmetric_friction import AsymmetricFriction
 from hybrid.effects.torque_offset import TorqueOffset
@@ -195,6 +196,7 @@ def fall(
         float(np.sqrt(after.sum() / max(count, 1))),
         removed,
         (float(low), float(high)),
+        unit=units(scored.gap.robot, main)[1],
     )
 
 
@@ -248,7 +250,10 @@ def values(gap: Gap, effect: Effect) -> list[Value]:
         if half > 0 and x in effect.shapes:
             bounds = x.scaled(scale)
             low, high = max(low, bounds.lower), min(high, bounds.upper)
-        values.append(Value(joint, x.name, value, x.unit, (low, high)))
+        unit = x.unit
+        if effect.scope != "arm":
+            unit = unit_at(gap.robot, _where(effect), unit)
+        values.append(Value(joint, x.name, value, unit, (low, high)))
     return values
 
 

@@ -12,6 +12,7 @@ from scipy.stats import norm
 from hybrid.diagnose.diagnosis import Region
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.products import Index
+from hybrid.diagnose.units import units
 from hybrid.robot.chain import Array
 
 TORQUE_TO_MOTION = "torque to motion"
@@ -183,7 +184,7 @@ def _variables(
 ) -> Iterator[tuple[str, str, Array, Array]]:
     """Name, unit, values at the samples and edges of bins of each variable."""
     m = gap.sampled
-    angle, force = ("rad", "N·m") if gap.robot.chain.revolute[i] else ("m", "N")
+    angle, force = units(gap.robot, [i])
     speed = np.abs(m.v[rows, i])
     since = time_since_reversal(gap, i)[rows]
     one = np.array([0.0, 1.0])

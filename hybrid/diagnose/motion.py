@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from hybrid.diagnose.diagnosis import Shrink
 from hybrid.diagnose.explanation import Explanation, between, split
 from hybrid.diagnose.simulator import corrected, scored_effects
+from hybrid.diagnose.units import units
 from hybrid.effects import Effect
 from hybrid.effects.delay import Delay
 from hybrid.plant.rollout import Windows, rollout
@@ -193,6 +194,7 @@ def motion_shrink(
         _removed(before, after),
         (float(low), float(high)),
         horizon,
+        units(replay.scored.gap.robot, joints)[0],
     )
 
 

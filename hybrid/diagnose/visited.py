@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.units import units
 from hybrid.robot.chain import Array
 
 _STILL = 0.005  # rad; what a joint at rest seems to move, by noise and servo
@@ -36,7 +37,7 @@ def not_excited(gap: Gap) -> tuple[str, ...]:
 
 def _missing(gap: Gap, i: int) -> Iterator[tuple[int, str]]:
     """What joint i does not visit, with a rank."""
-    name, unit = gap.robot.joints[i], "rad" if gap.robot.chain.revolute[i] else "m"
+    name, (unit, _) = gap.robot.joints[i], units(gap.robot, [i])
     usable = gap.sampled.mask
     q, v = gap.sampled.q[usable, i], gap.sampled.v[usable, i]
     if q.size == 0 or np.ptp(q) < _STILL:

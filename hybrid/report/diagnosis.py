@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
+from hybrid.diagnose.units import units
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report.diagnosis_curves import joint_curves, rms_table
@@ -92,7 +93,7 @@ def _overview(result: Result) -> list[dict[str, Any]]:
     return [
         {
             "joint": joint,
-            "unit": "N·m" if result.gap.robot.chain.revolute[i] else "N",
+            "unit": units(result.gap.robot, [i])[1],
             "rms": {k: number(row[k]) for k in row},
             "percent": number(100 * row["today"] / row["torque"])
             if row["torque"]

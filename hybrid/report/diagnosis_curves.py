@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.diagnose.units import units
 from hybrid.robot.chain import Array
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
         m.t, gap.trajectory, rows, [x.source for x in gap.motions]
     )
     spots = np.arange(0, len(rows), max(1, -(-len(rows) // MOST_POINTS)))
-    turn, force = ("rad", "N·m") if gap.robot.chain.revolute[i] else ("m", "N")
+    turn, force = units(gap.robot, [i])
     over = {
         "position": (m.q[rows, i], turn),
         "speed": (m.v[rows, i], f"{turn}/s"),

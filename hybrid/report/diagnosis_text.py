@@ -10,6 +10,7 @@ from hybrid.diagnose.diagnosis import Diagnosis, Finding, Region, Shrink, Value
 
 MOST_LINES = 10
 _ABOVE = 1.2  # times its noise: a joint with less of a gap is not worth a word
+_TORQUE = "N·m"
 _BOUND = "\u00a0"  # between a number and its unit
 
 
@@ -44,16 +45,20 @@ def verdict_lines(diagnosis: Diagnosis) -> list[str]:
 
 def _places(diagnosis: Diagnosis) -> Iterator[str]:
     """The joints that have a gap, widest over its noise first, and under what."""
-    gaps = zip(diagnosis.joints, diagnosis.rms, diagnosis.noise_floor, strict=True)
-    over = [(rms / max(noise, 1e-12), j, rms, noise) for j, rms, noise in gaps]
+    forces = diagnosis.units or (_TORQUE,) * len(diagnosis.joints)
+    gaps = zip(
+        diagnosis.joints, diagnosis.rms, diagnosis.noise_floor, forces, strict=True
+    )
+    over = [(rms / max(noise, 1e-12), j, rms, noise, u) for j, rms, noise, u in gaps]
     named = [
-        f"{joint} {number(rms)} (noise {number(noise)})"
-        for ratio, joint, rms, noise in sorted(over, reverse=True)
+        f"{joint} {number(rms)}{'' if unit == _TORQUE else _BOUND + unit} "
+        f"(noise {number(noise)})"
+        for ratio, joint, rms, noise, unit in sorted(over, reverse=True)
         if ratio > _ABOVE
     ]
     if diagnosis.verdict in ("no_gap", "not_excited") or not named:
         return
-    yield f"RMS gap in N·m: {_few(named, between=', ')}"
+    yield f"RMS gap in {_TORQUE}: {_few(named, between=', ')}"
     conditions = [r for r in diagnosis.where if r.variable != "link"]
     if conditions:
         first = conditions[0]
@@ -85,15 +90,14 @@ def _endings(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def shrink_sentence(kind: str, s: Shrink) -> str:
-    """How far a gap falls: of torque in N·m, of motion in rad."""
-    unit = "rad" if kind == "motion" else "N·m"
+    """How far a gap falls."""
     over = f" over {s.horizon_s:g} s" if s.horizon_s is not None else ""
     change: tuple[float, ...] = (s.removed, *s.interval)
     if s.removed < 0:
         change = (-s.removed, *(-x for x in reversed(s.interval)))
     size, low, high = (f"{100 * x:.0f}".replace("-", "−") for x in change)
     return (
-        f"{kind} gap{over} {number(s.before)} → {number(s.after)}{_BOUND}{unit}, "
+        f"{kind} gap{over} {number(s.before)} → {number(s.after)}{_BOUND}{s.unit}, "
         f"{size}% {'more' if s.removed < 0 else 'less'} (95% interval {low} to {high}%)"
     )
 
