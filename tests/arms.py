@@ -66,3 +66,13 @@ def random_states(n: int, samples: int, seed: int = 0) -> list[np.ndarray]:
     rng = np.random.default_rng(seed)
     q = rng.uniform(-np.pi, np.pi, (samples, n))
     return [q, *rng.normal(size=(2, samples, n)) * [[[2.0]], [[5.0]]]]
+
+
+LIFT = (
+    "<mujoco><compiler angle='radian'/><worldbody>"
+    "<body><inertial mass='4' pos='0.2 0 0' diaginertia='.05 .2 .2'/>"
+    "<joint name='turn' axis='0 0 1' armature='0.2' range='-2 2'/>"
+    "<body pos='0.4 0 0'><inertial mass='3' pos='0 0 0' diaginertia='.1 .1 .1'/>"
+    "<joint name='lift' type='slide' axis='0 0 1' armature='2' range='-.2 .2' "
+    "damping='35' frictionloss='8'/></body></body></worldbody></mujoco>"
+)

@@ -8,7 +8,7 @@ from unittest.mock import Mock
 import mujoco
 import numpy as np
 import pytest
-from arms import MODELS
+from arms import LIFT, MODELS
 from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from simulated import arm
 
@@ -1094,14 +1094,7 @@ class TestMakeshifts:
 def test_units_are_those_of_a_joint_that_slides(tmp_path):
     """Friction of a lift is a force, and the replay misses it by metres."""
     path = tmp_path / "lift.xml"
-    path.write_text(
-        "<mujoco><compiler angle='radian'/><worldbody>"
-        "<body><inertial mass='4' pos='0.2 0 0' diaginertia='.05 .2 .2'/>"
-        "<joint name='turn' axis='0 0 1' armature='0.2' range='-2 2'/>"
-        "<body pos='0.4 0 0'><inertial mass='3' pos='0 0 0' diaginertia='.1 .1 .1'/>"
-        "<joint name='lift' type='slide' axis='0 0 1' armature='2' range='-.3 .3'/>"
-        "</body></body></worldbody></mujoco>"
-    )
+    path.write_text(LIFT)
     robot = Robot.load(path)
     plant = Plant(robot, [Viscous((1,), {"coefficient": 40.0})], nominal=robot)
     recordings = simulate(plant, trajectories=4, duration=6.0, seed=1)

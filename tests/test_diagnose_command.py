@@ -5,6 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from arms import LIFT
 from simulated import arm
 
 from hybrid.diagnose.command import command_link
@@ -113,6 +114,21 @@ def test_a_coarse_encoder_is_no_wrong_gain(effect):
     coarse = [replace(r, q=step * np.round(r.q / step), v=None) for r in recordings]
     found = {f.effect for f in link_of(robot, coarse).findings}
     assert found <= ({effect.id} if effect else set())
+
+
+@pytest.mark.parametrize("noise", [5e-5, 1e-4])
+def test_noise_of_a_position_is_no_lack_of_damping_beside_a_shift(noise, tmp_path):
+    """Torque logged early makes up for damping; both together let less noise pass."""
+    path = tmp_path / "lift.xml"
+    path.write_text(LIFT)
+    plant = Plant(Robot.load(path), [], noise=Noise.none(2))
+    rng, noisy = np.random.default_rng(1), []
+    for x in simulate(plant, trajectories=2, duration=20.0, seed=3):
+        q = x.q + noise * rng.standard_normal(x.q.shape)
+        tau = x.tau + 0.003 * np.abs(x.tau).max(0) * rng.standard_normal(x.tau.shape)
+        noisy.append(replace(x, q=q, tau=tau, v=None))
+    gap = measure_gap(declared(plant), noisy, cutoff=12.9)
+    assert command_link(gap, noisy, np.random.default_rng(0)).findings == ()
 
 
 def test_intervals_of_gains_hold_the_truth():

@@ -184,6 +184,11 @@ def _examined(
             found.append(ControllerGain)
             scaled = fit(own, stated, prompt=False)
             same = evidence(own, scaled, whole) < WORTH
+        elif found:
+            # Less damping does what a late command undoes; of noise both let less pass.
+            thought = at_once(own, stated, fits[True, False])
+            if not _better(own, unseen, thought, fits[True, False]):
+                found = []
         if len(found) == 2:
             fits[False, False] = at_once(own, stated, whole)
     noise = float(whole.left @ whole.left) / len(own.row)

@@ -23,6 +23,7 @@ from hybrid.diagnose.gap import Columns, Gap, measure_gap
 from hybrid.diagnose.products import Index
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.delay import Delay
 from hybrid.effects.payload import Payload
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
@@ -42,6 +43,8 @@ _FEWEST, _MOST = 2, 0.6  # of the joints that tell, at least; and that part
 _NEAR = 0.15  # of a time that all joints share; a step that is farther off is not it
 _SURE = 4.0  # standard deviations
 _PROMPT = 1e-3  # s; less than that, or than most of a sample, no log is late by
+_OFTEN = 0.8  # of the folds
+_LATEST = Delay.gains[0].upper  # s
 _PASSES = 2  # of finding a time: the first takes torque to change evenly over it
 
 
@@ -79,14 +82,24 @@ class Convention:
         return replace(log, tau=self._later(log.t, log.tau), command=command)
 
     def _later(self, t: Array, x: Array) -> Array:
-        return np.stack([np.interp(t + self.late, t, y) for y in x.T], axis=1)
+        """Samples of a later time; those of the end, which has none, as they are."""
+        then = t + self.late
+        moved = np.stack([np.interp(then, t, y) for y in x.T], axis=1)
+        return np.where((then > t[-1])[:, None], x, moved)
 
     def explicit(self, robot: Robot, motion: Motion) -> Motion:
-        """A motion with the torque, and the speed of friction, that acted in a step."""
+        """A motion with the torque, and the speed of friction, that acted in a step.
+
+        Less the end that has no torque, if it is late.
+        """
+        missing = int(np.ceil(self.late * motion.rate))
+        mask = motion.mask.copy()
+        mask[: len(mask) - missing] &= motion.mask[missing:]
+        mask[len(mask) - missing :] = False
         taken = self.step * np.nan_to_num(robot.kd) * motion.a
         ahead = self.step if self.clocks else max(self.late, self.step)
         v = motion.v + ahead / 2 * motion.a
-        return replace(motion, tau=motion.tau - taken, v=v)
+        return replace(motion, tau=motion.tau - taken, v=v, mask=mask)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -141,7 +154,7 @@ def find_convention(
     time, std = _shared(*ages) if clocks else (0.0, 0.0)
     least = max(_PROMPT, (1.0 - _NEAR) / gap.motions[0].rate)
     usual = any(abs(time - x) < max(_SURE * std, _NEAR * x) for x in steps)
-    if time < least or usual:
+    if not least < time < _LATEST or usual or not _holds(gap, joints, kd):
         return found
     for _ in range(_PASSES - 1):
         found = Convention(time, step, std)
@@ -195,6 +208,31 @@ def _answers(
     Returns:
         Values and standard deviations of both.
     """
+    evidence, own = _asked(gap, joints, kd, loaded)
+    found = evidence.solve(np.arange(evidence.size))
+    value, std = found.gains[own], np.sqrt(np.diag(found.covariance)[own])
+    n, kd = len(joints), kd[kd > 0]
+    return (value[:n], std[:n]), (value[n:] / kd, std[n:] / kd)
+
+
+def _holds(gap: Gap, joints: Sequence[int], kd: Array) -> bool:
+    """Whether ages of torque found on other folds lower the squares of most of them.
+
+    What happens once may look like an age.
+    """
+    evidence, own = _asked(gap, joints, kd, loaded=True)
+    every, ages = np.arange(evidence.size), own[: len(joints)]
+    left = [
+        (evidence.squares(x, evidence.by_fold(x)) / evidence.noise[:, None]).sum(axis=0)
+        for x in (np.setdiff1d(every, ages), every)
+    ]
+    return bool(np.mean(left[1] < left[0]) >= _OFTEN)
+
+
+def _asked(
+    gap: Gap, joints: Sequence[int], kd: Array, loaded: bool
+) -> tuple[Evidence, Index]:
+    """Evidence for ages and rotors beside all else, and their columns."""
     robot, (evidence, _, beside) = gap.robot, _beside(gap, joints)
     servo = [j for j, k in zip(joints, kd, strict=True) if k > 0]
     # A rotor that the file lacks is no age of torque.
@@ -208,10 +246,7 @@ def _answers(
     open_ = np.array([*np.full(len(joints), _OPEN), *(_OPEN * kd)])
     own = np.concatenate(evidence.add(asked, list(open_[:, None])))
     evidence.estimate_noise(np.arange(evidence.size))
-    found = evidence.solve(np.arange(evidence.size))
-    value, std = found.gains[own], np.sqrt(np.diag(found.covariance)[own])
-    n = len(joints)
-    return (value[:n], std[:n]), (value[n:] / kd, std[n:] / kd)
+    return evidence, own
 
 
 def _older(gap: Gap, joint: int) -> Columns:

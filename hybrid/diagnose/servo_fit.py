@@ -120,7 +120,8 @@ def at_once(servo: ServoLog, choice: Sequence[Law], found: Fit) -> Fit:
 def blur(servo: ServoLog, found: Fit, rate: float, cutoff: float) -> float:
     """Part of the damping, at most, that noise of the speed hides.
 
-    A gain on a noisy signal comes out low by the noise in what only that signal tells.
+    A gain on a noisy signal comes out low by the noise in what only that signal tells,
+    and shifts in time may make up for the rest.
 
     Args:
         servo: Signals of a joint.
@@ -128,9 +129,15 @@ def blur(servo: ServoLog, found: Fit, rate: float, cutoff: float) -> float:
         rate: Samples per second, [Hz].
         cutoff: End of the signals' band, [Hz].
     """
-    X = servo.signals(found.late, found.shift) @ found.law.columns
-    at = 2 if found.law.scaled else 1
-    speed, rest = X[:, at], np.delete(X, at, axis=1)
+    A, law = servo.signals(found.late, found.shift), found.law
+    X, at = A @ law.columns, 2 if law.scaled else 1
+    speed, others = X[:, at], [np.delete(X, at, axis=1)]
+    if found.shift:
+        others.append(A[:, [SLOPE]])
+    if found.late:
+        change = servo.drift(found.late) @ (law.target - law.columns @ found.gains)
+        others.append(change[:, None])
+    rest = np.column_stack(others)
     own = speed - rest @ _least(rest, speed)
     noise = most_noise(speed, servo.row, rate, cutoff)
     return min(1.0, noise / max(float(own @ own) / len(own), 1e-300))
