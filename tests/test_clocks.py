@@ -15,6 +15,8 @@ from hybrid.diagnose.replayed import replayed
 from hybrid.effects.delay import Delay
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.identify import DynamicModel
+from hybrid.report.diagnosis import render_diagnosis
+from hybrid.report.diagnosis_curves import joint_curves
 
 TIME = 0.007
 GRIP = NonlinearViscous((2,), {"quadratic": 6.0})
@@ -67,6 +69,10 @@ def test_it_is_named_at_every_joint_with_whatever_else_is_there(rubs, tmp_path):
     moving = as_logged.moving
     rms = np.sqrt(np.sum(np.where(moving, as_logged.left, 0) ** 2, 0) / moving.sum(0))
     np.testing.assert_allclose(diagnosis.rms, rms, rtol=1e-3)  # but for the end
+    page = render_diagnosis(result)
+    assert "late at every joint was taken back before effects were tried" in page
+    curves = joint_curves(result, 0)["time"]
+    assert {"today", "after"} <= set(curves)
     write_fixed(result, tmp_path)
     written = DynamicModel.load(tmp_path / MODEL).effects
     assert sorted(e.joints[0] for e in written if e.id == Delay.id) == [*range(6)]

@@ -45,7 +45,6 @@ _SURE = 4.0  # standard deviations
 _PROMPT = 1e-3  # s; less than that, or than most of a sample, no log is late by
 _OFTEN = 0.8  # of the folds
 _LATEST = Delay.gains[0].upper  # s
-_PASSES = 2  # of finding a time: the first takes torque to change evenly over it
 
 
 @dataclass(frozen=True)
@@ -156,13 +155,12 @@ def find_convention(
     usual = any(abs(time - x) < max(_SURE * std, _NEAR * x) for x in steps)
     if not least < time < _LATEST or usual or not _holds(gap, joints, kd):
         return found
-    for _ in range(_PASSES - 1):
-        found = Convention(time, step, std)
-        shifted = measured([found.in_step(x) for x in recordings])
-        (left, own), _ = _answers(shifted, joints, kd, loaded=True)
-        more, std = _mean(left, own)
-        time += more
-    return Convention(time, step, std)
+    # That took torque to change evenly over the time; what is left of it is small.
+    shift = Convention(time, step, std)
+    shifted = measured([shift.in_step(x) for x in recordings])
+    (left, own), _ = _answers(shifted, joints, kd, loaded=True)
+    more, std = _mean(left, own)
+    return Convention(time + more, step, std)
 
 
 def _carries(gap: Gap, joints: Sequence[int]) -> bool:

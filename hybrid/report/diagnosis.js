@@ -183,7 +183,7 @@ function build(k) {
   const joint = joints[k], host = all(".joint")[k];
   make("h3", {}, host, `${joint.name}: gap over time`);
   const named = Object.keys(joint.time).map((name) => CURVES[name]);
-  if (named.length === 2) named[1] = ["its own numbers corrected", CURVES.after[1]];
+  if (!("after" in joint.time)) named[1] = [CURVES.corrected[0], CURVES.after[1]];
   const layers = Object.values(joint.time).map(
     (curve, i) => ({ ...curve, ink: named[i][1], hidden: named[i].length > 2 }));
   const add = (parent, options) => plots[k].push(new Plot(parent, options)) && plots[k].at(-1);

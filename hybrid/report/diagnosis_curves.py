@@ -49,8 +49,8 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
         "corrected": scored.before[i][order],
         "after": scored.after[i][order],
     }
-    if not scored.terms:
-        del left["corrected"]  # the same as after
+    if not scored.terms:  # both are the same
+        del left["corrected" if result.effects else "after"]
     t, marks = _one_after_another(
         m.t, gap.trajectory, rows, [x.source for x in gap.motions]
     )
