@@ -49,9 +49,9 @@ from hybrid.report.diagnosis_text import verdict_lines
 from hybrid.robot import Robot
 from hybrid.signals import butterworth
 
-ATTRIBUTE, DIAGNOSE, UNSEEN, VERIFY = (
+ATTRIBUTE, DIAGNOSE, REPLAYED, UNSEEN, VERIFY = (
     import_module(f"hybrid.diagnose.{x}")
-    for x in ("attribute", "diagnose", "unseen", "verify")
+    for x in ("attribute", "diagnose", "replayed", "unseen", "verify")
 )
 FORCES = ("force_x", "force_y")
 PUSH = {"force_x": 8.0, "force_y": -5.0, "start": 2.0, "duration": 0.8}
@@ -1108,3 +1108,14 @@ def test_units_are_those_of_a_joint_that_slides(tmp_path):
     }  # fmt: skip
     assert result.diagnosis.units == ("N·m", "N")
     assert "\u00a0N (noise" in "\n".join(verdict_lines(result.diagnosis))
+
+
+def test_a_cause_that_replays_deny_explains_nothing(monkeypatch):
+    robot, recordings = logs([ActuatorLag((1,), {"time": 0.02})])
+    result = examine(robot, recordings)
+    assert result.diagnosis.verdict == "explained"
+    monkeypatch.setattr(REPLAYED, "rollout_agrees", lambda *_: False)
+    denied = replayed(result, np.random.default_rng(0)).diagnosis
+    assert denied.verdict == "partly_explained"
+    assert denied.unexplained == pytest.approx(1.0)
+    assert any("do not take it for the cause" in x for x in denied.warnings)
