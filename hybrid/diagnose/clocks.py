@@ -72,9 +72,9 @@ def clocks_apart(
         return [left + change[rows, i] for i, (rows, left) in pairs]
 
     learnt = scored.learnt or scored
-    after = learnt.evidence.squares(learnt.index, learnt.gains).sum(axis=1)
     own, others = (
-        np.maximum([x @ x for x in left] - after, 0.0) / learnt.evidence.noise
+        np.maximum([x @ x - y @ y for x, y in zip(left, learnt.after, strict=True)], 0)
+        / learnt.evidence.noise
         for left in (late(learnt), learnt.before)
     )
     names = [gap.robot.joints[j] for j in moving]

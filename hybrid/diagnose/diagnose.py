@@ -12,7 +12,7 @@ from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.clocks import clocks_apart
 from hybrid.diagnose.command import Link, command_link
-from hybrid.diagnose.convention import find_convention
+from hybrid.diagnose.convention import Convention, find_convention
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, shares, split
 from hybrid.diagnose.findings import alternatives, elsewhere, findings
@@ -107,20 +107,14 @@ def examine(
     limits = thresholds()
     recordings = since_first(_without_holes(recordings))
     tell("measuring the gap")
-    gap = measure_gap(robot, recordings, cutoff=cutoff)
-    logged = find_convention(gap, recordings, clocks=Delay.id not in without)
-    as_logged = gap
-    if logged:
-        read, recordings = recordings, [logged.in_step(x) for x in recordings]
-        explicit = partial(logged.explicit, robot)
-        gap = as_logged = measure_gap(
-            robot, recordings, cutoff=cutoff, correct=explicit
-        )
-        if logged.clocks:
-            as_logged = measure_gap(robot, read, cutoff=gap.cutoff, correct=explicit)
+    logged, recordings, gap, as_logged = _measured(
+        robot, recordings, cutoff, clocks=Delay.id not in without
+    )
     learn = split(gap)
     tell("trying every effect at every joint")
-    search = Search(gap, learn, without=without)
+    # Torque that is late at every joint is no term: it is taken back already.
+    late = [Delay.id] if logged.clocks else []
+    search = Search(gap, learn, without=[*without, *late])
     doubts = [x for x in (too_little(gap), unlike(gap)) if x is not None]
     if not doubts:
         search.run()
@@ -179,6 +173,30 @@ def examine(
         link = command_link(gap, recordings, rng, without=without, distorted=distorted)
         diagnosis = joined(diagnosis, found, as_logged, link, rng)
     return Result(diagnosis, as_logged, search, scored, found, effects, link.effects)
+
+
+def _measured(
+    robot: Robot,
+    recordings: Sequence[Recording | Motion],
+    cutoff: float | None,
+    *,
+    clocks: bool,
+) -> tuple[Convention, list[Recording | Motion], Gap, Gap]:
+    """How logs were written, and they and their gap with that taken back.
+
+    The last is the gap with the log taken at its word where torque in it is late.
+    """
+    gap = measure_gap(robot, recordings, cutoff=cutoff)
+    logged = find_convention(gap, recordings, clocks=clocks)
+    if not logged:
+        return logged, list(recordings), gap, gap
+    explicit = partial(logged.explicit, robot)
+    shifted = [logged.in_step(x) for x in recordings]
+    gap = measure_gap(robot, shifted, cutoff=cutoff, correct=explicit)
+    as_logged = gap
+    if logged.clocks:
+        as_logged = measure_gap(robot, recordings, cutoff=gap.cutoff, correct=explicit)
+    return logged, shifted, gap, as_logged
 
 
 def since_first(

@@ -22,7 +22,6 @@ from hybrid.diagnose.explanation import Explanation, between, split
 from hybrid.diagnose.simulator import corrected, scored_effects
 from hybrid.diagnose.units import units
 from hybrid.effects import Effect
-from hybrid.effects.delay import Delay
 from hybrid.plant.rollout import Windows, rollout
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
@@ -155,7 +154,7 @@ def motion_shrink(
     rng: np.random.Generator,
     *,
     horizon: float = _USUAL,
-    late: Sequence[Delay] = (),
+    late: Sequence[Effect] = (),
 ) -> Shrink | None:
     """Motion error with everything but some terms, and with them, where they act.
 

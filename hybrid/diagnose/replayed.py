@@ -14,7 +14,6 @@ from hybrid.diagnose.motion import (
     step_warning,
 )
 from hybrid.diagnose.result import Result
-from hybrid.effects.delay import Delay
 from hybrid.errors import EffectError
 
 _LOST = 1.0  # rad; a replay that is so far off tells nothing
@@ -56,8 +55,7 @@ def replayed(
         for f in diagnosis.findings:
             members = result.scored.members(f.effect)
             once = result.scored.where_seen(members) is not result.scored
-            late = [e for e in result.effects if isinstance(e, Delay)]
-            late = late if f.effect == Delay.id and not members else []
+            late = [e for e in result.late if e.id == f.effect]
             # A replay is driven by torque: what lies before it plays no part.
             apart = not late and (once or not members)
             shrink = None if apart else motion_shrink(replay, members, rng, late=late)

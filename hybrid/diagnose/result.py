@@ -22,7 +22,8 @@ class Result:
         search: The search, with the terms that may be named.
         scored: The same terms on samples that no step has seen.
         account: What is explained and missed, joint by joint.
-        effects: The effects named, with fitted values.
+        effects: The effects named, with fitted values: those of the terms, then
+            :attr:`late`.
         command: Those between command and torque.
     """
 
@@ -33,3 +34,8 @@ class Result:
     account: Account
     effects: tuple[Effect, ...]
     command: tuple[Effect, ...] = ()
+
+    @property
+    def late(self) -> tuple[Effect, ...]:
+        """By how much torque was late at every joint, taken back before the search."""
+        return self.effects[len(self.scored.terms) :]

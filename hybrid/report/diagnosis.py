@@ -73,7 +73,7 @@ def render_diagnosis(result: Result) -> str:
         findings=[_finding(f, _ink(k)) for k, f in enumerate(diagnosis.findings)],
         remainder=_remainder(result),
         matrix=evidence_matrix(result.search),
-        late=any(not result.scored.members(e.id) for e in result.effects if e.reports),
+        late=bool(result.late),
         regions=_regions(diagnosis),
         variables=list(dict.fromkeys(r.variable for r in diagnosis.where)),
         advice=[_advice(x) for x in diagnosis.advice],
