@@ -528,6 +528,16 @@ class TestCause:
         both = {"payload", "link_inertia"}
         assert {*alternatives(search, term, thresholds())} == both
 
+    def test_what_motions_in_a_plane_do_not_tell_is_said_to_be_so(self):
+        told = {"mass": 0.6, "mx": 0.06, "my": 0.03, "Izz": 0.015}
+        rest = {"mz": 0.0, "Ixx": 0.006, "Ixy": -0.003, "Iyy": 0.01}
+        robot, recordings = logs([Payload((0, 1), told | rest)])
+        (finding,) = examine(robot, recordings).diagnosis.findings
+        found = {v.name: v for v in finding.parameters}
+        assert {k for k, v in found.items() if v.determined} == {*told}
+        for name, value in told.items():
+            assert found[name].interval[0] < value < found[name].interval[1]
+
     def test_what_repeats_once_per_turn_is_no_counterbalance(self):
         ripple = TorqueRipple((0,), {"sine": 2.0, "cosine": 3.0, "periods": 1.0})
         robot, recordings = logs([ripple])

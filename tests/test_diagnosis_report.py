@@ -294,6 +294,10 @@ class TestVerdict:
         cells = value_cells(Value("j", "x", 0.0123456, "s", (0.0123456, 0.0123456)))
         assert cells == ("0.01235", "–", "s")
 
+    def test_what_is_not_determined_is_said_to_be_so(self):
+        value = Value("j", "Ixx", 0.0, "kg·m²", (-1.0, 1.0), determined=False)
+        assert value_cells(value)[1] == "−1.0 to 1.0, not determined"
+
 
 # Picks every joint, zooms by key and by pointer, hides a curve, changes the matrix.
 ACTIONS = """

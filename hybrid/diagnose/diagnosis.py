@@ -47,6 +47,7 @@ class Value:
         value: Estimate.
         unit: SI unit.
         interval: 95 % interval; both ends the same for a shape that was only chosen.
+        determined: Whether the recordings say more of it than was known without them.
     """
 
     joint: str
@@ -54,6 +55,7 @@ class Value:
     value: float
     unit: str
     interval: Interval
+    determined: bool = True
 
 
 @dataclass(frozen=True)

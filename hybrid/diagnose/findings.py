@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid.diagnose.attribute import Search
-from hybrid.diagnose.candidates import Candidate, same
+from hybrid.diagnose.candidates import Candidate, candidate, same
 from hybrid.diagnose.diagnosis import Finding, Shrink, Value
 from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.reversals import vanishes
+from hybrid.diagnose.shapes import part_of_range
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds
 from hybrid.diagnose.units import unit_at, units
@@ -23,6 +24,7 @@ from hybrid.robot.chain import Array
 
 _RESAMPLES = 400
 _NORMAL = 1.96
+_OPEN = 0.8  # of a shape's range: an interval that wide says nothing of it
 _CLOSE = 6  # alternatives that are fitted in full
 _CONTAINED = 0.01  # of the squares of a law, that another may miss
 _PLACE = " It takes the place of the {} friction that the file declares."
@@ -237,23 +239,25 @@ def values(gap: Gap, effect: Effect) -> list[Value]:
 
     Of a shape that the recordings do not tell, all of its range.
     """
-    scale = gap.scales[effect.joints[-1]]
+    scale, prior = gap.scales[effect.joints[-1]], candidate(gap, effect).std
     joint = "+".join(gap.robot.joints[j] for j in _where(effect))
     if effect.scope == "arm":
         joint = "arm"
     values = []
-    for x in (*effect.gains, *effect.shapes):
+    for k, x in enumerate((*effect.gains, *effect.shapes)):
         if x.inner:
             continue
-        value, half = effect.values[x.name], _NORMAL * effect.std.get(x.name, 0.0)
-        low, high = value - half, value + half
-        if half > 0 and x in effect.shapes:
+        value, std = effect.values[x.name], effect.std.get(x.name, 0.0)
+        low, high = value - _NORMAL * std, value + _NORMAL * std
+        determined = k >= len(prior) or bool(std < prior[k])
+        if std > 0 and x in effect.shapes:
             bounds = x.scaled(scale)
             low, high = max(low, bounds.lower), min(high, bounds.upper)
+            determined = part_of_range(bounds, low, high) < _OPEN
         unit = x.unit
         if effect.scope != "arm":
             unit = unit_at(gap.robot, _where(effect), unit)
-        values.append(Value(joint, x.name, value, unit, (low, high)))
+        values.append(Value(joint, x.name, value, unit, (low, high), determined))
     return values
 
 

@@ -52,6 +52,12 @@ class _Range:
         return float(np.clip(value, low, high))
 
 
+def part_of_range(shape: Quantity, low: float, high: float) -> float:
+    """How much of a shape's range lies between two of its values, 0 to 1."""
+    whole = _Range(shape)
+    return whole.place(high) - whole.place(low)
+
+
 def fit_shapes(
     effect: Effect, gain: Callable[[Effect], float], gap: Gap
 ) -> tuple[Effect, float]:

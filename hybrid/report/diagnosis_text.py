@@ -136,7 +136,8 @@ def value_cells(value: Value) -> tuple[str, str, str]:
     """A parameter as ``value``, ``interval`` and ``unit``.
 
     The interval has two significant digits of its half-width, and the value as many
-    decimals; a shape that was only chosen has none.
+    decimals; a shape that was only chosen has none. It is said of what the recordings
+    do not determine.
     """
     low, high = value.interval
     half = (high - low) / 2
@@ -146,7 +147,8 @@ def value_cells(value: Value) -> tuple[str, str, str]:
     mid, low_end, high_end = (
         f"{x:.{decimals}f}".replace("-", "−") for x in (value.value, low, high)
     )
-    return mid, f"{low_end} to {high_end}", value.unit
+    open_ = "" if value.determined else ", not determined"
+    return mid, f"{low_end} to {high_end}{open_}", value.unit
 
 
 def number(x: float, digits: int = 3) -> str:
