@@ -18,7 +18,7 @@ from hybrid.diagnose.contacts import Contacts, witnessed
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.diagnosis import Shrink
 from hybrid.diagnose.explanation import Explanation, between, explain, split
-from hybrid.diagnose.findings import alternatives
+from hybrid.diagnose.findings import alternatives, elsewhere
 from hybrid.diagnose.gap import measure_gap, simulated_torque
 from hybrid.diagnose.refine import shape_steps
 from hybrid.diagnose.refit import refit
@@ -528,6 +528,16 @@ class TestCause:
         both = {"payload", "link_inertia"}
         assert {*alternatives(search, term, thresholds())} == both
 
+    @pytest.mark.parametrize(("factor", "found"), [(1.15, ["payload"]), (1.05, [])])
+    def test_what_a_hand_carries_is_told_from_a_file_that_is_off(self, factor, found):
+        """Every number off by a little would do as well, but at far longer odds."""
+        robot = arm("coman_like")
+        links = robot.chain.inertial.copy()
+        links[-1] *= factor
+        plant = Plant(robot.with_inertial(links), [], nominal=robot)
+        search = Search(measure_gap(robot, simulate(plant, duration=6.0, seed=1)))
+        assert [t.place[0] for t in search.run()] == found
+
     def test_what_motions_in_a_plane_do_not_tell_is_said_to_be_so(self):
         told = {"mass": 0.6, "mx": 0.06, "my": 0.03, "Izz": 0.015}
         rest = {"mz": 0.0, "Ixx": 0.006, "Ixy": -0.003, "Iyy": 0.01}
@@ -973,8 +983,12 @@ class TestEvents:
 
 
 @pytest.mark.filterwarnings("ignore::hybrid.errors.HybridWarning")  # joints at rest
-def test_what_could_be_at_either_of_two_joints_is_not_named(monkeypatch):
-    """Of gravity at the elbow, its angle and that of a shoulder at rest are one."""
+@pytest.mark.parametrize("offset", [0.03, 0.01])
+def test_what_could_be_at_either_of_two_joints_is_not_named(offset, monkeypatch):
+    """Of gravity at the elbow, its angle and that of a shoulder at rest are one.
+
+    An encoder at rest is off by as much whether its scale runs out or is turned.
+    """
     robot, rng = arm("coman_like"), np.random.default_rng(3)
     moving = np.isin(robot.joints, ("elbow", "wrist_3"))
     references = []
@@ -984,7 +998,7 @@ def test_what_could_be_at_either_of_two_joints_is_not_named(monkeypatch):
             np.where(moving, x, y) for x, y in ((r.q, r.q[:1]), (r.v, 0.0), (r.a, 0.0))
         )
         references.append(Reference(r.t, q, v, a))
-    plant = Plant(robot, [EncoderOffset((2,), {"offset": 0.03})])
+    plant = Plant(robot, [EncoderOffset((2,), {"offset": offset})])
     asked = Mock(wraps=DIAGNOSE.command_link)
     monkeypatch.setattr(DIAGNOSE, "command_link", asked)
     diagnosis = examine(robot, plant.run(references, rng=rng)).diagnosis
@@ -993,6 +1007,16 @@ def test_what_could_be_at_either_of_two_joints_is_not_named(monkeypatch):
     assert diagnosis.verdict == "unexplained"
     (doubt,) = [x for x in diagnosis.warnings if "do not tell where" in x]
     assert "shoulder" in doubt and "elbow" in doubt
+
+
+def test_what_explains_something_else_is_no_other_place():
+    """A larger effect at another joint that no term stands for takes nothing's place."""
+    robot, recordings = logs([Viscous((j,), {"coefficient": 1.0}) for j in (0, 1)])
+    search = Search(measure_gap(robot, recordings))
+    small, large = sorted(search.run(), key=search.loss)
+    assert small.place[0] == large.place[0] == Viscous.id
+    search.terms = [small]
+    assert elsewhere(search, small) is None
 
 
 def test_what_is_left_of_several_terms_has_to_pass_the_checks_anew(monkeypatch):

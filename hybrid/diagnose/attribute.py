@@ -46,6 +46,7 @@ _SAME = 0.01  # of the gain that columns are made at: no matter
 _LESS = 0.1  # of the noise: worth another search
 _FURTHER = (1.0, 3.0, 10.0, 30.0)  # times what a link is off by that is wrong
 _KEPT = 0.5  # of the evidence for each other term, whatever a link is off by
+_SPARE = 50.0  # nats: all other numbers of a file are seldom far less off than usual
 _ONE = 0.9  # of the evidence for two forms of one law, by one of them
 
 
@@ -66,8 +67,9 @@ class Search(Model):
                 self._grow()
             else:
                 self.terms = first
-            found.append((self.total(), off, self.terms))
-            if not self._any_mere(off):
+            spare = _SPARE if self._links_spare(off) else 0.0
+            found.append((self.total() - spare, off, self.terms))
+            if not self._any_mere():
                 usable.append(found[-1])
         _, self.off, self.terms = max(usable or found[-1:], key=lambda x: x[0])
         self.evidence.spread(self.background, self.off)
@@ -83,21 +85,25 @@ class Search(Model):
         name_plainly(self)
         return self.terms
 
-    def _any_mere(self, off: float) -> bool:
-        """Whether a term is no more than what a number of the file is off by.
-
-        Of a link, whose numbers are many: whether a wider background makes do without.
-        """
-        evidence, robot = self.evidence, self.gap.robot
-        solution = evidence.solve(self.base())
+    def _any_mere(self) -> bool:
+        """Whether a term is no more than what a number of the file is off by."""
+        solution = self.evidence.solve(self.base())
         effects = [
             with_gains(t.candidate.effect, solution.of(t.index)) for t in self.terms
         ]
+        return any(mere(self.gap.robot, e) for e in effects)
+
+    def _links_spare(self, off: float) -> bool:
+        """Whether a wider background makes do without a link, whose numbers are many.
+
+        Args:
+            off: The background as it is now.
+        """
         links = [t for t in self.terms if t.place[0] == LinkInertia.id]
-        evidence.spread(self.background, WIDEST)
-        idle = any(self.loss(t) < WORTH for t in links)
-        evidence.spread(self.background, off)
-        return idle or any(mere(robot, e) for e in effects)
+        self.evidence.spread(self.background, WIDEST)
+        spare = any(self.loss(t) < WORTH for t in links)
+        self.evidence.spread(self.background, off)
+        return spare
 
     def _grow(self) -> None:
         """Add, improve, exchange and remove terms until nothing is gained.

@@ -45,7 +45,7 @@ Progress = Callable[[str], None]
 
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ANYWHERE = (
-    "{} at {} explains as much as at {}: these motions do not tell where it is, so "
+    "{} at {} explains as much as {} at {}: these motions do not tell where it is, so "
     "that it is not named"
 )
 _ONCE = (
@@ -274,12 +274,12 @@ def vetted(
 
 
 def _torn(search: Search) -> dict[Term, str]:
-    """Terms that could as well be at another joint, and a sentence that says so."""
+    """Terms for which something at another joint does as well, and a sentence."""
     found, joints = {}, search.gap.robot.joints
     for term in search.terms:
         if other := elsewhere(search, term):
-            where = [joints[x.place[1][-1]] for x in (other, term)]
-            found[term] = _ANYWHERE.format(term.place[0], *where)
+            both = [(x.place[0], joints[x.place[1][-1]]) for x in (other, term)]
+            found[term] = _ANYWHERE.format(*both[0], *both[1])
     return found
 
 

@@ -12,6 +12,7 @@ from hybrid.diagnose.candidates import Candidate, candidate, same
 from hybrid.diagnose.diagnosis import Finding, Shrink, Value
 from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.model import WORTH
 from hybrid.diagnose.reversals import vanishes
 from hybrid.diagnose.shapes import part_of_range
 from hybrid.diagnose.term import Term
@@ -72,13 +73,17 @@ def _contains(search: Search, other: Candidate, own: Candidate) -> bool:
 
 
 def elsewhere(search: Search, term: Term) -> Candidate | None:
-    """The same effect at another joint, if it explains as much there."""
+    """An effect at another joint that explains as much, and the same."""
     base = search.base(term)
     _, best = search.refine(base, term.candidate)
-    for c, first in search.ranked(base):
-        if first > 0.5 * best and c.place[0] == term.place[0] and not _here(term, c):
-            found, gain = search.refine(base, c)
-            if gain > best - _ANYWHERE:
+    ranked = [c for c, first in search.ranked(base) if first > 0.5 * best]
+    away = [c for c in ranked if not _here(term, c)]
+    same_law = [c for c in away if c.place[0] == term.place[0]]
+    for c in dict.fromkeys((*same_law, *away[:_CLOSE])):
+        found, gain = search.refine(base, c)
+        if gain > best - _ANYWHERE:
+            beside = np.concatenate([base, search.term(found).index])
+            if search.refine(beside, term.candidate)[1] < WORTH:
                 return found
     return None
 
