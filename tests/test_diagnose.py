@@ -1010,7 +1010,7 @@ def test_what_could_be_at_either_of_two_joints_is_not_named(offset, monkeypatch)
 
 
 def test_what_explains_something_else_is_no_other_place():
-    """A larger effect at another joint that no term stands for takes nothing's place."""
+    """A larger effect of another joint, that no term stands for, takes no place."""
     robot, recordings = logs([Viscous((j,), {"coefficient": 1.0}) for j in (0, 1)])
     search = Search(measure_gap(robot, recordings))
     small, large = sorted(search.run(), key=search.loss)
