@@ -4,9 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import MODELS
 from simulated import arm
 from test_convention import EULER, STEP, raw_logs
 
+from hybrid.benchmark.case import Case
+from hybrid.benchmark.run import make, read_open
 from hybrid.diagnose.convention import find_convention
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.fixed import MODEL, write_fixed
@@ -86,6 +89,16 @@ def test_it_is_not_named_where_the_library_lacks_it():
     result = examine(robot, logs, without=[Delay.id])
     assert not any(e.id == Delay.id for e in result.effects)
     assert all(f.effect != Delay.id for f in result.diagnosis.findings)
+
+
+def test_what_swings_along_is_no_late_log(tmp_path):
+    """A mass that shakes is in no file; its torque seems 38 ms late at both joints."""
+    case = Case(str(MODELS / "scara.xml"), "unknown", 0, 127)
+    make(case, tmp_path, tmp_path / "open", tmp_path / "sealed")
+    robot, logs, _ = read_open(tmp_path / "open")
+    assert find_convention(measure_gap(robot, logs), logs).clocks
+    diagnosis = examine(robot, logs).diagnosis
+    assert diagnosis.verdict == "unexplained" and not diagnosis.findings
 
 
 def test_joints_that_are_late_by_different_times_share_none():

@@ -102,13 +102,33 @@ def examine(
     progress: Progress | None = None,
 ) -> Result:
     """:func:`diagnose` in torque, with everything that led to the answer."""
+    recordings = since_first(_without_holes(recordings))
     tell = progress or (lambda _: None)
+    answer = partial(_examined, robot, recordings, cutoff, without, seed, tell)
+    result = answer(clocks=Delay.id not in without)
+    if result.late and far_off(result.search):
+        # What swings along seems late; then nothing is a cause in the log as it is.
+        prompt = answer(clocks=False)
+        return result if prompt.diagnosis.findings else prompt
+    return result
+
+
+def _examined(
+    robot: Robot,
+    recordings: Sequence[Recording | Motion],
+    cutoff: float | None,
+    without: Sequence[str],
+    seed: int,
+    tell: Progress,
+    *,
+    clocks: bool,
+) -> Result:
+    """The same, of one clock, or of torque that all joints may be late by."""
     rng = np.random.default_rng(seed)
     limits = thresholds()
-    recordings = since_first(_without_holes(recordings))
     tell("measuring the gap")
     logged, recordings, gap, as_logged = _measured(
-        robot, recordings, cutoff, clocks=Delay.id not in without
+        robot, recordings, cutoff, clocks=clocks
     )
     learn = split(gap)
     tell("trying every effect at every joint")
@@ -144,10 +164,10 @@ def examine(
     doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
     if logged.clocks and not foreign:
-        clocks = clocks_apart(as_logged, scored, logged, rng)
-        causes = clocks.beside(causes)
-        effects = (*effects, *clocks.effects)
-        found = replace(found, before=found.before + clocks.squares)
+        apart = clocks_apart(as_logged, scored, logged, rng)
+        causes = apart.beside(causes)
+        effects = (*effects, *apart.effects)
+        found = replace(found, before=found.before + apart.squares)
     verdict, unexplained = _verdict(found, causes, limits, left_unseen(found, scored))
     if (left := left_somewhere(found, scored)) and verdict == "explained":
         verdict = "partly_explained"
