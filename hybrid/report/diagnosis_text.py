@@ -136,8 +136,8 @@ def value_cells(value: Value) -> tuple[str, str, str]:
     """A parameter as ``value``, ``interval`` and ``unit``.
 
     The interval has two significant digits of its half-width, and the value as many
-    decimals; a shape that was only chosen has none. It is said of what the recordings
-    do not determine.
+    decimals; a shape that was only chosen has none. One of a value that the recordings
+    do not determine says so.
     """
     low, high = value.interval
     half = (high - low) / 2
