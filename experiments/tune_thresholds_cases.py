@@ -13,10 +13,10 @@ from typing import Any
 from hybrid.benchmark.case import Case
 from hybrid.benchmark.run import make, read_open, read_rows
 from hybrid.diagnose.attribute import Search
-from hybrid.diagnose.diagnose import vetted
 from hybrid.diagnose.explanation import split
 from hybrid.diagnose.gap import measure_gap
 from hybrid.diagnose.thresholds import thresholds
+from hybrid.diagnose.vetted import vetted
 
 LOG = Path(__file__).parents[1] / "build" / "tune_thresholds.jsonl"
 # As they are, and one after the other changed.

@@ -70,7 +70,7 @@ def test_base_parameters_give_the_torque_of_all_parameters(name):
     assert_same_torque_from_fewer(robot, problem_of(robot).base)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_so_they_do_for_random_chains(seed):
     robot = random_arm(seed)

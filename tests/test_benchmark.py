@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosed import RIPPLE, STRIBECK, planar
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hybrid.benchmark.baselines import baselines, by_sysid
@@ -110,7 +110,6 @@ def test_library_effects_are_dealt_with_or_without_a_trace_in_torque_never_both(
 # Robots
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.floats(0.0, 0.05), st.integers(0, 99))
 def test_a_file_that_is_a_little_off_stays_physical(share, seed):
     robot = Robot.load("models/coman_like.xml")

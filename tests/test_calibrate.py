@@ -150,7 +150,7 @@ def test_changed_rows_and_the_chain_made_from_them_agree(seed):
     np.testing.assert_allclose(end.origin, p, atol=1e-12)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10_000), kind=st.sampled_from(KINDS))
 def test_derivatives_agree_with_finite_differences(seed, kind):
     rng = np.random.default_rng(seed)

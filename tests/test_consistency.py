@@ -160,7 +160,7 @@ seeds = st.integers(0, 2**32 - 1)
 sizes = st.floats(-3.0, 3.0).map(lambda x: 10.0**x)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=seeds, points=st.integers(1, 9), mass=sizes, length=sizes)
 def test_any_set_of_point_masses_is_physical(seed, points, mass, length):
     rng = np.random.default_rng(seed)
@@ -172,7 +172,7 @@ def test_any_set_of_point_masses_is_physical(seed, points, mass, length):
     assert not is_consistent(-body)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=seeds, excess=st.floats(1e-6, 10.0), mass=sizes, length=sizes)
 def test_no_body_breaks_the_triangle_inequality(seed, excess, mass, length):
     rng = np.random.default_rng(seed)
@@ -238,7 +238,7 @@ def test_clean_data_of_a_physical_arm_give_its_base_parameters_back(name):
         assert is_consistent(found.inertial).all()
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10_000), noise=st.sampled_from([0.0, 0.2]))
 def test_any_chain_gets_links_that_could_be_built(seed, noise):
     robot = random_arm(seed)

@@ -60,7 +60,7 @@ def test_regressor_and_torque_of_a_known_arm_are_those_of_pinocchio(name):
     assert_like_pinocchio(robot, *random_states(robot.size, 40))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seeds)
 def test_so_are_those_of_random_chains_with_sliding_and_oblique_joints(seed):
     robot = random_arm(seed)
@@ -96,7 +96,7 @@ def test_response_is_linear_in_the_change_whatever_its_size(size):
 # --- mechanics ----------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seeds)
 def test_regressor_times_parameters_is_inverse_dynamics(seed):
     chain = random_arm(seed).chain
@@ -121,7 +121,7 @@ def potential_energy(chain, q):
     return energy
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seeds)
 def test_torque_at_rest_is_the_slope_of_the_potential_energy(seed):
     chain = random_arm(seed).chain

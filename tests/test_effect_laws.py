@@ -178,7 +178,7 @@ def test_a_tilted_turntable_feels_its_weight():
     np.testing.assert_allclose(columns[:, :, 0], changed / angle, atol=1e-2)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 500))
 def test_a_push_is_balanced_by_the_torque_of_its_columns(seed):
     """Virtual work: columns · joint speed = force · velocity + moment · turning."""

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from simulated import arm, motions
 
+from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.candidates import candidate
 from hybrid.diagnose.gap import measure_gap
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.effects.elasticity import Elasticity
-from hybrid.plant import Noise, Plant, simulate
+from hybrid.plant import Noise, Plant, random_fourier, simulate
+
+STIFF = {"compliance": 1e-4, "damping": 0.02}
 
 
 def torque_with_twist(robot, motion, joint, compliance):
@@ -84,3 +88,34 @@ def test_a_link_without_inertia_follows_its_load_at_once():
         motion, RigidBody(chain, motion)
     )
     assert np.isfinite(columns).all()
+
+
+@pytest.fixture(scope="module")
+def slow():
+    """A gap of an arm that moves slowly; its link swings faster than the log shows."""
+    robot, rng = arm("planar"), np.random.default_rng(0)
+    plant = Plant(robot, [Elasticity((0,), STIFF)], nominal=robot)
+    slowly = {"duration": 20.0, "rate": 500.0, "order": 3, "fill": 0.5}
+    references = [random_fourier(robot, rng=rng, **slowly) for _ in range(2)]
+    return measure_gap(robot, plant.run(references, rng=np.random.default_rng(1)))
+
+
+def test_a_swing_faster_than_the_log_shows_is_not_made_of_noise(slow):
+    """Which is in the torque that columns are held against, too."""
+    effect, up, down = Elasticity((0,), STIFF), 0.0, 0.0
+    assert effect.frequency(slow.bodies[0]) == pytest.approx(19.2, abs=0.1)
+    for j, columns in slow.columns(effect).items():
+        here = slow.moving[:, j]
+        up += columns[here, 0] @ slow.left[here, j]
+        down += columns[here, 0] @ columns[here, 0]
+    assert up / down == pytest.approx(STIFF["compliance"], rel=0.3)
+
+
+@pytest.mark.parametrize("factor", [0.2, 1.0])
+def test_its_compliance_is_that_of_its_columns_wherever_they_are_made(slow, factor):
+    search = Search(slow)
+    start = Elasticity((0,), {**STIFF, "compliance": factor * STIFF["compliance"]})
+    found, _ = search.refine(search.background, candidate(slow, start))
+    assert found.effect.values["compliance"] == pytest.approx(
+        STIFF["compliance"], rel=0.5
+    )

@@ -167,7 +167,7 @@ def test_criteria_have_exact_gradients_through_regressor_and_friction(kind):
     assert gradient_error(observation, criterion, motion, x, 6.0) < 1e-5
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000))
 def test_smooth_measures_approach_the_measures(seed):
     W = np.random.default_rng(seed).normal(size=(40, 5))

@@ -30,7 +30,7 @@ def log(noise=1e-5, seed=0):
     encoder=st.sampled_from([1e-6, 1e-4, 1e-3]),
     torque=st.sampled_from([1e-3, 0.05, 0.3]),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @example(seed=87, encoder=1e-6, torque=0.3)  # holds its highest level for a second
 def test_a_sound_log_has_none_however_coarse_its_sensors(seed, encoder, torque):
     sound = log(seed=seed)

@@ -20,7 +20,6 @@ SUFFIXES = (".csv", ".parquet", ".npz")
 ARM = ("shoulder", "elbow", "wrist")
 FOLDER = settings(
     max_examples=25,
-    deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 

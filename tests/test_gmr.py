@@ -176,7 +176,7 @@ def test_intervals_of_90_percent_cover_heteroscedastic_truth():
         assert 0.85 < covered[part].mean() < 0.95
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     angle=st.floats(0, 2 * np.pi),
     radius=st.floats(20, 1e300, allow_nan=False),

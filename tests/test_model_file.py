@@ -218,7 +218,6 @@ JUNK = st.sampled_from([None, -1, 1e9, "x", [], {}, [[1]], True])
 
 
 @settings(
-    deadline=None,
     max_examples=150,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )

@@ -88,7 +88,7 @@ def test_the_regressor_of_one_sample_is_that_of_many():
             np.testing.assert_allclose(found, many[k], rtol=1e-9, atol=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(order=st.integers(0, 4), seed=st.integers(0, 99))
 def test_streaming_derivatives_are_exact_for_polynomials_and_late_by_their_delay(
     order, seed
@@ -145,7 +145,7 @@ def test_without_forgetting_the_filter_is_least_squares():
     )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 999), forgetting=st.floats(0.5, 1), rank=st.integers(0, 3))
 def test_the_covariance_never_grows_whatever_is_seen(seed, forgetting, rank):
     rng = np.random.default_rng(seed)

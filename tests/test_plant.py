@@ -591,7 +591,7 @@ def test_impossible_noise_is_refused(bad):
 # References
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     duration=st.floats(1.0, 25.0),

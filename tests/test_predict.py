@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from arms import public_arm, random_arm
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_export import full_model, mixture, model_of, motion_of
 
@@ -122,7 +122,6 @@ def test_joints_together_learn_what_each_learns_alone(seed, samples):
         np.testing.assert_allclose(found[:, part.joint], alone, rtol=0, atol=1e-12)
 
 
-@settings(deadline=None)
 @given(st.floats(1e3, 1e308), st.integers(0, 5))
 def test_joints_together_fall_silent_far_away(distance, channel):
     state = np.zeros((1, 6))

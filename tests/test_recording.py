@@ -114,7 +114,7 @@ def test_time_rounded_to_a_thousandth_of_a_step_still_counts_as_uniform():
     assert resample(recording) is recording
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**16), jitter=st.floats(0.05, 0.4))
 def test_a_jittering_clock_is_resampled_onto_the_same_motion(seed, jitter):
     rng = np.random.default_rng(seed)

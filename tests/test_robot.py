@@ -217,7 +217,7 @@ def random_arm(seed, links):
     return body + end, f"<option gravity='{gravity}'/>"
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), links=st.integers(1, 4))
 def test_any_mjcf_arm_moves_as_mujoco_moves_it(tmp_path_factory, seed, links):
     body, option = random_arm(seed, links)

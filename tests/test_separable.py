@@ -83,7 +83,7 @@ def test_its_jacobian_is_the_slope_of_the_squares():
         assert gradient[k] == pytest.approx((ends[0] - ends[1]) / (2 * h), rel=1e-4)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(scale=st.floats(1e-6, 1e6))
 def test_units_of_the_target_do_not_matter(scale):
     fit = fit_separable(problem(scale * CLEAN))
@@ -172,7 +172,6 @@ def friction(v, **values):
     return np.stack(effect.law(state, **effect.shape_values), -1) @ effect.gain_values
 
 
-@settings(deadline=None)
 @given(v=st.floats(-3, 3), width=st.floats(0.001, 0.1), velocity=st.floats(0.001, 1))
 def test_the_law_is_odd_and_a_line_within_its_width(v, width, velocity):
     shapes = {"width": width, "velocity": velocity}
@@ -183,7 +182,6 @@ def test_the_law_is_odd_and_a_line_within_its_width(v, width, velocity):
     assert edge[0] == pytest.approx(edge[1], rel=1e-6)
 
 
-@settings(deadline=None)
 @given(v=st.floats(0.011, 3))
 def test_beyond_its_width_it_is_the_published_law(v):
     expected = 3 + 3 * np.exp(-((v / 0.05) ** 2)) + 4 * v

@@ -106,7 +106,7 @@ def test_decimation_keeps_five_samples_per_period_of_the_cutoff(rate, cutoff):
     assert rate / (sampler.factor + 1) < 5 * cutoff
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     cutoff=st.sampled_from([8.0, 20.0, 90.0]),
     chunk=st.integers(300, 2000),
@@ -269,7 +269,7 @@ def test_the_cutoff_of_real_logs_is_sane(folder, lowest, highest):
         assert lowest <= choose_cutoff(recording) <= highest
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 999), order=st.integers(1, 6))
 def test_a_fourier_series_is_found_again_with_its_derivatives(seed, order):
     rng = np.random.default_rng(seed)

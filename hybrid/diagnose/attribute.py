@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from hybrid.diagnose.candidates import (
     HARDLY,
-    Candidate,
     Place,
     fuller,
     mere,
@@ -18,40 +16,26 @@ from hybrid.diagnose.candidates import (
     simpler,
     with_gains,
 )
-from hybrid.diagnose.model import (
-    ALIKE,
-    MENDING_ROUGH,
-    OFF,
-    WIDEST,
-    WORTH,
-    Model,
-    far,
-)
+from hybrid.diagnose.fitting import Fitting
+from hybrid.diagnose.model import ALIKE, MENDING_ROUGH, OFF, WIDEST, WORTH
 from hybrid.diagnose.names import name_plainly
-from hybrid.diagnose.pool import REPEATED
-from hybrid.diagnose.refine import gain, shape_steps
-from hybrid.diagnose.shapes import at_places, places
+from hybrid.diagnose.refine import gain
 from hybrid.diagnose.term import Term
 from hybrid.effects.contact import Contact
 from hybrid.effects.payload import LinkInertia
-from hybrid.robot.chain import Array
 
 _LEAST_REMOVED = 0.015  # of the RMS at a term's joints, on folds left out
 _MOST_TERMS, _MOST_THERE = 40, 9  # in all, and at one joint
 _ROUNDS = 3  # of adding, exchanging and removing
 _LAWS = 3  # that are added at a joint beside a plain one
 _NEAR = 10.0
-_POLISHINGS, _SETTLED = 4, 0.1  # passes, at most; nats that are worth another
-_SAME = 0.01  # of the gain that columns are made at: no matter
 _LESS = 0.1  # of the noise: worth another search
-_FURTHER = (1.0, 3.0, 10.0, 30.0)  # times what a link is off by that is wrong
-_KEPT = 0.5  # of the evidence for each other term, whatever a link is off by
 _SPARE = 50.0  # nats: all other numbers of a file are seldom far less off than usual
 _ONE = 0.9  # of the evidence for two forms of one law, by one of them
 
 
-class Search(Model):
-    """How terms are found: added, exchanged, removed, and fitted to each other."""
+class Search(Fitting):
+    """How terms are found: added, exchanged and removed."""
 
     def run(self) -> list[Term]:
         """Terms for the background that makes the gap most probable.
@@ -77,10 +61,11 @@ class Search(Model):
         self._simplify(before)
         self._simplify([t for t in self.terms if t not in before])
         self.prune()
-        self._scan()
-        self._polish()
-        self._settle()
-        self._widen()
+        self.scan()
+        self.polish()
+        self.settle()
+        self.widen()
+        self.loosen()
         self.remove()  # what mended shapes that were short of their best
         name_plainly(self)
         return self.terms
@@ -236,105 +221,6 @@ class Search(Model):
         return term.place[0] == Contact.id and all(
             self.loss(t) < own for t in self.terms if t is not term
         )
-
-    def _scan(self) -> None:
-        """Exchange the shapes of a term for others that fit better, however far.
-
-        All that were tried are refined. Laws of more than one shape often fit about as
-        well at places far apart.
-        """
-        for k, term in enumerate(list(self.terms)):
-            effect = term.candidate.effect
-            if not effect.steep and effect.id not in REPEATED and effect.shapes:
-                self._exchange_for(k, [term.candidate, *self.pool.at(term.place)])
-
-    def reform(self) -> bool:
-        """Exchange laws for fuller ones that fit better; whether any was.
-
-        What a law left may have been another's, that is gone.
-        """
-        before = list(self.terms)
-        for k, term in enumerate(before):
-            place = fuller(term.candidate.effect), term.place[1]
-            if all(t.place != place for t in before):
-                self._exchange_for(k, self.pool.at(place), HARDLY)
-        return self.terms != before
-
-    def _exchange_for(
-        self, k: int, starts: Sequence[Candidate], least: float = 0.0
-    ) -> None:
-        """Exchange a term for the best of some candidates, refined, if it is better.
-
-        By a part of the evidence for it, at least.
-        """
-        base = self.base(self.terms[k])
-        refined = [self.refine(base, c) for c in starts]
-        best = max(refined, key=lambda x: x[1], default=None)
-        now = self.loss(self.terms[k])
-        if best is not None and best[1] > now + max(ALIKE, least * now):
-            self.terms[k] = self.term(best[0])
-
-    def _polish(self) -> None:
-        """Fit the shapes of all terms together, by Gauss-Newton steps.
-
-        One after the other, on a grid and near it, leaves them short of the optimum.
-        """
-        for _ in range(_POLISHINGS):
-            before, terms = self.worth(), self.terms
-            placed = [(t.candidate, t.index) for t in terms]
-            steps = shape_steps(self.evidence, self.base(), placed)
-            for part in (1.0, 0.3):
-                self.terms = [
-                    self._moved(t, part * s) if len(s) else t
-                    for t, s in zip(terms, steps, strict=True)
-                ]
-                if self.worth() > before:
-                    break
-            else:
-                self.terms = terms
-                return
-            if self.worth() < before + _SETTLED:
-                return
-
-    def _settle(self) -> None:
-        """Make the columns of effects on signals at the gains that all terms have."""
-        for _ in range(_POLISHINGS):
-            gains = self.evidence.solve(self.base())
-            moved = [
-                k for k, t in enumerate(self.terms)
-                if t.candidate.effect.linearised and not t.candidate.effect.shifts
-                and far(t.candidate.effect, gains.of(t.index)) > _SAME
-            ]  # fmt: skip
-            for k in moved:
-                c = self.terms[k].candidate
-                effect = with_gains(c.effect, gains.of(self.terms[k].index))
-                self.terms[k] = self.term(replace(c, effect=effect))
-        for k, term in enumerate(self.terms):
-            if term.candidate.effect.shifts:
-                own, _ = self.refine(self.base(term), term.candidate)
-                self.terms[k] = self.term(own)
-
-    def _widen(self) -> None:
-        """Let a link be further off than most are, where that explains more.
-
-        Not if it would take over what others do, as so many numbers can.
-        """
-        for k, term in enumerate(self.terms):
-            if term.place[0] != LinkInertia.id:
-                continue
-            rest = [t for t in self.terms if t is not term]
-            least, worth = _KEPT * self.losses(rest), []
-            for factor in _FURTHER:
-                self.evidence.spread(term.index, factor)
-                kept = np.all(self.losses(rest) >= least)
-                worth.append(self.worth() if kept else -np.inf)
-            std = _FURTHER[int(np.argmax(worth))] * term.candidate.std
-            self.terms[k] = self.term(replace(term.candidate, std=std))
-
-    def _moved(self, term: Term, steps: Array) -> Term:
-        effect = term.candidate.effect
-        effect = at_places(self.gap, effect, places(self.gap, effect) + steps)
-        return self.term(replace(term.candidate, effect=effect))
 
     def _exchange(self) -> bool:
         """Fit each term anew beside the others, as whatever explains most there."""

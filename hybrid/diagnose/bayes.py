@@ -9,7 +9,7 @@ from scipy.ndimage import uniform_filter1d
 from hybrid.robot.chain import Array
 from hybrid.signals import butterworth
 
-_OWN = 0.3  # of the gain that columns are of; noise of positions lessens it
+_OWN = 0.3  # of the gain that columns are of, or it of that; noise lessens it
 _STRETCH = 0.5  # s, in which noise is as large as ever
 _EVENT = 8.0  # times the usual mean square
 _HALF, _EDGE = 0.5, 0.85  # of the cut-off; there the filter is felt
@@ -50,7 +50,8 @@ def log_bayes(
     _, occam = np.linalg.slogdet(A)
     worth, gains = _quadratic(A, b, x) - 0.5 * occam, np.asarray(unit * x)
     if made_at is not None:
-        fixed = np.any(gains < _OWN * made_at, axis=-1)
+        far = (gains < _OWN * made_at) | (gains > made_at / _OWN)
+        fixed = np.any(far, axis=-1)
         worth = np.where(fixed, _quadratic(H, s, made_at), worth)
         gains = np.where(fixed[..., None], made_at, gains)
     return np.asarray(worth), gains

@@ -70,18 +70,23 @@ class _Stretch:
 
 
 def witnessed(gap: Gap, effect: Effect) -> bool:
-    """Whether the arm was seen without a contact before it, if an effect is one.
+    """Whether the arm was seen without a contact before it, and with it, if it is one.
 
-    As a log begins, friction and play still remember what was before.
+    As a log begins, friction and play still remember what was before; as it ends, so
+    does the filter.
     """
     if effect.id != Contact.id:
         return True
     use, own = gap.moving.any(axis=1), effect.values["recording"]
+    start, shown = effect.values["start"], False
     for r in range(len(gap.motions)):
         t = gap.sampled.t[use & (gap.trajectory == r)]
-        if own in (_OF_ALL, r) and len(t) and effect.values["start"] < t[0] + _CHUNK:
+        if own not in (_OF_ALL, r) or not len(t):
+            continue
+        if start < t[0] + _CHUNK:
             return False
-    return True
+        shown |= start <= t[-1] - _CHUNK
+    return bool(shown)
 
 
 class Contacts:

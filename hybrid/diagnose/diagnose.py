@@ -12,18 +12,17 @@ from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.clocks import clocks_apart
 from hybrid.diagnose.command import Link, command_link
-from hybrid.diagnose.convention import Convention, find_convention
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, shares, split
-from hybrid.diagnose.findings import alternatives, elsewhere, findings
-from hybrid.diagnose.gap import Gap, measure_gap
+from hybrid.diagnose.findings import findings
+from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.grounds import another_arm, far_off, too_little, unlike
 from hybrid.diagnose.links import joined
 from hybrid.diagnose.locate import locate
+from hybrid.diagnose.logs import measured, since_first, without_holes
 from hybrid.diagnose.refit import refit
 from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.result import Result
-from hybrid.diagnose.term import Term
 from hybrid.diagnose.threads import one_thread
 from hybrid.diagnose.thresholds import Thresholds, thresholds
 from hybrid.diagnose.units import units
@@ -33,21 +32,17 @@ from hybrid.diagnose.unseen import (
     negligible,
     useful_terms,
 )
-from hybrid.diagnose.verify import Account, account, check
+from hybrid.diagnose.verify import Account, account
+from hybrid.diagnose.vetted import torn, vetted
 from hybrid.diagnose.visited import not_excited
 from hybrid.effects.delay import Delay
-from hybrid.recording import Recording, unbroken
+from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 Progress = Callable[[str], None]
 
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
-_ANYWHERE = (
-    "{} at {} explains as much as {} at {}: these motions do not tell where it is, so "
-    "that it is not named"
-)
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
     "on motions that no step has seen"
@@ -102,7 +97,7 @@ def examine(
     progress: Progress | None = None,
 ) -> Result:
     """:func:`diagnose` in torque, with everything that led to the answer."""
-    recordings = since_first(_without_holes(recordings))
+    recordings = since_first(without_holes(recordings))
     tell = progress or (lambda _: None)
     answer = partial(_examined, robot, recordings, cutoff, without, seed, tell)
     result = answer(clocks=Delay.id not in without)
@@ -127,7 +122,7 @@ def _examined(
     rng = np.random.default_rng(seed)
     limits = thresholds()
     tell("measuring the gap")
-    logged, recordings, gap, as_logged = _measured(
+    logged, recordings, gap, as_logged = measured(
         robot, recordings, cutoff, clocks=clocks
     )
     learn = split(gap)
@@ -143,12 +138,12 @@ def _examined(
     if strange := another_arm(gap, search.terms):
         doubts, search.terms = [strange], []
     foreign = bool(doubts)
-    if torn := _torn(search):
-        search.terms = [t for t in search.terms if t not in torn]
+    if anywhere := torn(search):
+        search.terms = [t for t in search.terms if t not in anywhere]
         found = account(gap, search, limits, reached)
-        doubts += torn.values()
+        doubts += anywhere.values()
     tell("scoring on motions that no step has seen")
-    useless = False
+    odd = False
     while True:
         scored = explain(gap, search, learn)
         effects = refit(gap, search)
@@ -157,7 +152,7 @@ def _examined(
         useful = useful_terms(scored, found, rng)
         if len(useful) == len(search.terms):
             break
-        useless |= not negligible(scored, useful)
+        odd |= not negligible(scored, useful)
         search.terms = useful
         found, more, _ = vetted(gap, search, limits, reached)
         kinds |= more
@@ -168,73 +163,25 @@ def _examined(
         causes = apart.beside(causes)
         effects = (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
-    verdict, unexplained = _verdict(found, causes, limits, left_unseen(found, scored))
-    if (left := left_somewhere(found, scored)) and verdict == "explained":
-        verdict = "partly_explained"
-    strained = None if torn else far_off(search)
-    if strained:
+    if not anywhere and (strained := far_off(search)):
         doubts.append(strained)
-    if (useless or strained or left) and verdict == "no_gap":
-        verdict, unexplained = "unexplained", 1.0  # there is something, unlike all laws
-    if too_little(gap):
-        verdict, unexplained = "not_excited", 1.0
+        odd = True
+    verdict, unexplained = _verdict(found, scored, causes, limits, odd=odd)
     diagnosis = replace(
         _diagnosis(as_logged, search, found, causes, verdict, unexplained),
         warnings=(*gap.notes, *logged.notes, *doubts),
     )
-    tell("finding where the gap lies")
+    link = Link()
     if verdict != "not_excited":
+        tell("finding where the gap lies")
         where = locate(as_logged, np.array(diagnosis.noise_floor), rng)
         diagnosis = replace(diagnosis, where=where)
-    link = Link()
     if verdict != "not_excited" and not foreign:
         tell("asking whether torque follows the command")
         distorted = {j for e in effects if e.reports for j in e.joints}
         link = command_link(gap, recordings, rng, without=without, distorted=distorted)
         diagnosis = joined(diagnosis, found, as_logged, link, rng)
     return Result(diagnosis, as_logged, search, scored, found, effects, link.effects)
-
-
-def _measured(
-    robot: Robot,
-    recordings: Sequence[Recording | Motion],
-    cutoff: float | None,
-    *,
-    clocks: bool,
-) -> tuple[Convention, list[Recording | Motion], Gap, Gap]:
-    """How logs were written, and they and their gap with that taken back.
-
-    The last is the gap with the log taken at its word where torque in it is late.
-    """
-    gap = measure_gap(robot, recordings, cutoff=cutoff)
-    logged = find_convention(gap, recordings, clocks=clocks)
-    if not logged:
-        return logged, list(recordings), gap, gap
-    explicit = partial(logged.explicit, robot)
-    shifted = [logged.in_step(x) for x in recordings]
-    gap = measure_gap(robot, shifted, cutoff=cutoff, correct=explicit)
-    as_logged = gap
-    if logged.clocks:
-        as_logged = measure_gap(robot, recordings, cutoff=gap.cutoff, correct=explicit)
-    return logged, shifted, gap, as_logged
-
-
-def since_first(
-    recordings: Sequence[Recording | Motion],
-) -> list[Recording | Motion]:
-    """The same by a clock that starts with the first of them.
-
-    Loggers count from anywhere; what warms up or happens once is told by this clock.
-    """
-    start = min((float(x.t[0]) for x in recordings), default=0.0)
-    return [replace(x, t=x.t - start) for x in recordings]
-
-
-def _without_holes(
-    recordings: Sequence[Recording | Motion],
-) -> list[Recording | Motion]:
-    parts = [unbroken(x) if isinstance(x, Recording) else (x,) for x in recordings]
-    return [x for several in parts for x in several]
 
 
 def _unsure(finding: Finding) -> bool:
@@ -245,74 +192,32 @@ def _once(finding: Finding, scored: Explanation) -> bool:
     return scored.where_seen(scored.members(finding.effect)) is not scored
 
 
-def vetted(
-    gap: Gap, search: Search, limits: Thresholds, reached: Array | None = None
-) -> tuple[Account, dict[Term, tuple[str, ...]], Array]:
-    """Leave a search the terms that pass all checks beside each other.
+def _verdict(
+    found: Account,
+    scored: Explanation,
+    causes: Sequence[Finding],
+    limits: Thresholds,
+    *,
+    odd: bool,
+) -> tuple[Verdict, float]:
+    """What it comes to, and the unexplained share of the explainable gap.
 
     Args:
-        gap: The gap.
-        search: A search that has run.
+        found: The account of the gap where the terms were learnt.
+        scored: The terms on motions that no step has seen.
+        causes: What is named.
         limits: What is worth a cause.
-        reached: Squares that more terms left, shape (n,), in units of noise.
-
-    Returns:
-        What they explain and miss, what each cannot be told from, and the squares that
-        all of them had left, shape (n,), in units of noise.
+        odd: Whether something was seen there that is unlike all laws.
     """
-    found = account(gap, search, limits, reached)
-    reached = found.after if reached is None else reached
-    kinds: dict[Term, tuple[str, ...]] = {}
-    fewer = False
-    while True:
-        checks = {t: check(search, t, found, limits) for t in search.terms}
-        failing = [t for t, x in checks.items() if not x.passes(limits)]
-        kinds |= {
-            t: alternatives(search, t, limits)
-            for t in checks if t not in failing and t not in kinds
-        }  # fmt: skip
-        if not failing:
-            if not (fewer and search.reform()):
-                return found, kinds, reached
-            fewer, found = False, account(gap, search, limits, reached)
-            continue
-        fewer = True
-        # One after the other: what is left fits anew, and may well pass then.
-        out = min(failing, key=search.loss)
-        recur = checks[out].recurs
-        search.terms = [
-            t for t in search.terms
-            if t is not out and not (recur and checks[t].recurs)
-        ]  # fmt: skip
-        search.prune()
-        without = account(gap, search, limits, reached)
-        if checks[out].echo and checks[out].sound(limits):
-            # What noise looks like is not missed.
-            reached = reached + without.after - found.after
-            without = account(gap, search, limits, reached)
-        found = without
-
-
-def _torn(search: Search) -> dict[Term, str]:
-    """Terms for which something at another joint does as well, and a sentence."""
-    found, joints = {}, search.gap.robot.joints
-    for term in search.terms:
-        if other := elsewhere(search, term):
-            both = [(x.place[0], joints[x.place[1][-1]]) for x in (other, term)]
-            found[term] = _ANYWHERE.format(*both[0], *both[1])
-    return found
-
-
-def _verdict(
-    found: Account, effects: Sequence[Finding], limits: Thresholds, left: float
-) -> tuple[Verdict, float]:
-    """What it comes to, and the unexplained share of the explainable gap."""
+    if too_little(scored.gap):
+        return "not_excited", 1.0
     explained, missed = found.explained.sum(), found.missed.sum()
+    left = left_somewhere(found, scored)
+    if not causes:
+        return ("unexplained", 1.0) if missed > 0 or left or odd else ("no_gap", 0.0)
     share = float(missed / (explained + missed)) if explained + missed > 0 else 0.0
-    if not effects:
-        return ("unexplained", 1.0) if missed > 0 else ("no_gap", 0.0)
-    share = max(share, left)
-    if 1.0 - share >= limits.explained:
+    share = max(share, left_unseen(found, scored))
+    if 1.0 - share >= limits.explained and not left:
         return "explained", share
     return "partly_explained", share
 

@@ -30,6 +30,7 @@ _SLOWEST = 0.002  # rad/s or m/s; a servo at rest seems to move as fast
 # rest, which is the solver's own.
 _REST = 0.7
 _CALM = 0.5  # of the cut-off
+_SHOWN = 0.7  # of the cut-off: what swings faster does so in noise
 _TURNING = 25.0  # Hz; no dry friction turns round more quickly than that shows
 _FAR = 10.0  # deviations of noise: so far off, torque is what the log says
 _NORMAL = 1.4826  # standard deviation over median size
@@ -128,7 +129,8 @@ class Gap:
 
         Args:
             effect: The effect.
-            calm: Whether to make them of :attr:`calm`; if it differentiates by default.
+            calm: Whether to make them of :attr:`calm`; by default if it differentiates,
+                or swings faster than the band shows: there, only noise does.
 
         Returns:
             For each joint that the effect's torque reaches, shape (M, p).
@@ -139,7 +141,8 @@ class Gap:
             small = {g.name: _SMALL * g.scaled(scale).typical for g in effect.gains}
             effect = effect.at(small)
         gains = effect.gain_values
-        calm = effect.differentiates if calm is None else calm
+        if calm is None:
+            calm = effect.differentiates or self.above(effect)
         parts = []
         known = self.late if effect.reports else self.calm
         for motion, body, sampler in known if calm else self:
@@ -153,6 +156,11 @@ class Gap:
         stacked = np.concatenate(parts)
         reached = effect.reaches(self.robot.size)
         return {j: stacked[:, k] for k, j in enumerate(reached)}
+
+    def above(self, effect: Effect) -> bool:
+        """Whether an effect swings, and faster than the band shows."""
+        swing = np.mean([effect.frequency(x) for x in self.bodies])
+        return bool(swing > _SHOWN * self.cutoff)
 
     def _first(self, effect: Effect, motion: Motion, body: RigidBody) -> Array:
         """First-order torque per unit of each gain, shape (N, r, p).

@@ -36,7 +36,7 @@ def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, fl
     def worth(effect: Effect) -> float:
         return gain(evidence, base, replace(c, effect=effect))
 
-    first = _scanned(evidence, c, worth) if c.effect.steep else c.effect
+    first = _scanned(evidence, base, c, worth) if c.effect.steep else c.effect
     start = worth(first)
     effect, best = fit_shapes(first, worth, evidence.gap)
     if best < start:
@@ -100,9 +100,12 @@ def shifted(
 
 
 def _scanned(
-    evidence: Evidence, c: Candidate, worth: Callable[[Effect], float]
+    evidence: Evidence, base: Index, c: Candidate, worth: Callable[[Effect], float]
 ) -> Effect:
-    """A steep effect at the best gain near its own, which is on a fine grid."""
+    """A steep effect at the best gain near its own, which is on a fine grid.
+
+    Where it only bends, and swings above the band, it is one in proportion to its gain.
+    """
     (own,), (now,) = c.effect.gains, c.effect.gain_values
     bounds = own.scaled(scale_of(evidence.gap, c.effect))
 
@@ -116,7 +119,12 @@ def _scanned(
         method="bounded",
         options={"maxiter": _SCAN, "xatol": 0.02},
     )
-    return at(found.x)
+    best = at(found.x)
+    if not evidence.gap.above(best):
+        return best
+    columns = evidence.gap.columns(best)
+    _, (gain,) = evidence.trial(base, columns, c.std, c.lower)
+    return best.at({own.name: float(np.clip(gain, bounds.lower, bounds.upper))})
 
 
 def take_nudges(evidence: Evidence, effect: Effect) -> Index:

@@ -246,6 +246,10 @@ class Effect(Instant, ABC):
         """The motion as the rigid body made it, from the motion as measured."""
         return motion
 
+    def frequency(self, body: Body) -> float:
+        """How fast it swings along a motion, on the mean, [Hz]; 0 if it does not."""
+        return 0.0
+
     @property
     def linearised(self) -> bool:
         """Whether it changes signals, and its torque is linear near its gains only."""

@@ -65,6 +65,20 @@ class Elasticity(Effect):
         dq, dv, da = (soft * x for x in self._twist(motion, body))
         return replace(motion, q=motion.q + dq, v=motion.v + dv, a=motion.a + da)
 
+    def frequency(self, body: Body) -> float:
+        """See :meth:`Effect.frequency`: of the link, as the motor stands still."""
+        inertia = float(np.mean(self._slopes(body)[2]))
+        soft = self.values["compliance"] * max(inertia, 0.0)
+        return 1.0 / (2.0 * np.pi * np.sqrt(soft)) if soft > 0 else np.inf
+
+    def _slopes(self, body: Body) -> tuple[Array, ...]:
+        """Derivatives of its torque by its own position, speed, acceleration, (N,)."""
+        (j,) = self.joints
+        none, push = np.zeros_like(body.load), np.zeros_like(body.load)
+        push[:, j] = 1.0
+        changes = ((push if k == own else none for k in range(3)) for own in range(3))
+        return tuple(body.response(*x)[:, j] for x in changes)
+
     def _twist(self, motion: Motion, body: Body) -> tuple[Array, ...]:
         """Position, speed and acceleration of link over motor per compliance, (N, n).
 
@@ -78,12 +92,7 @@ class Elasticity(Effect):
             place[:, j] = -load
             speed = np.gradient(place, motion.t, axis=0)
             return place, speed, np.gradient(speed, motion.t, axis=0)
-        none, push = np.zeros_like(motion.q), np.zeros_like(motion.q)
-        push[:, j] = 1.0
-        G, C, M = (
-            body.response(*(push if k == own else none for k in range(3)))[:, j]
-            for own in range(3)
-        )
+        G, C, M = self._slopes(body)
         h = float(np.median(np.diff(motion.t)))
         # A link of none, as some files have it, follows within a sample.
         inertia = max(float(np.mean(M)), h**2 / soft)
