@@ -287,7 +287,7 @@ KINDS = ("times", "ladder", "reversals", "poses", "multisine", "fast", "mass", "
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_one_experiment_that_tells_is_advised(kind):
     pair = rivals_named("viscous", "thermal_friction")
-    plan = choose(Foreseen(**{kind: (3.0, 3.0)}), 0, pair, [])
+    plan = choose(Foreseen(**{kind: (3.0, 3.0)}), (0,), pair, [])
     assert kind in plan.advice.experiment
     assert plan.advice.splits == ("viscous", "thermal_friction")
 
@@ -295,24 +295,24 @@ def test_the_one_experiment_that_tells_is_advised(kind):
 def test_no_one_has_to_fetch_a_weight_if_a_motion_does():
     pair = rivals_named("torque_gain", "payload")
     both = Foreseen(mass=(30.0, 30.0), multisine=(2.0, 2.0))
-    assert "multisine" in choose(both, 0, pair, []).advice.experiment
+    assert "multisine" in choose(both, (0,), pair, []).advice.experiment
 
 
 def test_an_experiment_that_is_run_anyway_is_taken_again():
     pair, chosen = rivals_named("coulomb", "stribeck"), []
-    first = choose(Foreseen(ladder=(2.0, 2.0)), 0, pair, chosen)
+    first = choose(Foreseen(ladder=(2.0, 2.0)), (0,), pair, chosen)
     both = Foreseen(ladder=(2.0, 2.0), multisine=(9.0, 9.0))
     both.menu = SimpleNamespace(about=lambda _: chosen)
-    again = choose(both, 0, rivals_named("coulomb", "deadzone"), chosen)
+    again = choose(both, (0,), rivals_named("coulomb", "deadzone"), chosen)
     assert again.experiment is first.experiment
     assert len(chosen) == 1
 
 
 def test_what_can_only_be_shown_if_it_is_there_is_said_so():
     pair = rivals_named("viscous", "thermal_friction")
-    plan = choose(Foreseen(warm=(0.1, 9.0)), 0, pair, [])
+    plan = choose(Foreseen(warm=(0.1, 9.0)), (0,), pair, [])
     assert "settles whether it is thermal friction" in plan.advice.experiment
-    assert choose(Foreseen(warm=(0.9, 0.9)), 0, pair, []) is None
+    assert choose(Foreseen(warm=(0.9, 0.9)), (0,), pair, []) is None
 
 
 def test_late_commands_are_told_from_wrong_gains_by_other_gains():

@@ -1,6 +1,7 @@
 """The diagnosis: right cause, right joint, right size; and silence where it must be."""
 
 from dataclasses import replace
+from functools import cache
 from importlib import import_module
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -12,6 +13,7 @@ from arms import LIFT, MODELS
 from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from simulated import arm
 
+from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import candidate, mere, prompt, with_gains
 from hybrid.diagnose.contacts import Contacts, witnessed
@@ -1001,6 +1003,22 @@ class TestEvents:
         assert self.strongest(fast + 20.0 * slow, 1) == self.strongest(fast, 1)
 
 
+@cache
+def turned(offset):
+    """A plant with a turned encoder at the elbow, and logs with shoulders at rest."""
+    robot, rng = arm("coman_like"), np.random.default_rng(3)
+    plant = Plant(robot, [EncoderOffset((2,), {"offset": offset})], log_rate=250.0)
+    moving = np.isin(robot.joints, ("elbow", "wrist_3"))
+    references = []
+    for _ in range(2):
+        r = random_fourier(robot, duration=6.0, rate=250.0, rng=rng, fill=0.3, order=3)
+        q, v, a = (
+            np.where(moving, x, y) for x, y in ((r.q, r.q[:1]), (r.v, 0.0), (r.a, 0.0))
+        )
+        references.append(Reference(r.t, q, v, a))
+    return plant, plant.run(references, rng=rng)
+
+
 @pytest.mark.filterwarnings("ignore::hybrid.errors.HybridWarning")  # joints at rest
 @pytest.mark.parametrize("offset", [0.03, 0.01])
 def test_what_could_be_at_either_of_two_joints_is_not_named(offset, monkeypatch):
@@ -1008,24 +1026,32 @@ def test_what_could_be_at_either_of_two_joints_is_not_named(offset, monkeypatch)
 
     An encoder at rest is off by as much whether its scale runs out or is turned.
     """
-    robot, rng = arm("coman_like"), np.random.default_rng(3)
-    moving = np.isin(robot.joints, ("elbow", "wrist_3"))
-    references = []
-    for _ in range(3):
-        r = random_fourier(robot, duration=6.0, rate=500.0, rng=rng, fill=0.3, order=3)
-        q, v, a = (
-            np.where(moving, x, y) for x, y in ((r.q, r.q[:1]), (r.v, 0.0), (r.a, 0.0))
-        )
-        references.append(Reference(r.t, q, v, a))
-    plant = Plant(robot, [EncoderOffset((2,), {"offset": offset})])
+    _, recordings = turned(offset)
     asked = Mock(wraps=DIAGNOSE.command_link)
     monkeypatch.setattr(DIAGNOSE, "command_link", asked)
-    diagnosis = examine(robot, plant.run(references, rng=rng)).diagnosis
+    diagnosis = examine(arm("coman_like"), recordings).diagnosis
     asked.assert_called_once()  # the log is of this arm none the less
     assert diagnosis.findings == ()
     assert diagnosis.verdict == "unexplained"
     (doubt,) = [x for x in diagnosis.warnings if "do not tell where" in x]
     assert "shoulder" in doubt and "elbow" in doubt
+
+
+@pytest.mark.filterwarnings("ignore::hybrid.errors.HybridWarning")  # joints at rest
+def test_the_motion_that_is_advised_tells_at_which_of_two_joints_it_is(tmp_path):
+    robot, (plant, recordings) = arm("coman_like"), turned(0.01)
+    rng = np.random.default_rng(1)
+    first, *_ = advise(examine(robot, recordings), rng, directory=tmp_path)
+    assert "encoder eccentricity at shoulder or encoder offset at elbow" in (
+        first.experiment
+    )
+    table = np.loadtxt(tmp_path / first.file, delimiter=",", skiprows=1)
+    table = table[table[:, 0] < 6.0]  # which is enough
+    asked = Reference(table[:, 0], *np.split(table[:, 1:], 3, axis=1))
+    more = plant.run([asked], rng=rng)
+    assert named(examine(robot, [*recordings, *more])) == {
+        ("encoder_offset", ("elbow",))
+    }
 
 
 def test_what_explains_something_else_is_no_other_place():

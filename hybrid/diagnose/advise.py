@@ -32,6 +32,7 @@ _THERMAL = "thermal_friction"  # the one to which it matters when a motion is ru
 _MOST_JOINTS = 3
 _SLOW_ENOUGH = 4.0  # s at one speed
 _RATE = 500.0  # Hz, of references at most
+_WHERE = "; it settles whether it is {} at {} or {} at {}"
 _IF_ANY = "; it settles whether it is {}, or else bounds it"
 # Pairs that have the same torque on every motion, and what differs without one.
 _ALIKE = {
@@ -90,8 +91,10 @@ def advise(
     """
     rate = min(_RATE, result.gap.motions[0].rate)
     menu = Menu(result.gap.robot, rng, rate=rate)
+    prospects = Prospects(result, menu)
     plans = [
-        *sorted(_between_rivals(result, menu), key=lambda p: -p.advice.separation),
+        *sorted(_between_rivals(result, prospects), key=_least_told),
+        *sorted(_between_places(result, prospects), key=_least_told),
         *_for_unexplained(result, menu),
         *_for_servos(result, menu),
         *_for_not_excited(result, menu),
@@ -171,11 +174,10 @@ class Prospects:
         return self._known[experiment]
 
 
-def _between_rivals(result: Result, menu: Menu) -> Iterator[Plan]:
+def _between_rivals(result: Result, prospects: Prospects) -> Iterator[Plan]:
     """One experiment for each pair of a term and an effect that explains as much."""
     search, joints = result.search, result.gap.robot.joints
     named = {f.effect: f.alternatives[1:] for f in result.diagnosis.findings}
-    prospects = Prospects(result, menu)
     seen: set[tuple[int, frozenset[str]]] = set()
     for term in search.terms:
         effect_id, joint = term.place[0], term.place[1][-1]
@@ -194,14 +196,38 @@ def _between_rivals(result: Result, menu: Menu) -> Iterator[Plan]:
                 yield Plan(Advice(text, tuple(sorted(pair)), 0.0))
                 continue
             rival = fit_rival(search, term, other)
-            plan = choose(prospects, joint, (own, rival), chosen)
+            plan = choose(prospects, (joint,), (own, rival), chosen)
             if plan is not None:
                 yield plan
 
 
+def _between_places(result: Result, prospects: Prospects) -> Iterator[Plan]:
+    """One experiment for each term that something at another joint does as well as."""
+    search, chosen = result.search, list[Experiment]()
+    for term, other in list(result.torn.items())[:_MOST_PAIRS]:
+        both = term.candidate, other
+        at = [c.place[1][-1] for c in both]
+        own, rival = (fit_rival(search, term, c) for c in both)
+        plan = choose(prospects, at, (own, rival), chosen)
+        if plan is None or plan.experiment is None:
+            continue
+        words = [
+            x
+            for c, j in zip(both, at, strict=True)
+            for x in (c.place[0].replace("_", " "), result.gap.robot.joints[j])
+        ]
+        where = _WHERE.format(*words)
+        advice = replace(plan.advice, experiment=_run(plan.experiment) + where)
+        yield replace(plan, advice=advice)
+
+
+def _least_told(plan: Plan) -> float:
+    return -plan.advice.separation
+
+
 def choose(
     prospects: Prospects,
-    joint: int,
+    joints: Sequence[int],
     rivals: tuple[Rival, Rival],
     chosen: list[Experiment],
 ) -> Plan | None:
@@ -213,7 +239,7 @@ def choose(
 
     Args:
         prospects: What experiments would tell.
-        joint: The joint that the explanations are about.
+        joints: Joints that the explanations are about.
         rivals: Two explanations.
         chosen: Experiments that are advised already; what is chosen is added.
 
@@ -221,7 +247,8 @@ def choose(
         The advice; nothing if no experiment tells enough.
     """
     splits = rivals[0].effect.id, rivals[1].effect.id
-    menu = prospects.about(joint, warm=_THERMAL in splits)
+    asked = (prospects.about(j, warm=_THERMAL in splits) for j in joints)
+    menu = list(dict.fromkeys(x for some in asked for x in some))
     known = [x for x in chosen if x.plain]
     plain = [x for x in menu if x.plain and x not in known]
     half: tuple[float, Plan | None] = _CLEARLY, None

@@ -10,6 +10,7 @@ import numpy as np
 
 from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.clocks import clocks_apart
 from hybrid.diagnose.command import Link, command_link
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
@@ -23,6 +24,7 @@ from hybrid.diagnose.logs import measured, since_first, without_holes
 from hybrid.diagnose.refit import refit
 from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.result import Result
+from hybrid.diagnose.term import Term
 from hybrid.diagnose.threads import one_thread
 from hybrid.diagnose.thresholds import Thresholds, thresholds
 from hybrid.diagnose.units import units
@@ -43,6 +45,10 @@ from hybrid.signals import Motion
 Progress = Callable[[str], None]
 
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
+_ANYWHERE = (
+    "{} at {} explains as much as {} at {}: these motions do not tell where it is, so "
+    "that it is not named"
+)
 _ONCE = (
     "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
     "on motions that no step has seen"
@@ -141,7 +147,10 @@ def _examined(
     if anywhere := torn(search):
         search.terms = [t for t in search.terms if t not in anywhere]
         found = account(gap, search, limits, reached)
-        doubts += anywhere.values()
+        doubts += [
+            _ANYWHERE.format(*_placed(search, other), *_placed(search, t))
+            for t, other in anywhere.items()
+        ]
     tell("scoring on motions that no step has seen")
     odd = False
     while True:
@@ -181,7 +190,15 @@ def _examined(
         distorted = {j for e in effects if e.reports for j in e.joints}
         link = command_link(gap, recordings, rng, without=without, distorted=distorted)
         diagnosis = joined(diagnosis, found, as_logged, link, rng)
-    return Result(diagnosis, as_logged, search, scored, found, effects, link.effects)
+    return Result(
+        diagnosis, as_logged, search, scored, found, effects, link.effects, anywhere
+    )
+
+
+def _placed(search: Search, of: Term | Candidate) -> tuple[str, str]:
+    """An effect, and the joint that it is at."""
+    effect_id, joints = of.place
+    return effect_id, search.gap.robot.joints[joints[-1]]
 
 
 def _unsure(finding: Finding) -> bool:

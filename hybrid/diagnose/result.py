@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.diagnosis import Diagnosis
 from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.term import Term
 from hybrid.diagnose.verify import Account
 from hybrid.effects import Effect
 
@@ -25,6 +28,8 @@ class Result:
         effects: The effects named, with fitted values: those of the terms, then
             :attr:`late`.
         command: Those between command and torque.
+        torn: Terms of the search that are not named, and what explains as much at
+            another joint.
     """
 
     diagnosis: Diagnosis
@@ -34,6 +39,7 @@ class Result:
     account: Account
     effects: tuple[Effect, ...]
     command: tuple[Effect, ...] = ()
+    torn: Mapping[Term, Candidate] = field(default_factory=dict)
 
     @property
     def late(self) -> tuple[Effect, ...]:

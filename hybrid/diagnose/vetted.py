@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.findings import alternatives, elsewhere
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds
 from hybrid.diagnose.verify import Account, account, check
 from hybrid.robot.chain import Array
-
-_ANYWHERE = (
-    "{} at {} explains as much as {} at {}: these motions do not tell where it is, so "
-    "that it is not named"
-)
 
 
 def vetted(
@@ -64,11 +60,7 @@ def vetted(
         found = without
 
 
-def torn(search: Search) -> dict[Term, str]:
-    """Terms for which something at another joint does as well, and a sentence."""
-    found, joints = {}, search.gap.robot.joints
-    for term in search.terms:
-        if other := elsewhere(search, term):
-            both = [(x.place[0], joints[x.place[1][-1]]) for x in (other, term)]
-            found[term] = _ANYWHERE.format(*both[0], *both[1])
-    return found
+def torn(search: Search) -> dict[Term, Candidate]:
+    """Terms for which something at another joint does as well, and what does."""
+    others = {t: elsewhere(search, t) for t in search.terms}
+    return {t: other for t, other in others.items() if other is not None}
