@@ -20,6 +20,7 @@ from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.identify import DynamicModel
 from hybrid.report.diagnosis import render_diagnosis
 from hybrid.report.diagnosis_curves import joint_curves
+from hybrid.report.diagnosis_evidence import evidence_matrix
 
 TIME = 0.007
 GRIP = NonlinearViscous((2,), {"quadratic": 6.0})
@@ -74,6 +75,9 @@ def test_it_is_named_at_every_joint_with_whatever_else_is_there(rubs, tmp_path):
     np.testing.assert_allclose(diagnosis.rms, rms, rtol=1e-3)  # but for the end
     page = render_diagnosis(result)
     assert "late at every joint was taken back before effects were tried" in page
+    cells = dict(evidence_matrix(result).rows)[Delay.id]
+    assert [c.joints for c in cells] == list(robot.joints)
+    assert all(c.named and min(c.alone, c.beside) > 1.0 for c in cells)
     curves = joint_curves(result, 0)["time"]
     assert {"today", "after"} <= set(curves)
     write_fixed(result, tmp_path)

@@ -207,19 +207,19 @@ class TestCurves:
 
 class TestEvidence:
     def test_the_named_cells_are_the_findings(self):
-        matrix = evidence_matrix(planar().search)
+        matrix = evidence_matrix(planar())
         named = {(e, c.joints) for e, cells in matrix.rows for c in cells if c.named}
         assert named == {("torque_ripple", "shoulder"), ("stribeck", "elbow")}
         assert {matrix.rows[0][0], matrix.rows[1][0]} == {"torque_ripple", "stribeck"}
 
     def test_an_imitation_has_evidence_alone_and_none_beside_the_cause(self):
-        rows = dict(evidence_matrix(planar().search).rows)
+        rows = dict(evidence_matrix(planar()).rows)
         dry = rows["coulomb"][1]
         assert dry.joints == "elbow" and dry.alone > 2
         assert dry.beside < 0.1 * dry.alone
 
     def test_every_row_is_as_wide_as_the_arm(self):
-        for _, cells in evidence_matrix(planar().search).rows:
+        for _, cells in evidence_matrix(planar()).rows:
             assert sum(cell.width for cell in cells) == 2
             assert all(0 <= x <= 1 for cell in cells for x in cell.shade)
 

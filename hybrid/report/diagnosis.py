@@ -72,7 +72,7 @@ def render_diagnosis(result: Result) -> str:
         shares=_shares(diagnosis),
         findings=[_finding(f, _ink(k)) for k, f in enumerate(diagnosis.findings)],
         remainder=_remainder(result),
-        matrix=evidence_matrix(result.search),
+        matrix=evidence_matrix(result),
         late=bool(result.late),
         regions=_regions(diagnosis),
         variables=list(dict.fromkeys(r.variable for r in diagnosis.where)),

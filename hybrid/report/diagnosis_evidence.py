@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from hybrid.diagnose.attribute import Search
+    from hybrid.diagnose.result import Result
     from hybrid.effects import Effect
 
 _LITTLE = 3.0  # nats: a row with less is only named
@@ -46,13 +46,13 @@ class Matrix:
     silent: tuple[str, ...]
 
 
-def evidence_matrix(search: Search) -> Matrix:
+def evidence_matrix(result: Result) -> Matrix:
     """What speaks for every effect at every joint.
 
     Args:
-        search: A search whose terms are the findings.
+        result: A diagnosis with the search that found its terms.
     """
-    joints = search.gap.robot.joints
+    search, joints = result.search, result.gap.robot.joints
     found: dict[tuple[str, tuple[int, ...]], float] = {}
     for t in search.terms:  # several ripples may share a place
         found[t.place] = max(found.get(t.place, 0.0), search.loss(t))
@@ -72,11 +72,26 @@ def evidence_matrix(search: Search) -> Matrix:
         row = cells.setdefault(place[0], {})
         if column not in row or (cell.named, cell.alone) > _rank(row[column]):
             row[column] = cell
+    for effect in result.late:  # taken back before the search
+        (j,) = effect.joints
+        cells.setdefault(effect.id, {})[j] = _late(result, j)
     order = sorted(cells, key=lambda e: max(map(_rank, cells[e].values())))[::-1]
     loud = [e for e in order if any(map(_speaks, cells[e].values()))]
     rows = tuple((e, tuple(_filled(cells[e], len(joints)))) for e in loud)
     silent = tuple(sorted(e for e in order if e not in loud))
     return Matrix(_shaded(rows), silent)
+
+
+def _late(result: Result, j: int) -> Cell:
+    """What speaks for torque that is late at every joint, at one of them."""
+    scored = result.scored.learnt or result.scored
+    rows, noise = scored.evidence.rows[j], scored.evidence.noise[j]
+    change = (result.gap.left - result.search.gap.left)[rows, j]
+    alone, beside = (
+        max(0.0, float(np.sum((left + change) ** 2 - left**2) / noise / 2)) / _DECADE
+        for left in (scored.before[j], scored.after[j])
+    )
+    return Cell(1, result.gap.robot.joints[j], alone, beside, named=True)
 
 
 def _columns(effect: Effect, size: int) -> tuple[int, int]:
