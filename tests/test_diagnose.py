@@ -551,6 +551,22 @@ class TestCause:
         for name, value in told.items():
             assert found[name].interval[0] < value < found[name].interval[1]
 
+    def test_no_end_of_a_turn_is_in_the_way_of_a_counterbalance(self):
+        values = {"spring": 0.75, "preload": 2.4, "dead_centre": -3.1}
+        effect = Counterbalance((1,), {**values, "crank_ratio": 0.34})
+        search = Search(measure_gap(*logs([effect], count=2)))
+        truth = candidate(search.gap, effect)
+        base, columns = search.background, search.gap.columns(effect)
+        best, _ = search.evidence.trial(base, columns, truth.std, truth.lower)
+        found = [search.refine(base, c)[1] for c in search.pool.at(truth.place)]
+        assert max(found) > best - 5.0  # two shapes cost as much
+
+    def test_a_dead_centre_is_told_within_half_a_turn(self):
+        over = Counterbalance((0,), {"spring": 2.0, "dead_centre": 3.3})
+        told = over.as_reported()
+        assert told.values["dead_centre"] == pytest.approx(3.3 - 2 * np.pi)
+        assert told.as_reported() is told
+
     def test_what_repeats_once_per_turn_is_no_counterbalance(self):
         ripple = TorqueRipple((0,), {"sine": 2.0, "cosine": 3.0, "periods": 1.0})
         robot, recordings = logs([ripple])

@@ -27,13 +27,21 @@ class Counterbalance(JointEffect):
         Quantity("preload", "N·m", 0.1, -5.0, 5.0, per=(1, 0)),
     )
     shapes = (
-        Quantity("dead_centre", "rad", 0.0, -3.1416, 3.1416),
+        # More than a turn, of which no end is in the way of a fit.
+        Quantity("dead_centre", "rad", 0.0, -4.0, 4.0),
         Quantity("crank_ratio", "", 0.3, 0.01, 0.95),
     )
     equation = "τ = (K + P/λ) · sin(q − φ), λ = √(1 + ρ² − 2 ρ cos(q − φ))"
     source = "Arakelian 2016, doi 10.1080/01691864.2015.1090334"
     sentence = "A counterbalance carries part of the weight on {joints}."
     remedy = "Add the cylinder as a tendon between its two pivots."
+
+    def as_reported(self) -> Counterbalance:
+        """The same with its dead centre within half a turn of zero."""
+        angle = self.values["dead_centre"]
+        if abs(angle) <= np.pi:
+            return self
+        return self.at({"dead_centre": float(np.angle(np.exp(1j * angle)))})
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:
