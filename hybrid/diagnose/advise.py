@@ -211,13 +211,16 @@ def _between_places(result: Result, prospects: Prospects) -> Iterator[Plan]:
         plan = choose(prospects, at, (own, rival), chosen)
         if plan is None or plan.experiment is None:
             continue
+        text = _run(plan.experiment)
+        if plan.advice.experiment != text:  # it tells if it is one, not if the other
+            yield plan
+            continue
         words = [
             x
             for c, j in zip(both, at, strict=True)
             for x in (c.place[0].replace("_", " "), result.gap.robot.joints[j])
         ]
-        where = _WHERE.format(*words)
-        advice = replace(plan.advice, experiment=_run(plan.experiment) + where)
+        advice = replace(plan.advice, experiment=text + _WHERE.format(*words))
         yield replace(plan, advice=advice)
 
 
