@@ -215,12 +215,10 @@ def _between_places(result: Result, prospects: Prospects) -> Iterator[Plan]:
         if plan.advice.experiment != text:  # it tells if it is one, not if the other
             yield plan
             continue
-        words = [
-            x
-            for c, j in zip(both, at, strict=True)
-            for x in (c.place[0].replace("_", " "), result.gap.robot.joints[j])
-        ]
-        advice = replace(plan.advice, experiment=text + _WHERE.format(*words))
+        (one, here), (two, there) = map(search.placed, both)
+        laws = one.replace("_", " "), two.replace("_", " ")
+        text += _WHERE.format(laws[0], here, laws[1], there)
+        advice = replace(plan.advice, experiment=text)
         yield replace(plan, advice=advice)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search
-from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.clocks import clocks_apart
 from hybrid.diagnose.command import Link, command_link
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
@@ -24,7 +23,6 @@ from hybrid.diagnose.logs import measured, since_first, without_holes
 from hybrid.diagnose.refit import refit
 from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.result import Result
-from hybrid.diagnose.term import Term
 from hybrid.diagnose.threads import one_thread
 from hybrid.diagnose.thresholds import Thresholds, thresholds
 from hybrid.diagnose.units import units
@@ -148,7 +146,7 @@ def _examined(
         search.terms = [t for t in search.terms if t not in anywhere]
         found = account(gap, search, limits, reached)
         doubts += [
-            _ANYWHERE.format(*_placed(search, other), *_placed(search, t))
+            _ANYWHERE.format(*search.placed(other), *search.placed(t))
             for t, other in anywhere.items()
         ]
     tell("scoring on motions that no step has seen")
@@ -193,12 +191,6 @@ def _examined(
     return Result(
         diagnosis, as_logged, search, scored, found, effects, link.effects, anywhere
     )
-
-
-def _placed(search: Search, of: Term | Candidate) -> tuple[str, str]:
-    """An effect, and the joint that it is at."""
-    effect_id, joints = of.place
-    return effect_id, search.gap.robot.joints[joints[-1]]
 
 
 def _unsure(finding: Finding) -> bool:

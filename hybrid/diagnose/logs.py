@@ -22,7 +22,15 @@ def measured(
 ) -> tuple[Convention, list[Recording | Motion], Gap, Gap]:
     """How logs were written, and they and their gap with that taken back.
 
-    The last is the gap with the log taken at its word where torque in it is late.
+    Args:
+        robot: The simulator as it stands.
+        recordings: Logs of the real arm.
+        cutoff: Cut-off of everything filtered, [Hz]; from the spectrum if not given.
+        clocks: Whether torque may be late by the same time at every joint.
+
+    Returns:
+        How they were written; the logs and the gap with that taken back; and the gap
+        with the log taken at its word where torque in it is late.
     """
     gap = measure_gap(robot, recordings, cutoff=cutoff)
     logged = find_convention(gap, recordings, clocks=clocks)

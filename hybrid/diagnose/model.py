@@ -96,6 +96,11 @@ class Model:
         (index,) = self.evidence.add([self.gap.columns(c.effect)], [c.std])
         return Term(c, index)
 
+    def placed(self, found: Term | Candidate) -> tuple[str, str]:
+        """The id of an effect, and the name of the joint that it is at."""
+        effect_id, joints = found.place
+        return effect_id, self.gap.robot.joints[joints[-1]]
+
     def loss(self, term: Term) -> float:
         """Evidence that would be lost without a term, [nat]."""
         return float(self.losses([term])[0])

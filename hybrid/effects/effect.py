@@ -247,7 +247,11 @@ class Effect(Instant, ABC):
         return motion
 
     def frequency(self, body: Body) -> float:
-        """How fast it swings along a motion, on the mean, [Hz]; 0 if it does not."""
+        """How fast it swings along a motion, on the mean, [Hz]; 0 if it does not.
+
+        Args:
+            body: Rigid-body quantities along the motion.
+        """
         return 0.0
 
     @property
