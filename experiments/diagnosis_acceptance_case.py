@@ -14,7 +14,8 @@ from hybrid import Robot, simulate
 from hybrid.benchmark.sysid import has_sysid
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.fixed import fixed_model, fixed_simulator
-from hybrid.diagnose.gap import Gap, measure_gap
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.diagnose.replayed import replayed
 from hybrid.effects import Effect
 from hybrid.effects.stribeck import Stribeck

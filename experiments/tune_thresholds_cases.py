@@ -14,7 +14,7 @@ from hybrid.benchmark.case import Case
 from hybrid.benchmark.run import make, read_open, read_rows
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.explanation import split
-from hybrid.diagnose.gap import measure_gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.diagnose.vetted import vetted
 

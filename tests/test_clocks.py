@@ -13,7 +13,7 @@ from hybrid.benchmark.run import make, read_open
 from hybrid.diagnose.convention import find_convention
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.fixed import MODEL, write_fixed
-from hybrid.diagnose.gap import measure_gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.diagnose.replayed import replayed
 from hybrid.effects.delay import Delay
 from hybrid.effects.nonlinear_viscous import NonlinearViscous

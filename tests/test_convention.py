@@ -11,7 +11,7 @@ from simulated import arm
 
 from hybrid.diagnose.convention import Convention, find_convention
 from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.gap import measure_gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.plant import random_fourier
 from hybrid.recording import Recording
 from hybrid.robot import Robot

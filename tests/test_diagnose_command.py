@@ -11,8 +11,8 @@ from simulated import arm
 from hybrid.diagnose.command import command_link
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.fixed import MODEL, SIMULATOR, write_fixed
-from hybrid.diagnose.gap import measure_gap
 from hybrid.diagnose.links import COMMAND_TO_TORQUE, joined
+from hybrid.diagnose.measure import measure_gap
 from hybrid.diagnose.replayed import replayed
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.command_latency import CommandLatency

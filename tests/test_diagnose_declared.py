@@ -12,7 +12,7 @@ from hybrid.diagnose.background import dry_friction
 from hybrid.diagnose.candidates import candidate
 from hybrid.diagnose.convention import Convention, find_convention
 from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.gap import measure_gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
@@ -39,6 +39,11 @@ def logs(more=0.0, seed=0):
     """Moves from rest to rest of an arm whose friction is full from 2 mrad/s on."""
     rng = np.random.default_rng(seed)
     return [recording(rng, more) for _ in range(4)]
+
+
+def offset(level):
+    """The same with an offset of the torque of the second joint."""
+    return [replace(x, tau=x.tau + [0.0, level]) for x in logs()]
 
 
 def recording(rng, more):
@@ -126,6 +131,14 @@ class TestTooMuchFriction:
         diagnosis = examine(TOO_MUCH, logs(), without=without).diagnosis
         assert diagnosis.verdict == "unexplained"
         assert any("to be off by" in text for text in diagnosis.warnings)
+
+    def test_beside_such_numbers_nothing_smaller_is_a_cause(self):
+        known = examine(TOO_MUCH, offset(0.05)).diagnosis
+        assert "torque_offset" in {x for f in known.findings for x in f.alternatives}
+        without = ("viscous", "coulomb", "armature")
+        diagnosis = examine(TOO_MUCH, offset(0.05), without=without).diagnosis
+        assert diagnosis.findings == ()
+        assert diagnosis.verdict == "unexplained"
 
 
 def test_what_comes_and_goes_does_not_end_the_search(monkeypatch):

@@ -8,7 +8,7 @@ from simulated import arm, motions
 
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import candidate
-from hybrid.diagnose.gap import measure_gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.effects.elasticity import Elasticity
 from hybrid.plant import Noise, Plant, random_fourier, simulate

@@ -13,7 +13,7 @@ from simulated import arm
 
 from hybrid.diagnose.express import express
 from hybrid.diagnose.fixed import fixed_model, fixed_simulator, write_fixed
-from hybrid.diagnose.gap import measure_gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
 from hybrid.errors import HybridWarning

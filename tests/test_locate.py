@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnose.gap import measure_gap
 from hybrid.diagnose.locate import locate, time_since_reversal
+from hybrid.diagnose.measure import measure_gap
 from hybrid.diagnose.visited import not_excited, reversals
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.spring import Spring

@@ -11,7 +11,7 @@ from hybrid.diagnose import motion
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import candidate
 from hybrid.diagnose.explanation import explain, split
-from hybrid.diagnose.gap import measure_gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.diagnose.motion import (
     HORIZONS,
     Replay,

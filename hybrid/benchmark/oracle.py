@@ -10,7 +10,8 @@ import numpy as np
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate, candidate
 from hybrid.diagnose.evidence import Evidence
-from hybrid.diagnose.gap import Gap, measure_gap
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.result import Result
 from hybrid.effects import Effect

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.diagnose.candidates import declared
-from hybrid.diagnose.gap import Gap, measure_gap
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.effects import Effect
 from hybrid.effects.effect import Scale
 from hybrid.errors import HybridError

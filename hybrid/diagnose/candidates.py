@@ -148,8 +148,7 @@ def _grid(
 ) -> Iterator[Effect]:
     scale = gap.scales[joints[-1]]
     shapes = [s.scaled(scale) for s in cls.shapes]
-    count = _GRID if sum(not s.whole for s in shapes) == 1 else _COARSE
-    axes = [grid(s, count) for s in shapes]
+    axes = [grid(s, _COARSE if k else _GRID) for k, s in enumerate(shapes)]
     if cls.steep:
         # Its shapes are fitted once it is on the shortlist.
         (gain,) = (g.scaled(scale) for g in cls.gains)

@@ -19,7 +19,8 @@ import numpy as np
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate, candidate
 from hybrid.diagnose.evidence import Evidence
-from hybrid.diagnose.gap import Columns, Gap, measure_gap
+from hybrid.diagnose.gap import Columns, Gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.diagnose.products import Index
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from hybrid.diagnose.account import Account, account
 from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.clocks import clocks_apart
@@ -16,7 +17,13 @@ from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnose.explanation import Explanation, explain, shares, split
 from hybrid.diagnose.findings import findings
 from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.grounds import another_arm, far_off, too_little, unlike
+from hybrid.diagnose.grounds import (
+    another_arm,
+    far_off,
+    overshadowed,
+    too_little,
+    unlike,
+)
 from hybrid.diagnose.links import joined
 from hybrid.diagnose.locate import locate
 from hybrid.diagnose.logs import measured, since_first, without_holes
@@ -32,7 +39,6 @@ from hybrid.diagnose.unseen import (
     negligible,
     useful_terms,
 )
-from hybrid.diagnose.verify import Account, account
 from hybrid.diagnose.vetted import torn, vetted
 from hybrid.diagnose.visited import not_excited
 from hybrid.effects.delay import Delay
@@ -149,6 +155,9 @@ def _examined(
             _ANYWHERE.format(*search.placed(other), *search.placed(t))
             for t, other in anywhere.items()
         ]
+    if small := overshadowed(search):
+        search.terms = [t for t in search.terms if t not in small]
+        found = account(gap, search, limits, reached)
     tell("scoring on motions that no step has seen")
     odd = False
     while True:
@@ -173,7 +182,9 @@ def _examined(
     if not anywhere and (strained := far_off(search)):
         doubts.append(strained)
         odd = True
-    verdict, unexplained = _verdict(found, scored, causes, limits, odd=odd)
+    verdict, unexplained = _verdict(
+        found, scored, causes, limits, odd=odd, whole=not anywhere
+    )
     diagnosis = replace(
         _diagnosis(as_logged, search, found, causes, verdict, unexplained),
         warnings=(*gap.notes, *logged.notes, *doubts),
@@ -208,6 +219,7 @@ def _verdict(
     limits: Thresholds,
     *,
     odd: bool,
+    whole: bool,
 ) -> tuple[Verdict, float]:
     """What it comes to, and the unexplained share of the explainable gap.
 
@@ -217,6 +229,7 @@ def _verdict(
         causes: What is named.
         limits: What is worth a cause.
         odd: Whether something was seen there that is unlike all laws.
+        whole: Whether all that explains it could be named.
     """
     if too_little(scored.gap):
         return "not_excited", 1.0
@@ -226,7 +239,7 @@ def _verdict(
         return ("unexplained", 1.0) if missed > 0 or left or odd else ("no_gap", 0.0)
     share = float(missed / (explained + missed)) if explained + missed > 0 else 0.0
     share = max(share, left_unseen(found, scored))
-    if 1.0 - share >= limits.explained and not left:
+    if 1.0 - share >= limits.explained and whole and not left:
         return "explained", share
     return "partly_explained", share
 

@@ -13,7 +13,8 @@ from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import instead
 from hybrid.diagnose.evidence import Evidence
-from hybrid.diagnose.gap import Gap, block_seconds
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.measure import block_seconds
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.term import Term
 from hybrid.robot.chain import Array

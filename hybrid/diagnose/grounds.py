@@ -6,11 +6,14 @@ import numpy as np
 
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.model import WIDEST, Model
+from hybrid.diagnose.products import Index
 from hybrid.diagnose.term import Term
+from hybrid.robot.chain import Array
 
 _FEWEST_SECONDS = 3.0
 _FEWEST_MOVING = 1.0  # s
 _FAR = 5.0  # deviations of the widest background
+_MAIN = 0.2  # of what is made at the joint where most is
 
 
 def too_little(gap: Gap) -> str | None:
@@ -66,14 +69,44 @@ def far_off(model: Model) -> str | None:
 
     No more of a gap may be left then, but the file is not right.
     """
-    evidence, rigid = model.evidence, model.background
-    evidence.spread(rigid, WIDEST)
-    gains = evidence.solve(model.base()).of(rigid)
-    worst = float(np.max(np.abs(gains) * np.sqrt(evidence.precision[rigid])))
-    evidence.spread(rigid, model.off)
-    if worst < _FAR:
+    _, gains, deviations = _strained(model)
+    if not len(gains):
         return None
     return (
         f"what no effect explains would need numbers of the file to be off by "
-        f"{worst * WIDEST:.0%}"
+        f"{deviations.max() * WIDEST:.0%}"
     )
+
+
+def overshadowed(model: Model) -> list[Term]:
+    """Terms that explain less at their joints than numbers that are far off do.
+
+    What is wrong there is not the file, nor what a term explains beside that.
+    """
+    numbers, gains, _ = _strained(model)
+    if not len(numbers):
+        return []
+    evidence = model.evidence
+    made = evidence.made(numbers, gains)
+    there = set(np.flatnonzero(made >= _MAIN * made.max()))
+    evidence.spread(model.background, WIDEST)
+    rest = np.setdiff1d(model.base(), numbers)
+    much = model.worth() - evidence.solve(rest).evidence
+    small = [
+        t
+        for t, own in zip(model.terms, model.losses(), strict=True)
+        if own < much and there & {*t.candidate.effect.reaches(model.gap.robot.size)}
+    ]
+    evidence.spread(model.background, model.off)
+    return small
+
+
+def _strained(model: Model) -> tuple[Index, Array, Array]:
+    """Numbers of the file that are far off, by how much, and in deviations; (k,)."""
+    evidence, rigid = model.evidence, model.background
+    evidence.spread(rigid, WIDEST)
+    gains = evidence.solve(model.base()).of(rigid)
+    deviations = np.abs(gains) * np.sqrt(evidence.precision[rigid])
+    evidence.spread(rigid, model.off)
+    far = deviations >= _FAR
+    return rigid[far], gains[far], deviations[far]

@@ -7,7 +7,8 @@ from dataclasses import replace
 from functools import partial
 
 from hybrid.diagnose.convention import Convention, find_convention
-from hybrid.diagnose.gap import Gap, measure_gap
+from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.measure import measure_gap
 from hybrid.recording import Recording, unbroken
 from hybrid.robot import Robot
 from hybrid.signals import Motion

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from hybrid.diagnose.account import Account
 from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.findings import torque_shrink
 from hybrid.diagnose.term import Term
-from hybrid.diagnose.verify import Account
 from hybrid.effects.contact import Contact
 
 _SMALLEST = 0.001  # of the measured torque, RMS

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from hybrid.diagnose.account import Account, account
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import Candidate
+from hybrid.diagnose.check import check
 from hybrid.diagnose.findings import alternatives, elsewhere
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds
-from hybrid.diagnose.verify import Account, account, check
 from hybrid.robot.chain import Array
 
 

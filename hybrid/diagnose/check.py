@@ -1,4 +1,4 @@
-"""Whether the best explanation is good enough to be the cause."""
+"""Whether a term is good enough to be the cause."""
 
 from __future__ import annotations
 
@@ -7,21 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.diagnose.account import Account
 from hybrid.diagnose.attribute import Search
-from hybrid.diagnose.bayes import coloured, memory, quiet
 from hybrid.diagnose.candidates import scale_of, with_gains
-from hybrid.diagnose.ceiling import recoverable
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds
 from hybrid.effects.contact import Contact
 from hybrid.effects.effect import Port
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.robot.chain import Array
 
 _ECHO = 0.1  # of the evidence, least in the lower half of the band
 _SLACK = 0.02  # of the range of a gain
-_CALM = 0.25  # of the cut-off: the band in which events are looked for
 _HALF = 0.5  # of what is there, explained by laws that hold roughly
 _NEAR, _SERIES = 2.2, 4  # waves over the range of a joint between orders; how many
 _MOST_CONTACTS = 3  # what happens more often is no contact
@@ -33,7 +30,8 @@ class Check:
     """What speaks against a term.
 
     Attributes:
-        complete: Part of what is explainable at its joints that the terms there do.
+        complete: Part of what is explainable at its joints that the terms there do,
+            and of what the term itself adds to the gap of others.
         unsteady: Squares that its gains would still take from the gap if each fold had
             its own, over those that the term takes.
         crowd: Number of terms at its joint.
@@ -77,100 +75,6 @@ class Check:
         )
 
 
-@dataclass(frozen=True)
-class Account:
-    """Squares of the gap on the samples learnt from, by joint, in units of noise.
-
-    Attributes:
-        before: With the background alone, shape (n,).
-        after: With all terms, shape (n,).
-        recovered: What a flexible regression still recovers, beyond chance, shape (n,).
-        doubtful: What it recovers besides, on most folds but not on all, shape (n,).
-        missed: What is there and has no cause, if it matters, shape (n,).
-        refused: What terms explain that do not hold, shape (n,).
-        depends: What the missed part depends on first, for each joint.
-        noise: Sum of squares of noise alone, shape (n,).
-    """
-
-    before: Array
-    after: Array
-    recovered: Array
-    doubtful: Array
-    missed: Array
-    refused: Array
-    depends: tuple[str, ...]
-    noise: Array
-
-    @property
-    def explained(self) -> Array:
-        """What the terms explain, shape (n,)."""
-        return np.maximum(self.before - self.after, 0.0)
-
-
-def account(
-    gap: Gap, search: Search, limits: Thresholds, reached: Array | None = None
-) -> Account:
-    """What is explained and what is missed, joint by joint.
-
-    Args:
-        gap: The gap.
-        search: A search that has run.
-        limits: What is worth a cause.
-        reached: Squares left by more terms, some of which do not hold, shape (n,), in
-            units of noise.
-    """
-    evidence = search.evidence
-    alone = evidence.solve(search.background)
-    whole = evidence.solve(search.base())
-    weight = evidence.noise
-    before = evidence.squares(alone.index, alone.gains).sum(axis=1) / weight
-    after = evidence.squares(whole.index, whole.gains).sum(axis=1) / weight
-    refused = np.zeros_like(after) if reached is None else after - reached
-    refused = np.where(refused > limits.evident, refused, 0.0)
-    (recovered, doubtful, missed), depends = np.zeros((3, len(weight))), []
-    for i, rows in enumerate(evidence.rows):
-        if not len(rows):
-            depends.append("")
-            continue
-        left = evidence.residual(i, whole.index, whole.gains)
-        # Time order: what lags needs its past.
-        order = np.argsort(rows)
-        rows = rows[order]
-        squares, more, of, rest = recoverable(gap, i, left[order], rows, weight[i])
-        # Noise as estimated before may hold what no effect explains.
-        calm = quiet(rest, rows, gap.rate, _CALM * gap.cutoff)
-        usual = float(np.mean(rest[calm] ** 2))
-        noise = usual * memory(rest[calm], rows[calm])
-        events = float(np.sum(rest[~calm] ** 2 - usual))
-        evident = limits.evident * noise
-        recovered[i] = max(0.0, squares - evident) / weight[i]
-        doubtful[i] = max(0.0, squares + more - evident) / weight[i] - recovered[i]
-        squares = max(0.0, squares - limits.spurious * float(left @ left))
-        colour = coloured(rest[calm], rows[calm], gap.rate, gap.cutoff)
-        if colour > limits.coloured * float(rest @ rest):
-            squares, of = squares + colour, of or "what does not recur"
-        tau = gap.measured[rows, i]
-        small = limits.negligible**2 * float(tau @ tau)
-        least = max(evident, small)
-        parts = [
-            (x, name) for x, name in ((squares, of), (events, "events")) if x > least
-        ]
-        missed[i] = sum(x for x, _ in parts) / weight[i]
-        depends.append(max(parts)[1] if parts else "")
-        if refused[i] > max(missed[i], small / weight[i]):
-            missed[i], depends[i] = refused[i], depends[i] or "what no known law fits"
-    return Account(
-        before,
-        after,
-        recovered,
-        doubtful,
-        missed,
-        refused,
-        tuple(depends),
-        after - missed,
-    )
-
-
 def check(search: Search, term: Term, found: Account, limits: Thresholds) -> Check:
     """What speaks against a term of a search.
 
@@ -187,7 +91,8 @@ def check(search: Search, term: Term, found: Account, limits: Thresholds) -> Che
     # The joints where it explains most; others it merely touches.
     main = gained > 0.2 * gained.max() if gained.max() > 0 else gained >= 0
     explained = found.explained[main].sum()
-    remains = found.recovered[main].sum()
+    # What it adds where it does not belong is not explained either.
+    remains = found.recovered[main].sum() + np.maximum(found.after - left, 0.0).sum()
     if explained < _HALF * found.before[main].sum():
         remains += found.doubtful[main].sum()
     complete = explained / max(explained + remains, 1e-12)
