@@ -563,6 +563,20 @@ class TestCause:
         found = [search.refine(base, c)[1] for c in search.pool.at(truth.place)]
         assert max(found) > best - 5.0  # two shapes cost as much
 
+    @pytest.mark.parametrize("dead_centre", [-3.0, -1.5, 0.0, 1.6])
+    def test_the_grid_misses_no_counterbalance(self, dead_centre):
+        """What is below half of the best at first is not fitted."""
+        values = {"spring": 0.3, "preload": -0.4, "dead_centre": dead_centre}
+        effect = Counterbalance((1,), {**values, "crank_ratio": 0.3})
+        search = Search(measure_gap(*logs([effect], count=2)))
+        truth = candidate(search.gap, effect)
+
+        def worth(c):
+            columns = search.gap.columns(c.effect)
+            return search.evidence.trial(search.background, columns, c.std, c.lower)[0]
+
+        assert max(map(worth, search.pool.at(truth.place))) > 0.8 * worth(truth)
+
     def test_no_spring_of_a_counterbalance_pushes_from_where_it_rests(self):
         values = {"spring": -3.0, "dead_centre": 0.3, "crank_ratio": 0.4}
         upside_down = Counterbalance((1,), values)

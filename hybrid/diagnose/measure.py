@@ -69,7 +69,7 @@ def measure_gap(
     speeds = [np.abs(m.v[m.mask]) for m in motions if m.mask.any()]
     fastest = np.max([x.max(axis=0) for x in speeds], axis=0, initial=0.0)
     bodies = tuple(RigidBody(robot.chain, m) for m in motions)
-    simulated, left, moving, fold, trajectory = [], [], [], [], []
+    simulated, left, moving = [], [], []
     for r, (motion, body) in enumerate(zip(motions, bodies, strict=True)):
         sampler = Sampler.for_rate(motion.rate, cutoff)
         tau = simulated_torque(robot, motion, body)
@@ -85,21 +85,25 @@ def measure_gap(
         resting = robot.frictionloss > 0
         slow[:, resting] = _around(slow[:, resting], round(reach))
         moving.append(~slow & usable)
-        trajectory.append(np.full(len(v), r))
-        t = motion.t[:: sampler.factor] - motion.t[0]
-        fold.append((t // block_seconds(motions)).astype(int))
-    of = np.concatenate(trajectory)
-    blocks = np.concatenate(fold)
-    if len(motions) >= 4:
-        blocks = of % _MOST_FOLDS
-    else:
-        _, blocks = np.unique(of * (blocks.max() + 1) + blocks, return_inverse=True)
-        blocks = blocks % _MOST_FOLDS
+    fold, trajectory = _folds(motions, cutoff)
     return Gap(
         robot, tuple(simulated), bodies, cutoff,
-        np.concatenate(left), _worthwhile(np.concatenate(moving)), blocks, of,
+        np.concatenate(left), _worthwhile(np.concatenate(moving)), fold, trajectory,
         tuple(note for f in faults for note in f.notes),
     )  # fmt: skip
+
+
+def _folds(
+    motions: Sequence[Motion], cutoff: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Fold and recording of each sample, shape (M,): whole recordings, or blocks."""
+    clocks = [m.t[:: Sampler.for_rate(m.rate, cutoff).factor] - m.t[0] for m in motions]
+    of = np.repeat(np.arange(len(clocks)), [len(t) for t in clocks])
+    if len(motions) >= 4:
+        return of % _MOST_FOLDS, of
+    blocks = (np.concatenate(clocks) // block_seconds(motions)).astype(int)
+    _, fold = np.unique(of * (blocks.max() + 1) + blocks, return_inverse=True)
+    return fold % _MOST_FOLDS, of
 
 
 def _asked(motion: Motion, simulated: Array, cutoff: float) -> Array:
