@@ -761,6 +761,23 @@ class TestCause:
         assert checked.complete < thresholds().complete
         assert not checked.passes(thresholds())
 
+    @pytest.mark.parametrize("later", [0.01, 1.5])
+    def test_a_contact_is_as_large_beside_its_like(self, later):
+        """What mends a large one would be kept beside two that seem small."""
+        robot, recordings = logs([Contact((0, 1), PUSH)])
+        gap = measure_gap(robot, recordings)
+        search = Search(gap)
+        times = [{x: PUSH[x] for x in ("start", "duration")}, {"start": 2.0 + later}]
+        one, like = (Contact((0, 1), {**times[0], **x}) for x in times)
+        search.terms = search.having([candidate(gap, one)]).terms
+        alone = search.loss(search.terms[0])
+        search.terms = search.having([candidate(gap, x) for x in (one, like)]).terms
+        loss = search.loss(search.terms[0])
+        size = search._size(search.terms[0], loss)
+        assert size == pytest.approx(alone, rel=0.1)
+        if later < PUSH["duration"]:
+            assert loss < 0.5 * alone
+
     def test_a_spring_and_a_counterbalance_at_a_joint_are_one_cause(self):
         spring = Spring((0,), {"stiffness": 1.0, "preload": 2.0})
         cylinder = {"spring": 10.0, "preload": 20.0, "dead_centre": 0.4}

@@ -91,8 +91,9 @@ def check(search: Search, term: Term, found: Account, limits: Thresholds) -> Che
     # The joints where it explains most; others it merely touches.
     main = gained > 0.2 * gained.max() if gained.max() > 0 else gained >= 0
     explained = found.explained[main].sum()
-    # What it adds where it does not belong is not explained either.
-    remains = found.recovered[main].sum() + np.maximum(found.after - left, 0.0).sum()
+    # What it surely adds where it does not belong is not explained either.
+    added = np.where(found.after - left > limits.evident, found.after - left, 0.0)
+    remains = found.recovered[main].sum() + added.sum()
     if explained < _HALF * found.before[main].sum():
         remains += found.doubtful[main].sum()
     complete = explained / max(explained + remains, 1e-12)

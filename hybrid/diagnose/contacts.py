@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,6 +87,21 @@ def witnessed(gap: Gap, effect: Effect) -> bool:
             return False
         shown |= start <= t[-1] - _CHUNK
     return bool(shown)
+
+
+def at_once(one: Effect, other: Effect) -> bool:
+    """Whether two effects are contacts, and some of the time of both is the same."""
+    if {one.id, other.id} != {Contact.id}:
+        return False
+    a, b = one.values, other.values
+    if len({a["recording"], b["recording"]} - {_OF_ALL}) > 1:
+        return False
+    last, first = max(a["start"], b["start"]), min(_end(a), _end(b))
+    return bool(last < first)
+
+
+def _end(contact: Mapping[str, float]) -> float:
+    return contact["start"] + contact["duration"]
 
 
 class Contacts:

@@ -18,7 +18,7 @@ from hybrid.diagnose.candidates import (
     undeclared,
     with_gains,
 )
-from hybrid.diagnose.contacts import witnessed
+from hybrid.diagnose.contacts import at_once, witnessed
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.pool import Pool
@@ -202,7 +202,8 @@ class Model:
         robot = self.gap.robot
         while self.terms:
             losses = self.losses()
-            large = list(zip(self.terms, losses, self.parts(), strict=True))
+            sizes = [self._size(t, x) for t, x in zip(self.terms, losses, strict=True)]
+            large = list(zip(self.terms, sizes, self.parts(), strict=True))
             # Beside a large one at the same joint, a small term mends an inexact law.
             at = [list(t.candidate.effect.reaches(robot.size)) for t in self.terms]
             least = [
@@ -216,6 +217,22 @@ class Model:
             if margin[weakest] >= 0:
                 return
             del self.terms[weakest]
+
+    def _size(self, term: Term, loss: float) -> float:
+        """Evidence that would be lost without a term, or all contacts at its time.
+
+        One that is repeated hardly differently is worth little beside its likes.
+
+        Args:
+            term: The term.
+            loss: Evidence that would be lost without it, [nat].
+        """
+        own = term.candidate.effect
+        rest = [t for t in self.terms if not at_once(own, t.candidate.effect)]
+        if len(rest) >= len(self.terms) - 1:
+            return loss
+        base = np.concatenate([self.background, *(t.index for t in rest)])
+        return self.worth() - self.evidence.solve(base).evidence
 
     def idle(self) -> list[bool]:
         """Whether each term is late by no more than any sampled drive."""
