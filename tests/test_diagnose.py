@@ -346,6 +346,7 @@ class TestGap:
             )
         search = SimpleNamespace(terms=[*terms], gap=planar().gap)
         search.losses = lambda: np.array([t.worth for t in search.terms])
+        search.size = lambda _, loss: loss
         search.parts = lambda: [np.eye(2)[t.place[1][-1]] for t in search.terms]
         search.idle = lambda: [False for _ in search.terms]
         Search.remove(search)
@@ -773,7 +774,7 @@ class TestCause:
         alone = search.loss(search.terms[0])
         search.terms = search.having([candidate(gap, x) for x in (one, like)]).terms
         loss = search.loss(search.terms[0])
-        size = search._size(search.terms[0], loss)
+        size = search.size(search.terms[0], loss)
         assert size == pytest.approx(alone, rel=0.1)
         if later < PUSH["duration"]:
             assert loss < 0.5 * alone

@@ -202,7 +202,7 @@ class Model:
         robot = self.gap.robot
         while self.terms:
             losses = self.losses()
-            sizes = [self._size(t, x) for t, x in zip(self.terms, losses, strict=True)]
+            sizes = [self.size(t, x) for t, x in zip(self.terms, losses, strict=True)]
             large = list(zip(self.terms, sizes, self.parts(), strict=True))
             # Beside a large one at the same joint, a small term mends an inexact law.
             at = [list(t.candidate.effect.reaches(robot.size)) for t in self.terms]
@@ -218,7 +218,7 @@ class Model:
                 return
             del self.terms[weakest]
 
-    def _size(self, term: Term, loss: float) -> float:
+    def size(self, term: Term, loss: float) -> float:
         """Evidence that would be lost without a term, or all contacts at its time.
 
         One that is repeated hardly differently is worth little beside its likes.
