@@ -13,6 +13,7 @@ from hybrid.robot.chain import Array
 _FEWEST_SECONDS = 3.0
 _FEWEST_MOVING = 1.0  # s
 _FAR = 5.0  # deviations of the widest background
+_ABSURD = 0.5  # of a number: no file is off by that much
 _MAIN = 0.2  # of what is made at the joint where most is
 
 
@@ -69,21 +70,21 @@ def far_off(model: Model) -> str | None:
 
     No more of a gap may be left then, but the file is not right.
     """
-    _, gains, deviations = _strained(model)
+    _, gains, off = _strained(model, _FAR * WIDEST)
     if not len(gains):
         return None
     return (
         f"what no effect explains would need numbers of the file to be off by "
-        f"{deviations.max() * WIDEST:.0%}"
+        f"{off.max():.0%}"
     )
 
 
 def overshadowed(model: Model) -> list[Term]:
-    """Terms that explain less at their joints than numbers that are far off do.
+    """Terms that explain less at their joints than numbers do that cannot be so.
 
     What is wrong there is not the file, nor what a term explains beside that.
     """
-    numbers, gains, _ = _strained(model)
+    numbers, gains, _ = _strained(model, _ABSURD)
     if not len(numbers):
         return []
     evidence = model.evidence
@@ -101,12 +102,20 @@ def overshadowed(model: Model) -> list[Term]:
     return small
 
 
-def _strained(model: Model) -> tuple[Index, Array, Array]:
-    """Numbers of the file that are far off, by how much, and in deviations; (k,)."""
+def _strained(model: Model, least: float) -> tuple[Index, Array, Array]:
+    """Numbers of the file that are off by at least this much.
+
+    Args:
+        model: The model.
+        least: How much, of the number.
+
+    Returns:
+        Which numbers, by how much, and the same relative, shape (k,).
+    """
     evidence, rigid = model.evidence, model.background
     evidence.spread(rigid, WIDEST)
     gains = evidence.solve(model.base()).of(rigid)
-    deviations = np.abs(gains) * np.sqrt(evidence.precision[rigid])
+    off = np.abs(gains) * np.sqrt(evidence.precision[rigid]) * WIDEST
     evidence.spread(rigid, model.off)
-    far = deviations >= _FAR
-    return rigid[far], gains[far], deviations[far]
+    far = off >= least
+    return rigid[far], gains[far], off[far]
