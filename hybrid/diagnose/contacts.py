@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,10 +63,11 @@ class _Stretch:
     recording: int
 
     def overlaps(self, other: _Stretch) -> bool:
-        if len({self.recording, other.recording} - {_OF_ALL}) > 1:
-            return False
         ends = self.first + self.length, other.first + other.length
-        return self.first < ends[1] and other.first < ends[0]
+        return _meet(
+            (self.recording, self.first, ends[0]),
+            (other.recording, other.first, ends[1]),
+        )
 
 
 def witnessed(gap: Gap, effect: Effect) -> bool:
@@ -93,15 +94,18 @@ def at_once(one: Effect, other: Effect) -> bool:
     """Whether two effects are contacts, and some of the time of both is the same."""
     if {one.id, other.id} != {Contact.id}:
         return False
-    a, b = one.values, other.values
-    if len({a["recording"], b["recording"]} - {_OF_ALL}) > 1:
+    spans = [
+        (x["recording"], x["start"], x["start"] + x["duration"])
+        for x in (one.values, other.values)
+    ]
+    return _meet(*spans)
+
+
+def _meet(a: tuple[float, float, float], b: tuple[float, float, float]) -> bool:
+    """Whether two stretches, of a recording from a time to another, have any shared."""
+    if len({a[0], b[0]} - {_OF_ALL}) > 1:
         return False
-    last, first = max(a["start"], b["start"]), min(_end(a), _end(b))
-    return bool(last < first)
-
-
-def _end(contact: Mapping[str, float]) -> float:
-    return contact["start"] + contact["duration"]
+    return a[1] < b[2] and b[1] < a[2]
 
 
 class Contacts:
