@@ -31,6 +31,7 @@ from hybrid.diagnose.thresholds import thresholds
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
 from hybrid.effects.actuator_lag import ActuatorLag
+from hybrid.effects.armature import Armature
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
@@ -740,6 +741,22 @@ class TestCause:
         found = ACCOUNT.account(gap, search, thresholds())
         checked = CHECK.check(search, search.terms[0], found, thresholds())
         assert checked.physical is sound
+
+    def test_what_a_number_far_off_would_do_a_term_does(self):
+        """A declared rotor that is three quarters larger leaves as little as the term.
+
+        A few units of what is explainable besides must not outweigh that.
+        """
+        rotor = Armature((1,), {"inertia": 0.15})
+        robot, recordings = logs([rotor])
+        gap = measure_gap(robot, recordings)
+        search = Search(gap)
+        search.terms = search.having([candidate(gap, rotor)]).terms
+        found = ACCOUNT.account(gap, search, thresholds())
+        assert found.explained.sum() < 0.05 * found.after.sum()
+        found = replace(found, recovered=np.full(2, 5.0))
+        checked = CHECK.check(search, search.terms[0], found, thresholds())
+        assert checked.complete > thresholds().complete
 
     def test_what_acts_one_way_only_is_no_coupling(self):
         """Newton's third law: what it takes from one joint, it adds to the other."""

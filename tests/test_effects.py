@@ -29,6 +29,7 @@ from hybrid.effects import (
 from hybrid.effects.loop import Loop, commanded_torque
 from hybrid.errors import EffectError
 from hybrid.plant import Noise, Plant, Reference, random_fourier
+from hybrid.plant.arm import build_arm
 from hybrid.robot import Robot
 from hybrid.signals import Motion, motion_from_recording
 
@@ -598,6 +599,14 @@ def test_coupled_joints_feel_the_speed_of_each_other():
     assert (torque * motion.v[:, 1:]).sum(axis=1).min() >= 0
     with pytest.raises(EffectError, match="two joints, not 1"):
         effects_from_text("transmission_coupling:elbow", NAMES, SCALES)
+
+
+def test_a_coupling_below_zero_is_none_in_the_plant():
+    """A fit may end a little below; MuJoCo takes no such tendon."""
+    below = typical("transmission_coupling", inertia=-1e-3, coulomb=-0.1)
+    model = build_arm(robot(), [below], step=1e-3, integrator="implicitfast").model
+    assert model.tendon_armature[0] == model.tendon_frictionloss[0] == 0.0
+    assert model.tendon_damping[0] == pytest.approx(below.values["viscous"])
 
 
 def test_an_elastic_joint_needs_a_rotor_and_a_stiff_one_is_rigid():

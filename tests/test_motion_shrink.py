@@ -195,6 +195,19 @@ def test_the_step_is_one_with_which_nothing_diverges(monkeypatch, stable, chosen
     assert lost == (stable == 0.0)
 
 
+def test_short_stretches_are_replayed_for_a_tenth_of_a_second():
+    scored = explained(("coulomb",), ("coulomb",))
+    rate = scored.gap.rate
+    usable = np.arange(round(10 * rate)) % round(rate) < 0.3 * rate  # 0.3 s of each
+    spans = [round(h * rate) for h in HORIZONS]
+    windows, fits = motion._windows([usable], spans, 100)
+    assert fits[0].all()
+    assert not fits[1:].any()
+    inside = usable[windows.sample[:, None] + np.arange(spans[0] + 1)]
+    assert inside.all()
+    assert np.diff(windows.sample).min() >= spans[0]
+
+
 def test_windows_hold_the_last_sample_where_a_motion_ends():
     x = np.arange(5.0)[:, None]
     windows = Windows(np.array([0]), np.array([3]), 3)

@@ -287,6 +287,19 @@ def test_viscous_friction_is_proportional_to_speed(two_links):
     assert rms(rest[:, 0] - 3.0 * v[:, 0]) < 0.005 * rms(3.0 * v[:, 0])
 
 
+def test_strong_damping_does_not_shake_a_light_link(load):
+    """As on a wrist whose file knows of no rotor: it slows down in less than a step."""
+    light = HINGE.replace('armature="0.3"', "").replace('mass="2"', 'mass="1e-3"')
+    light = light.replace(".01 .02 .02", "1e-4 2e-4 2e-4")
+    strong = effect("viscous", coefficient=3.0)
+    arm = build_arm(
+        load(light.format(axis="0 0 1")), [strong], step=1e-3, integrator="implicitfast"
+    )
+    state = Lockstep(arm, [strong], np.zeros((1, 1)))
+    state.step(np.array([[6.0]]), substeps=500)
+    assert state.v[0, 0] == pytest.approx(6.0 / 3.0, rel=1e-3)
+
+
 def test_ripple_appears_at_its_spatial_frequency(turntable):
     (log,) = run(turntable, [effect("torque_ripple", sine=0.4, cosine=0.3, periods=12)])
     rest, _, q = residual(turntable, log)

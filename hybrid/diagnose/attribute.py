@@ -46,17 +46,17 @@ class Search(Fitting):
         first, less = self.terms, self.evidence.lower_noise(self.base())
         found, usable = [], []
         for off in OFF:
-            self.evidence.spread(self.background, off)
+            self.assume(off)
             if off < WIDEST or less > _LESS:
                 self._grow()
             else:
                 self.terms = first
-            spare = _SPARE if self._links_spare(off) else 0.0
+            spare = _SPARE if self._links_spare() else 0.0
             found.append((self.total() - spare, off, self.terms))
             if not self._any_mere():
                 usable.append(found[-1])
-        _, self.off, self.terms = max(usable or found[-1:], key=lambda x: x[0])
-        self.evidence.spread(self.background, self.off)
+        _, off, self.terms = max(usable or found[-1:], key=lambda x: x[0])
+        self.assume(off)
         before = list(self.terms)
         self._simplify(before)
         self._simplify([t for t in self.terms if t not in before])
@@ -78,17 +78,11 @@ class Search(Fitting):
         ]
         return any(mere(self.gap.robot, e) for e in effects)
 
-    def _links_spare(self, off: float) -> bool:
-        """Whether a wider background makes do without a link, whose numbers are many.
-
-        Args:
-            off: The background as it is now.
-        """
+    def _links_spare(self) -> bool:
+        """Whether the widest background makes do without a link, of many numbers."""
         links = [t for t in self.terms if t.place[0] == LinkInertia.id]
-        self.evidence.spread(self.background, WIDEST)
-        spare = any(self.loss(t) < WORTH for t in links)
-        self.evidence.spread(self.background, off)
-        return spare
+        with self.assuming(WIDEST):
+            return any(self.loss(t) < WORTH for t in links)
 
     def _grow(self) -> None:
         """Add, improve, exchange and remove terms until nothing is gained.

@@ -111,6 +111,10 @@ class Evidence(Products):
         occam = np.log(np.diag(factor[0])).sum()
         return Solution(index, gains, spread, float(0.5 * b @ gains - occam))
 
+    def strain(self, solution: Solution, columns: Index) -> float:
+        """Squares of some gains in a solution, in units of their priors."""
+        return float(solution.of(columns) ** 2 @ self.precision[columns])
+
     def by_fold(
         self, index: Index, known: Index | None = None, gains: Array | None = None
     ) -> Array:

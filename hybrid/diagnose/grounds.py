@@ -87,19 +87,17 @@ def overshadowed(model: Model) -> list[Term]:
     numbers, gains, _ = _strained(model, _ABSURD)
     if not len(numbers):
         return []
-    evidence = model.evidence
-    made = evidence.made(numbers, gains)
+    made = model.evidence.made(numbers, gains)
     there = set(np.flatnonzero(made >= _MAIN * made.max()))
-    evidence.spread(model.background, WIDEST)
     rest = np.setdiff1d(model.base(), numbers)
-    much = model.worth() - evidence.solve(rest).evidence
-    small = [
+    with model.assuming(WIDEST):
+        much = model.worth() - model.evidence.solve(rest).evidence
+        own = model.losses()
+    return [
         t
-        for t, own in zip(model.terms, model.losses(), strict=True)
-        if own < much and there & {*t.candidate.effect.reaches(model.gap.robot.size)}
+        for t, loss in zip(model.terms, own, strict=True)
+        if loss < much and there & {*t.candidate.effect.reaches(model.gap.robot.size)}
     ]
-    evidence.spread(model.background, model.off)
-    return small
 
 
 def _strained(model: Model, least: float) -> tuple[Index, Array, Array]:
@@ -113,9 +111,8 @@ def _strained(model: Model, least: float) -> tuple[Index, Array, Array]:
         Which numbers, by how much, and the same relative, shape (k,).
     """
     evidence, rigid = model.evidence, model.background
-    evidence.spread(rigid, WIDEST)
-    gains = evidence.solve(model.base()).of(rigid)
-    off = np.abs(gains) * np.sqrt(evidence.precision[rigid]) * WIDEST
-    evidence.spread(rigid, model.off)
+    with model.assuming(WIDEST):
+        gains = evidence.solve(model.base()).of(rigid)
+        off = np.abs(gains) * np.sqrt(evidence.precision[rigid]) * WIDEST
     far = off >= least
     return rigid[far], gains[far], off[far]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from copy import copy
 from typing import Self
 
@@ -66,8 +67,7 @@ class Model:
         self.pool = Pool(self.evidence, without)
         self.terms: list[Term] = []
         self.gone: set[Place] = set()  # came, and did not stay
-        self.off = WIDEST
-        self.evidence.spread(self.background, self.off)
+        self.assume(WIDEST)
         self.pool.take_ripples(self.background, _RIPPLES)
         self.evidence.estimate_noise(np.arange(self.evidence.size))
         # In units of noise; without them it would hold them.
@@ -76,9 +76,23 @@ class Model:
         self.evidence.estimate_noise(np.arange(self.evidence.size))
         self.evidence.noise = np.minimum(most, self.evidence.noise)
         # Where the file's numbers may be far off, these would seem to be the cause.
-        self.evidence.spread(self.background, OFF[0])
-        self.pool.take_steep(self.background)
-        self.evidence.spread(self.background, self.off)
+        with self.assuming(OFF[0]):
+            self.pool.take_steep(self.background)
+
+    def assume(self, off: float) -> None:
+        """Let numbers of the file be off by about so much of themselves."""
+        self.off = off
+        self.evidence.spread(self.background, off)
+
+    @contextmanager
+    def assuming(self, off: float) -> Iterator[None]:
+        """The same for a while."""
+        usual = self.off
+        self.assume(off)
+        try:
+            yield
+        finally:
+            self.assume(usual)
 
     def having(self, chosen: Sequence[Candidate]) -> Self:
         """The same with other terms, of shapes as they are."""

@@ -27,7 +27,7 @@ from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 HORIZONS = (0.1, 0.5, 2.0)  # s
-_USUAL = 0.5  # s; also the least time between the starts of two windows
+_USUAL = 0.5  # s
 _MOST_WINDOWS = 24
 _FEWEST_WINDOWS = 3
 _STEPS = 1e-3, 3e-4, 1e-4  # s
@@ -43,7 +43,8 @@ class Replay:
 
     Args:
         scored: What was found.
-        most: Most windows; they start half a second apart or more.
+        most: Most windows; they start half a second apart or more, or a tenth where few
+            are that long.
 
     Attributes:
         scored: What was found.
@@ -118,6 +119,11 @@ class Replay:
         """Whether enough windows are as long as a horizon."""
         return len(self.fit(horizon)) >= _FEWEST_WINDOWS
 
+    @cached_property
+    def horizon(self) -> float | None:
+        """Half a second, or less if few windows are that long; nothing if none is."""
+        return next((h for h in (_USUAL, HORIZONS[0]) if self.has(h)), None)
+
     def fit(self, horizon: float) -> NDArray[np.intp]:
         """Windows that are as long as a horizon, shape (W',)."""
         return np.flatnonzero(self.fits[HORIZONS.index(horizon)])
@@ -153,7 +159,7 @@ def motion_shrink(
     members: Sequence[int],
     rng: np.random.Generator,
     *,
-    horizon: float = _USUAL,
+    horizon: float | None = None,
     late: Sequence[Effect] = (),
 ) -> Shrink | None:
     """Motion error with everything but some terms, and with them, where they act.
@@ -162,7 +168,7 @@ def motion_shrink(
         replay: Windows of the motions kept for scoring.
         members: Indices of the terms; all of them for what they do together.
         rng: Draws of the bootstrap.
-        horizon: One of ``HORIZONS``, [s].
+        horizon: One of ``HORIZONS``, [s]; that of the replay by default.
         late: By how much the log's torque was late before all else: no terms.
 
     Returns:
@@ -172,7 +178,8 @@ def motion_shrink(
     Raises:
         EffectError: An effect cannot be simulated.
     """
-    if not replay.has(horizon):
+    horizon = horizon or replay.horizon
+    if horizon is None or not replay.has(horizon):
         return None
     joints, pick = _main_joints(replay, members), replay.where(members, horizon)
     without = replay.squares(replay.all_terms - set(members))
@@ -217,8 +224,7 @@ def rollout_agrees(
         True or False where 95 % of the resampled windows say so at the longest horizon
         that is not longer than half a second; nothing where they do not.
     """
-    horizon = next((h for h in (_USUAL, HORIZONS[0]) if replay.has(h)), None)
-    if horizon is None:
+    if (horizon := replay.horizon) is None:
         return None
     rest = replay.all_terms - {term}
     without = replay.squares(rest)
@@ -240,16 +246,13 @@ def rollout_agrees(
 
 def step_warning(replay: Replay) -> str | None:
     """A warning if the replay at half the step says something else."""
-    if not replay.has(_USUAL):
+    if (horizon := replay.horizon) is None:
         return None
-    joints, fits = (
-        range(replay.scored.gap.robot.size),
-        replay.fits[HORIZONS.index(_USUAL)],
-    )
+    joints, fits = range(replay.scored.gap.robot.size), replay.fit(horizon)
 
     def error(terms: Iterable[int], step: float) -> float:
         squares = replay.squares(terms, step=step)
-        return float(np.median(replay.error(squares, joints, _USUAL)[fits]))
+        return float(np.median(replay.error(squares, joints, horizon)[fits]))
 
     step = replay.step
     before = error((), step)
@@ -300,27 +303,32 @@ def _motions(
 def _windows(
     usable: Sequence[NDArray[np.bool_]], spans: Sequence[int], most: int
 ) -> tuple[Windows, NDArray[np.bool_]]:
-    """Windows at least half a second apart that fit the shorter horizons."""
-    found, fits = [], []
-    usual = spans[HORIZONS.index(_USUAL)]
+    """Windows that fit half a second, or a tenth if few do, one after the other."""
+    usual, short = (spans[HORIZONS.index(h)] for h in (_USUAL, HORIZONS[0]))
+    found = _starts(usable, usual)
+    if len(found) < _FEWEST_WINDOWS:
+        found = _starts(usable, short)
+    if len(found) > most:
+        found = found[np.linspace(0, len(found) - 1, most).round().astype(int)]
+    motion, sample, run = found.T
+    return Windows(motion, sample, max(spans)), run > np.array(spans)[:, None]
+
+
+def _starts(usable: Sequence[NDArray[np.bool_]], span: int) -> NDArray[np.intp]:
+    """Motion and first sample of each window, and how many are usable from there on."""
+    found = []
     for r, fresh in enumerate(usable):
         # How many usable samples in a row follow each one.
         gaps = np.append(np.flatnonzero(~fresh), len(fresh))
         run = gaps[np.searchsorted(gaps, np.arange(len(fresh)))] - np.arange(len(fresh))
         k = 0
         while k < len(fresh):
-            if run[k] > usual:
-                found.append((r, k))
-                fits.append(run[k] > np.array(spans))
-                k += usual
+            if run[k] > span:
+                found.append((r, k, run[k]))
+                k += span
             else:
                 k += max(int(run[k]), 1)
-    pick = np.arange(len(found))
-    if len(found) > most:
-        pick = np.linspace(0, len(found) - 1, most).round().astype(int)
-    chosen = np.array(found, dtype=np.intp).reshape(-1, 2)[pick]
-    allowed = np.array(fits, dtype=bool).reshape(-1, len(spans))[pick].T
-    return Windows(chosen[:, 0], chosen[:, 1], max(spans)), allowed
+    return np.array(found, dtype=np.intp).reshape(-1, 3)
 
 
 def _main_joints(replay: Replay, members: Sequence[int]) -> list[int]:

@@ -14,15 +14,15 @@ from hybrid.diagnose.motion import (
     step_warning,
 )
 from hybrid.diagnose.result import Result
-from hybrid.errors import EffectError
+from hybrid.errors import HybridError
 
 _LOST = 1.0  # rad; a replay that is so far off tells nothing
 # Effects between motor and link, and of clocks: torque alone does not settle them.
 _IN_MOTION = {"elasticity", "backlash", "actuator_lag", "delay"}
 _ASTRAY = "replayed, the simulator leaves the motion with or without {}"
 _NO_REPLAY = (
-    "too few stretches of half a second, of those kept for scoring, to replay {}: its "
-    "shrinkage in motion is not known"
+    "too few stretches of a tenth of a second, of those kept for scoring, to replay "
+    "{}: its shrinkage in motion is not known"
 )
 
 
@@ -75,7 +75,7 @@ def replayed(
                     "move more like the arm: do not take it for the cause"
                 )
         halved = step_warning(replay)
-    except EffectError as error:
+    except HybridError as error:
         notes.append(f"no replay: {error}")
         found, halved = list(diagnosis.findings), None
     if lost:

@@ -60,11 +60,14 @@ class TransmissionCoupling(Effect):
         return [torque, torque], ()
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
-        """Add a tendon whose length is the sum of both joints."""
+        """Add a tendon whose length is the sum of both joints.
+
+        What a fit has below zero is none: MuJoCo takes no other.
+        """
         pair = [names[j] for j in self.joints]
         rotor = spec.add_tendon(name=f"{'+'.join(pair)}/{self.id}")
         for name in pair:
             rotor.wrap_joint(name, 1.0)
-        rotor.armature = self.values["inertia"]
-        rotor.damping = np.array([self.values["viscous"], 0.0, 0.0])
-        rotor.frictionloss = self.values["coulomb"]
+        inertia, viscous, coulomb = np.maximum(self.gain_values, 0.0)
+        rotor.armature, rotor.frictionloss = inertia, coulomb
+        rotor.damping = np.array([viscous, 0.0, 0.0])

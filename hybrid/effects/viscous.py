@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+
+if TYPE_CHECKING:
+    import mujoco
 
 
 class Viscous(JointEffect):
@@ -24,3 +27,7 @@ class Viscous(JointEffect):
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:
         """Torque per N·m·s/rad of coefficient."""
         return (state.v,)
+
+    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+        """Add it to the joint's damping, which does not shake a light link."""
+        spec.joint(names[self.joints[0]]).damping[0] += self.values["coefficient"]
