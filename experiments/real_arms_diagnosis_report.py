@@ -145,7 +145,8 @@ def _cells(f: Finding, d: Diagnosis) -> tuple[str, ...]:
         f"{f.share:.1%}",
         _shrunk(torque.before, torque.after, torque.removed, torque.interval, "N·m"),
         "not replayed" if motion is None else _shrunk(
-            motion.before, motion.after, motion.removed, motion.interval, "rad"
+            motion.before, motion.after, motion.removed, motion.interval,
+            f"rad over {motion.horizon_s:g} s",
         ),
     )  # fmt: skip
 

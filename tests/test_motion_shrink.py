@@ -198,7 +198,7 @@ def test_the_step_is_one_with_which_nothing_diverges(monkeypatch, stable, chosen
 def test_short_stretches_are_replayed_for_a_tenth_of_a_second():
     scored = explained(("coulomb",), ("coulomb",))
     rate = scored.gap.rate
-    usable = np.arange(round(10 * rate)) % round(rate) < 0.3 * rate  # 0.3 s of each
+    usable = np.arange(round(10 * rate)) % round(5 * rate) < 0.8 * rate  # twice 0.8 s
     spans = [round(h * rate) for h in HORIZONS]
     windows, fits = motion._windows([usable], spans, 100)
     assert fits[0].all()

@@ -306,12 +306,15 @@ def _windows(
     """Windows that fit half a second, or a tenth if few do, one after the other."""
     usual, short = (spans[HORIZONS.index(h)] for h in (_USUAL, HORIZONS[0]))
     found = _starts(usable, usual)
-    if len(found) < _FEWEST_WINDOWS:
+    if few := len(found) < _FEWEST_WINDOWS:
         found = _starts(usable, short)
     if len(found) > most:
         found = found[np.linspace(0, len(found) - 1, most).round().astype(int)]
     motion, sample, run = found.T
-    return Windows(motion, sample, max(spans)), run > np.array(spans)[:, None]
+    fits = run > np.array(spans)[:, None]
+    if few:  # longer ones would hold each other
+        fits[1:] = False
+    return Windows(motion, sample, max(spans)), fits
 
 
 def _starts(usable: Sequence[NDArray[np.bool_]], span: int) -> NDArray[np.intp]:
