@@ -425,6 +425,20 @@ def test_measures_count_what_they_say():
     assert size(small) == 0.3 and size(alarm) == 0.0
 
 
+def test_a_small_effect_counts_as_shown_where_the_truth_has_evidence():
+    rows = [
+        row("single", [("coulomb", ["j"], 0.3)], named, shrinkage={"ahead": ahead})
+        for ahead, named in (
+            (9.0, []), (11.0, []), (0.0, [Named("coulomb", ("j",), ("coulomb",))]),
+            (-5.0, [Named("viscous", ("j",), ("viscous",))]),
+        )
+    ]  # fmt: skip
+    measured = {m.name: m.of(rows) for m in MEASURES}
+    assert measured["right cause first, 0.3×"] == Ratio(1, 4)
+    shown = "the same, where the truth shows in the recordings"
+    assert measured[shown] == Ratio(1, 3)
+
+
 def test_robots_never_tuned_on_are_apart_and_together():
     rows = [row("none", [], [], arm=arm) for arm in ("a", "b", "c")]
     groups = by_robot(rows, ["a"])

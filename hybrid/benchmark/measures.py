@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hybrid.benchmark.score import EQUIVALENT
+from hybrid.diagnose.model import WORTH
 
 Row = Mapping[str, Any]
 
@@ -106,6 +107,15 @@ def _shrinks(row: Row) -> bool:
     return row.get("shrinkage", {}).get("share") is not None
 
 
+def _shows(row: Row) -> bool:
+    """Whether the truth, with its true shapes, has the evidence that a term needs.
+
+    Where nothing was named and it has not, no search of these recordings would name it.
+    """
+    ahead = row.get("shrinkage", {}).get("ahead")
+    return bool(row["named"]) or ahead is None or ahead >= WORTH
+
+
 def _unlike_any(row: Row) -> bool:
     return not any(e["means"] in EQUIVALENT for e in row["truth"]["effects"])
 
@@ -139,6 +149,10 @@ MEASURES = (
     ),
     Measure("the same, ≥ 1×, strict", _large("single"), lambda r: r["strict"], 0.88),
     Measure("right cause first, 0.3×", _small, lambda r: r["in_class"], 0.75),
+    Measure(
+        "the same, where the truth shows in the recordings",
+        lambda r: _small(r) and _shows(r), lambda r: r["in_class"], of_verdict=True,
+    ),
     Measure(
         "joint localised, of those that name something, ≥ 1×",
         lambda r: _large("single")(r) and _answers(r), lambda r: r["localised"], 0.98,
