@@ -81,6 +81,23 @@ class TestShapes:
         assert sorted(map(len, steps)) == [1, 2]
         assert np.abs(np.concatenate(steps)).max() < 0.01
 
+    def test_what_stays_is_at_its_best_without_what_goes_last(self, monkeypatch):
+        """A law was fitted beside one that does not hold its form, and goes."""
+        robot, recordings = logs([STRIBECK, Viscous((0,), {"coefficient": 1.0})])
+
+        def loosen(search):
+            (term,) = [t for t in search.terms if t.place == ("stribeck", (1,))]
+            short = term.candidate.effect.at({"velocity": 0.03})
+            search.terms = [search.term(replace(term.candidate, effect=short))]
+
+        monkeypatch.setattr(Search, "loosen", loosen)
+        gap = measure_gap(robot, recordings)
+        search = Search(gap)
+        (term,) = search.run()
+        alone = search.having([term.candidate])
+        best = search.refine(search.base(term), candidate(gap, STRIBECK))
+        assert alone.loss(alone.terms[0]) > best[1] - 1.0
+
     @pytest.mark.parametrize("periods", [6.0, 40.0, 200.0])
     def test_the_change_with_the_order_of_a_ripple_is_its_derivative(self, periods):
         robot, recordings = logs([], count=1, quiet=True)

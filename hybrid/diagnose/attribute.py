@@ -65,8 +65,14 @@ class Search(Fitting):
         self.polish()
         self.settle()
         self.widen()
+        kept = list(self.terms)
         self.loosen()
         self.remove()  # what mended shapes that were short of their best
+        if len(self.terms) < len(kept):
+            # What stays was fitted beside what is gone.
+            self.scan()
+            self.polish()
+            self.settle()
         name_plainly(self)
         return self.terms
 
