@@ -7,18 +7,13 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnose import motion
+from hybrid.diagnose import replay as replaying
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import candidate
 from hybrid.diagnose.explanation import explain, split
 from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.motion import (
-    HORIZONS,
-    Replay,
-    motion_shrink,
-    rollout_agrees,
-    step_warning,
-)
+from hybrid.diagnose.motion import motion_shrink, rollout_agrees, step_warning
+from hybrid.diagnose.replay import HORIZONS, Replay
 from hybrid.effects import effect_classes
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.plant.rollout import Windows, rollout
@@ -188,7 +183,7 @@ def test_the_step_is_one_with_which_nothing_diverges(monkeypatch, stable, chosen
         shown = rollout(*given, step=step)
         return shown if step <= stable else np.full_like(shown, np.nan)
 
-    monkeypatch.setattr(motion, "rollout", unstable)
+    monkeypatch.setattr(replaying, "rollout", unstable)
     replay = Replay(explained(("coulomb",), ("coulomb",)))
     assert replay.step == chosen
     lost = np.allclose(replay.squares(replay.all_terms), np.pi**2)
@@ -200,7 +195,7 @@ def test_short_stretches_are_replayed_for_a_tenth_of_a_second():
     rate = scored.gap.rate
     usable = np.arange(round(10 * rate)) % round(5 * rate) < 0.8 * rate  # twice 0.8 s
     spans = [round(h * rate) for h in HORIZONS]
-    windows, fits = motion._windows([usable], spans, 100)
+    windows, fits = replaying._windows([usable], spans, 100)
     assert fits[0].all()
     assert not fits[1:].any()
     inside = usable[windows.sample[:, None] + np.arange(spans[0] + 1)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid.diagnose.candidates import Candidate, candidate
 from hybrid.diagnose.explanation import explain, split
-from hybrid.diagnose.motion import Replay
+from hybrid.diagnose.replay import Replay
 from hybrid.diagnose.result import Result
 from hybrid.effects import Effect
 from hybrid.errors import EffectError

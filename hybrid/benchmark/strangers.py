@@ -16,12 +16,12 @@ from hybrid.effects.effect import (
     Array,
     Body,
     Effect,
-    JointEffect,
     JointState,
     Port,
     Quantity,
     Scope,
 )
+from hybrid.effects.joint_effect import JointEffect
 from hybrid.signals import Motion
 
 

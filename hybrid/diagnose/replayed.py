@@ -7,12 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid.diagnose.motion import (
-    Replay,
-    motion_shrink,
-    rollout_agrees,
-    step_warning,
-)
+from hybrid.diagnose.motion import motion_shrink, rollout_agrees, step_warning
+from hybrid.diagnose.replay import Replay
 from hybrid.diagnose.result import Result
 from hybrid.errors import HybridError
 

@@ -3,12 +3,12 @@
 from hybrid.effects.effect import (
     Body,
     Effect,
-    JointEffect,
     JointState,
     Port,
     Quantity,
     Scale,
 )
+from hybrid.effects.joint_effect import JointEffect
 
 __all__ = [
     "Body",

@@ -6,25 +6,22 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hybrid.effects.instant import Instant, Memory, Scalar
+from hybrid.effects.in_plant import InPlant
+from hybrid.effects.instant import Instant
 from hybrid.effects.quantity import Quantity, Scale
 from hybrid.effects.state import Array, Body, JointState
 from hybrid.errors import EffectError
 from hybrid.parameters import Parameter
 from hybrid.signals import Motion
 
-if TYPE_CHECKING:
-    import mujoco
-
 __all__ = [
     "Array",
     "Body",
     "Effect",
-    "JointEffect",
     "JointState",
     "Port",
     "Quantity",
@@ -47,7 +44,7 @@ class Port(StrEnum):
 
 
 @dataclass(frozen=True)
-class Effect(Instant, ABC):
+class Effect(InPlant, Instant, ABC):
     """One unmodelled effect at given joints with given values.
 
     The torque is ``columns(motion, body) @ gain values``: linear in the gains but of
@@ -277,72 +274,12 @@ class Effect(Instant, ABC):
         """
         return torque
 
-    # How a simulated plant realises the effect; each hook is the identity by default.
-    # B trajectories run at once; k is the number of joints that the effect acts on.
-
-    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
-        """Put into a MuJoCo spec what MuJoCo itself can simulate.
-
-        Args:
-            spec: Spec of the arm; joint and body of link k share the name ``names[k]``.
-            names: Joint names of the arm, base to tip.
-        """
-        return  # by default nothing
-
-    def command(self, t: Array, signal: Array) -> Array:
-        """A commanded signal, shape (N, k), as the controller gets to see it."""
-        return signal
-
-    def tune(self, kp: Array, kd: Array) -> tuple[Array, Array]:
-        """Stiffness and damping of the servo, shape (k,), as they really are."""
-        return kp, kd
-
-    def deliver(self, torque: Array) -> Array:
-        """Torque the drive delivers for a torque it believes to deliver; shape (B,)."""
-        return torque
-
     def as_reported(self) -> Self:
         """The same with a law of the torque reported, for one of the torque delivered.
 
         A fit has only the latter to make columns of: what is measured holds the gap.
         """
         return self
-
-    def follow(self, torque: Array, before: Array, step: float) -> Array:
-        """The same for a drive with memory.
-
-        Args:
-            torque: Torque it believes to deliver, shape (B,), [N·m].
-            before: Torque it delivered a step ago, shape (B,), [N·m].
-            step: Length of the step, [s].
-        """
-        return self.deliver(torque)
-
-    @property
-    def lag(self) -> float:
-        """Time for which the drive holds back torque, which limits the servo, [s]."""
-        return 0.0
-
-    def resist(self, state: JointState, before: Array, step: float) -> Array:
-        """Torque against the drive that depends on the past, shape (B, k), [N·m].
-
-        Args:
-            state: State of the motors, arrays of shape (B, k).
-            before: This torque a step ago, 0 at the start, shape (B, k), [N·m].
-            step: Length of the step, [s].
-        """
-        return np.zeros_like(before)
-
-    def push(self, t: float) -> Array:
-        """Force and moment of the last link on its surroundings at a time, shape (6,).
-
-        In the base frame, the moment about the origin of the link's frame.
-        """
-        return np.zeros(6)
-
-    def sense(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Position and speed that the encoders show for the true ones; shape (B, k)."""
-        return q, v
 
     def measure(self, t: Array, signals: dict[str, Array]) -> dict[str, Array]:
         """Turn true signals ``q``, ``v``, ``tau``, shape (N, n), into measured ones."""
@@ -360,41 +297,3 @@ class Effect(Instant, ABC):
             "values": dict(self.values),
             "std": {k: x for k, x in self.std.items() if np.isfinite(x)},
         }
-
-
-class JointEffect(Effect):
-    """A memoryless law of one joint's own state, the same for plant and fit.
-
-    ``dry`` marks laws that oppose motion through its direction: a plant realises them
-    as a dry-friction constraint, which sticks, and not as a torque.
-    """
-
-    dry: ClassVar[bool] = False
-
-    @staticmethod
-    @abstractmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
-        """Torque per unit of each gain; arrays of the shape of ``state``'s."""
-
-    def columns(self, motion: Motion, body: Body) -> Array:
-        """See :meth:`Effect.columns`; shape (N, 1, p)."""
-        (j,) = self.joints
-        v = motion.v[:, j]
-        warm = None if motion.temperature is None else motion.temperature[:, j]
-        state = JointState(
-            motion.t, motion.q[:, j], v, motion.a[:, j], np.sign(v), body.load[:, j],
-            warm,
-        )  # fmt: skip
-        unit = np.ones_like(v)
-        laws = [unit * x for x in self.law(state, **self.shape_values)]
-        return np.stack(laws, axis=-1)[:, None, :]
-
-    def at_instant(
-        self, joints: Sequence[JointState], memory: Memory, step: Scalar
-    ) -> tuple[Sequence[Scalar], Memory]:
-        """The same law; see :meth:`Instant.at_instant`."""
-        laws = self.law(joints[0], **self.shape_values)
-        terms = zip(self.gains, laws, strict=True)
-        return [
-            sum(self.values[g.name] * x for g, x in terms if self.values[g.name])
-        ], ()

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+from hybrid.effects.effect import Array, JointState, Port, Quantity
+from hybrid.effects.joint_effect import JointEffect
 from hybrid.signals import Motion
 
 _TOP = 0.99  # of the range of speeds at which friction has fallen

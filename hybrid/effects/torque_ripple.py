@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.effects.effect import Array, JointEffect, JointState, Port, Quantity
+from hybrid.effects.effect import Array, JointState, Port, Quantity
+from hybrid.effects.joint_effect import JointEffect
 
 
 class TorqueRipple(JointEffect):

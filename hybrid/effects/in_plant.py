@@ -1,0 +1,77 @@
+"""How a simulated plant realises an effect, on the way from command to sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybrid.effects.state import Array, JointState
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+class InPlant:
+    """An effect in a plant. Each hook is the identity by default.
+
+    B trajectories run at once; k is the number of joints that the effect acts on.
+    """
+
+    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+        """Put into a MuJoCo spec what MuJoCo itself can simulate.
+
+        Args:
+            spec: Spec of the arm; joint and body of link k share the name ``names[k]``.
+            names: Joint names of the arm, base to tip.
+        """
+        return  # by default nothing
+
+    def command(self, t: Array, signal: Array) -> Array:
+        """A commanded signal, shape (N, k), as the controller gets to see it."""
+        return signal
+
+    def tune(self, kp: Array, kd: Array) -> tuple[Array, Array]:
+        """Stiffness and damping of the servo, shape (k,), as they really are."""
+        return kp, kd
+
+    def deliver(self, torque: Array) -> Array:
+        """Torque the drive delivers for a torque it believes to deliver; shape (B,)."""
+        return torque
+
+    def follow(self, torque: Array, before: Array, step: float) -> Array:
+        """The same for a drive with memory.
+
+        Args:
+            torque: Torque it believes to deliver, shape (B,), [N·m].
+            before: Torque it delivered a step ago, shape (B,), [N·m].
+            step: Length of the step, [s].
+        """
+        return self.deliver(torque)
+
+    @property
+    def lag(self) -> float:
+        """Time for which the drive holds back torque, which limits the servo, [s]."""
+        return 0.0
+
+    def resist(self, state: JointState, before: Array, step: float) -> Array:
+        """Torque against the drive that depends on the past, shape (B, k), [N·m].
+
+        Args:
+            state: State of the motors, arrays of shape (B, k).
+            before: This torque a step ago, 0 at the start, shape (B, k), [N·m].
+            step: Length of the step, [s].
+        """
+        return np.zeros_like(before)
+
+    def push(self, t: float) -> Array:
+        """Force and moment of the last link on its surroundings at a time, shape (6,).
+
+        In the base frame, the moment about the origin of the link's frame.
+        """
+        return np.zeros(6)
+
+    def sense(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Position and speed that the encoders show for the true ones; shape (B, k)."""
+        return q, v

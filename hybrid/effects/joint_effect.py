@@ -1,0 +1,52 @@
+"""Laws of one joint's own state."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hybrid.effects.effect import Effect
+from hybrid.effects.instant import Memory, Scalar
+from hybrid.effects.state import Array, Body, JointState
+from hybrid.signals import Motion
+
+
+class JointEffect(Effect):
+    """A memoryless law of one joint's own state, the same for plant and fit.
+
+    ``dry`` marks laws that oppose motion through its direction: a plant realises them
+    as a dry-friction constraint, which sticks, and not as a torque.
+    """
+
+    dry: ClassVar[bool] = False
+
+    @staticmethod
+    @abstractmethod
+    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+        """Torque per unit of each gain; arrays of the shape of ``state``'s."""
+
+    def columns(self, motion: Motion, body: Body) -> Array:
+        """See :meth:`Effect.columns`; shape (N, 1, p)."""
+        (j,) = self.joints
+        v = motion.v[:, j]
+        warm = None if motion.temperature is None else motion.temperature[:, j]
+        state = JointState(
+            motion.t, motion.q[:, j], v, motion.a[:, j], np.sign(v), body.load[:, j],
+            warm,
+        )  # fmt: skip
+        unit = np.ones_like(v)
+        laws = [unit * x for x in self.law(state, **self.shape_values)]
+        return np.stack(laws, axis=-1)[:, None, :]
+
+    def at_instant(
+        self, joints: Sequence[JointState], memory: Memory, step: Scalar
+    ) -> tuple[Sequence[Scalar], Memory]:
+        """The same law; see :meth:`Instant.at_instant`."""
+        laws = self.law(joints[0], **self.shape_values)
+        terms = zip(self.gains, laws, strict=True)
+        return [
+            sum(self.values[g.name] * x for g, x in terms if self.values[g.name])
+        ], ()
