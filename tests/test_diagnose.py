@@ -15,6 +15,7 @@ from simulated import arm
 
 from hybrid.diagnose.advise import advise
 from hybrid.diagnose.attribute import Search
+from hybrid.diagnose.background import background, soft_friction
 from hybrid.diagnose.candidates import candidate, mere, prompt, with_gains
 from hybrid.diagnose.contacts import Contacts, witnessed
 from hybrid.diagnose.diagnose import examine
@@ -23,6 +24,7 @@ from hybrid.diagnose.explanation import Explanation, between, explain, split
 from hybrid.diagnose.findings import alternatives, elsewhere
 from hybrid.diagnose.gap import simulated_torque
 from hybrid.diagnose.measure import measure_gap
+from hybrid.diagnose.names import name_plainly
 from hybrid.diagnose.refine import shape_steps
 from hybrid.diagnose.refit import refit
 from hybrid.diagnose.replayed import replayed
@@ -39,6 +41,7 @@ from hybrid.effects.counterbalance import Counterbalance
 from hybrid.effects.delay import Delay
 from hybrid.effects.encoder_eccentricity import EncoderEccentricity
 from hybrid.effects.encoder_offset import EncoderOffset
+from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.payload import LinkInertia, Payload
 from hybrid.effects.saturation import Saturation
 from hybrid.effects.spring import Spring
@@ -260,6 +263,26 @@ class TestGap:
         most = np.abs(result.gap.measured).max(axis=0)
         assert np.all([s.torque for s in result.gap.scales] >= most)
         assert named(result) == {("torque_ripple", ("elbow",))}
+
+    def test_a_law_of_slow_joints_is_as_large_as_that_of_fast_ones(self):
+        """A file that states no limit of speed, of an arm that moves slowly."""
+        robot = arm("planar")
+        slow = replace(robot, v_max=np.full(2, 0.3))
+        plant = Plant(slow, [NonlinearViscous((0,), {"quadratic": 20.0})], nominal=slow)
+        recordings = simulate(plant, trajectories=2, duration=20.0, seed=1)
+        result = examine(replace(robot, v_max=np.full(2, np.inf)), recordings)
+        fastest = np.abs(result.gap.sampled.v).max(axis=0)
+        assert np.all([s.speed for s in result.gap.scales] <= fastest)
+        assert named(result) == {("nonlinear_viscous", ("shoulder",))}
+
+    @pytest.mark.parametrize("knee", [0.012, 0.014, 0.017, 0.02, 0.024])
+    def test_dry_friction_that_is_full_from_any_low_speed_on_is_no_cause(self, knee):
+        gap = faultless().gap
+        columns, _ = background(gap)
+        known = columns[-gap.robot.size][0]  # of the shoulder's softened friction
+        soft = soft_friction(gap, 0, [knee], [0.0])
+        left = soft - known @ np.linalg.lstsq(known, soft)[0]
+        assert np.linalg.norm(left) < 0.04 * np.linalg.norm(soft)
 
     @pytest.mark.parametrize("count", [1, 2, 4, 5])
     def test_what_is_in_one_part_alone_is_learnt_from(self, count):
@@ -551,6 +574,21 @@ class TestCause:
         (term,) = search.terms
         both = {"payload", "link_inertia"}
         assert {*alternatives(search, term, thresholds())} == both
+
+    @pytest.mark.parametrize(
+        ("mass", "found"), [(0.5, Payload), (-0.5, Payload), (-1.5, LinkInertia)]
+    )
+    def test_what_may_be_heavier_is_carried(self, mass, found, monkeypatch):
+        """Many motions tell its first moment, and not its mass."""
+        search, joints = Search(faultless().gap), (0, 1)
+        told = SimpleNamespace(
+            of=lambda index: np.array([mass]), deviation=lambda index: np.ones(1)
+        )
+        monkeypatch.setattr(search.evidence, "solve", lambda base: told)
+        for other in (Payload, LinkInertia):
+            search.terms = [search.term(candidate(search.gap, other(joints)))]
+            name_plainly(search)
+            assert [t.place for t in search.terms] == [(found.id, joints)]
 
     @pytest.mark.parametrize(("factor", "found"), [(1.15, ["payload"]), (1.05, [])])
     def test_what_a_hand_carries_is_told_from_a_file_that_is_off(self, factor, found):

@@ -17,7 +17,7 @@ from hybrid.effects.viscous import Viscous
 from hybrid.robot.chain import Array
 from hybrid.robot.spatial import central_inertia
 
-_KNEES = (0.003, 0.01, 0.03)  # rad/s
+_KNEES = (0.003, 0.01, 0.017, 0.03)  # rad/s
 _LEADS = (0.0, 0.01)  # s
 _USUALLY_OFF, _MOST_OFF = 0.01, 0.03  # of the numbers, for which that holds
 

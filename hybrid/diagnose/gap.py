@@ -65,14 +65,23 @@ class Gap:
     def scales(self) -> tuple[Scale, ...]:
         """Rated torque and speed of each joint.
 
-        A drive of which the file states no limit gives what the logs show, at least.
+        A drive of which the file states no limit of torque gives what the logs show, at
+        least; one without a limit of speed is as fast as they show, at most as usual.
         """
-        seen = np.abs(self.measured).max(axis=0)
-        unstated = ~np.isfinite(self.robot.tau_max)
+        torque = np.abs(self.measured).max(axis=0)
+        fastest = np.abs(self.sampled.v).max(axis=0)
+        known = joint_scales(self.robot)
         return tuple(
-            replace(s, torque=max(s.torque, float(x))) if free else s
-            for s, x, free in zip(joint_scales(self.robot), seen, unstated, strict=True)
-        )
+            Scale(
+                s.torque if rated else max(s.torque, float(x)),
+                s.speed if limited or v == 0 else min(s.speed, float(v)),
+            )
+            for s, x, v, rated, limited in zip(
+                known, torque, fastest,
+                np.isfinite(self.robot.tau_max), np.isfinite(self.robot.v_max),
+                strict=True,
+            )
+        )  # fmt: skip
 
     @cached_property
     def sampled(self) -> Motion:

@@ -16,7 +16,6 @@ from hybrid.effects.spring import Spring
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 
-_SURELY = 2.0  # deviations
 _ANGLE = 6.0  # nats that a second amplitude costs, and an angle does not
 
 
@@ -35,16 +34,15 @@ def name_plainly(model: Model) -> None:
 
 
 def _load(model: Model, term: Term) -> Candidate | None:
-    """A payload for a last link that is surely too heavy, a link for a lighter one.
+    """A link for a last one that is too light, or else a payload.
 
-    A link may be wrong anywhere, and too light; a payload is here alone.
+    A link may be wrong anywhere, and either way; a payload is here alone, and heavy.
     """
     joints, mass = term.place[1], term.index[:1]
     solution = model.evidence.solve(model.base())
     (more,), (deviation,) = solution.of(mass), solution.deviation(mass)
-    kind = Payload if more > _SURELY * deviation else LinkInertia
-    sure = kind is Payload or more < 0.0
-    if not sure or kind.id == term.place[0] or not model.pool.at((kind.id, joints)):
+    kind = LinkInertia if more < -deviation else Payload
+    if kind.id == term.place[0] or not model.pool.at((kind.id, joints)):
         return None
     return replace(term.candidate, effect=kind(joints, term.candidate.effect.values))
 
