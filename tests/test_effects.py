@@ -5,6 +5,7 @@ import string
 import sys
 from functools import cache
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -729,6 +730,16 @@ def test_a_users_effect_takes_part_like_any_other(own):
     motion, body, rest = log_of(effect)
     on, expected = moving(motion, effect), effect.torque(motion, body)[:, 0]
     assert rms(rest[on, 2] - expected[on]) < 0.02 * rms(expected[on])
+
+
+def test_the_example_of_how_to_add_an_effect_is_one(own):
+    guide = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    example = guide.partition("```python\n")[2].partition("```")[0]
+    assert effects_from_file(own(example)) == ("quadratic_viscous",)
+    effect = effect_class("quadratic_viscous")((1,), {"slope": 0.5})
+    motion, body, _ = log_of(effect)
+    v = motion.v[:, 1]
+    np.testing.assert_allclose(effect.torque(motion, body)[:, 0], 0.5 * v * abs(v))
 
 
 def test_a_users_file_may_be_read_again_after_a_change(own):

@@ -1,6 +1,7 @@
 """The vocabulary of effects: one file each, simulated and fitted from one law."""
 
 from hybrid.effects.effect import (
+    Array,
     Body,
     Effect,
     JointState,
@@ -11,6 +12,7 @@ from hybrid.effects.effect import (
 from hybrid.effects.joint_effect import JointEffect
 
 __all__ = [
+    "Array",
     "Body",
     "Effect",
     "JointEffect",
