@@ -61,18 +61,13 @@ class Search(Fitting):
         self._simplify(before)
         self._simplify([t for t in self.terms if t not in before])
         self.prune()
-        self.scan()
-        self.polish()
-        self.settle()
+        self.fit_together()
         self.widen()
         kept = list(self.terms)
         self.loosen()
         self.remove()  # what mended shapes that were short of their best
         if len(self.terms) < len(kept):
-            # What stays was fitted beside what is gone.
-            self.scan()
-            self.polish()
-            self.settle()
+            self.fit_together()  # what stays was fitted beside what is gone
         name_plainly(self)
         return self.terms
 

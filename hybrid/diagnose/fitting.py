@@ -25,6 +25,12 @@ _KEPT = 0.5  # of the evidence for each other term, whatever a link is off by
 class Fitting(Model):
     """How terms that were found are fitted to each other."""
 
+    def fit_together(self) -> None:
+        """Fit the shapes of all terms: the best far ones first, then all together."""
+        self.scan()
+        self.polish()
+        self.settle()
+
     def scan(self) -> None:
         """Exchange the shapes of a term for others that fit better, however far.
 

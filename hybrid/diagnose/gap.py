@@ -68,20 +68,14 @@ class Gap:
         A drive of which the file states no limit of torque gives what the logs show, at
         least; one without a limit of speed is as fast as they show, at most as usual.
         """
-        torque = np.abs(self.measured).max(axis=0)
-        fastest = np.abs(self.sampled.v).max(axis=0)
         known = joint_scales(self.robot)
-        return tuple(
-            Scale(
-                s.torque if rated else max(s.torque, float(x)),
-                s.speed if limited or v == 0 else min(s.speed, float(v)),
-            )
-            for s, x, v, rated, limited in zip(
-                known, torque, fastest,
-                np.isfinite(self.robot.tau_max), np.isfinite(self.robot.v_max),
-                strict=True,
-            )
-        )  # fmt: skip
+        torque, speed = np.array([(s.torque, s.speed) for s in known]).T
+        seen, fastest = (np.abs(x).max(axis=0) for x in (self.measured, self.sampled.v))
+        rated = np.isfinite(self.robot.tau_max)
+        limited = np.isfinite(self.robot.v_max) | (fastest == 0)
+        torque = np.where(rated, torque, np.maximum(torque, seen))
+        speed = np.where(limited, speed, np.minimum(speed, fastest))
+        return tuple(map(Scale, torque.tolist(), speed.tolist()))
 
     @cached_property
     def sampled(self) -> Motion:
