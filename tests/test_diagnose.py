@@ -933,6 +933,23 @@ class TestCause:
         useful = UNSEEN.useful_terms(scored, result.account, rng)
         assert useful == (list(scored.terms) if kept else [])
 
+    @pytest.mark.parametrize(("low", "kept"), [(0.1, True), (-0.1, False)])
+    def test_what_acts_where_it_was_learnt_alone_has_to_be_of_sure_use_there(
+        self, monkeypatch, low, kept
+    ):
+        result = planar()
+        scored, learnt = result.scored, result.scored.learnt
+
+        def shrink(of, members, rng):
+            assert of is learnt
+            return Shrink(1.0, 0.8, 0.2, (low, 0.3), None)
+
+        monkeypatch.setattr(Explanation, "where_seen", lambda self, members: learnt)
+        monkeypatch.setattr(UNSEEN, "torque_shrink", shrink)
+        rng = np.random.default_rng(0)
+        useful = UNSEEN.useful_terms(scored, result.account, rng)
+        assert useful == (list(scored.terms) if kept else [])
+
     @pytest.mark.parametrize("often", [True, False])
     def test_one_event_is_no_law(self, often):
         """Any fits it; that of a drive at its limit fits a knock."""

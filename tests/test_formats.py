@@ -154,6 +154,15 @@ def test_unknown_columns_are_ignored_in_one_warning_that_lists_them(tmp_path):
     assert recording.size == 1
 
 
+@pytest.mark.parametrize("joints", [None, ("elbow",)])
+def test_a_commanded_speed_is_not_the_speed_of_another_joint(tmp_path, joints):
+    labels = ["t", "q1", "tau1", "q_cmd1", "dq_cmd1"]
+    path = text(tmp_path / "log.csv", labels, np.arange(10.0).reshape(2, 5) / 10)
+    with pytest.warns(HybridWarning, match="ignored columns: dq_cmd1$"):
+        recording = read(path, joints=joints)
+    assert recording.command.tolist() == [[0.3], [0.8]] and recording.v is None
+
+
 def test_text_in_an_ignored_column_does_no_harm(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,q1,tau1,note\n0,1,2,start\n0.1,2,3,\n")

@@ -27,6 +27,7 @@ from hybrid.diagnose.grounds import (
 from hybrid.diagnose.links import joined
 from hybrid.diagnose.locate import locate
 from hybrid.diagnose.logs import measured, since_first, without_holes
+from hybrid.diagnose.mixed_up import mixed_up
 from hybrid.diagnose.refit import refit
 from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.result import Result
@@ -140,7 +141,8 @@ def _examined(
     # Torque that is late at every joint is no term: it is taken back already.
     late = [Delay.id] if logged.clocks else []
     search = Search(gap, learn, without=[*without, *late])
-    doubts = [x for x in (too_little(gap), unlike(gap)) if x is not None]
+    grounds = too_little(gap) or mixed_up(gap), unlike(gap)
+    doubts = [x for x in grounds if x is not None]
     if not doubts:
         search.run()
     tell("asking what is left")

@@ -22,6 +22,7 @@ WORDS = {
     "command": ("command", "cmd", "qref", "q_ref", "qcmd", "q_cmd", "reference"),
     "temperature": ("temperature", "temp"),
 }
+_NEEDED = ("q", "tau")
 _CHANNEL = {word: channel for channel, words in WORDS.items() for word in words}
 _LONGEST_FIRST = "|".join(sorted(map(re.escape, _CHANNEL), key=len, reverse=True))
 _NUMBERED = re.compile(rf"({_LONGEST_FIRST})[_. ]?\[?(\d+)\]?", re.IGNORECASE)
@@ -106,6 +107,7 @@ def match_columns(
             )
     if joints is None:
         joints = _joints_of(columns)
+    columns = [c for c in columns if c.channel in _NEEDED or _is_of(c, columns, joints)]
     channels = {
         channel: _placed([c for c in columns if c.channel == channel], joints, source)
         for channel in CHANNELS
@@ -168,8 +170,16 @@ def _joint_columns(labels: Sequence[str]) -> list[_Column]:
     return [c for c in found if c.joint is None or c.channel not in numbered]
 
 
+def _is_of(
+    column: _Column, columns: list[_Column], joints: tuple[str, ...]
+) -> bool:
+    """Whether a channel is one of the joints: dq_cmd1 is no speed of a joint cmd1."""
+    same = [c for c in columns if c.channel == column.channel]
+    return any(_joint_of(c, joints, start=1) in joints for c in same)
+
+
 def _joints_of(columns: list[_Column]) -> tuple[str, ...]:
-    for channel in CHANNELS:
+    for channel in _NEEDED:
         names = [c.joint for c in columns if c.channel == channel and c.joint]
         if names:
             return tuple(dict.fromkeys(names))
