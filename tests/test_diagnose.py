@@ -933,23 +933,6 @@ class TestCause:
         useful = UNSEEN.useful_terms(scored, result.account, rng)
         assert useful == (list(scored.terms) if kept else [])
 
-    @pytest.mark.parametrize(("low", "kept"), [(0.1, True), (-0.1, False)])
-    def test_what_acts_where_it_was_learnt_alone_has_to_be_of_sure_use_there(
-        self, monkeypatch, low, kept
-    ):
-        result = planar()
-        scored, learnt = result.scored, result.scored.learnt
-
-        def shrink(of, members, rng):
-            assert of is learnt
-            return Shrink(1.0, 0.8, 0.2, (low, 0.3), None)
-
-        monkeypatch.setattr(Explanation, "where_seen", lambda self, members: learnt)
-        monkeypatch.setattr(UNSEEN, "torque_shrink", shrink)
-        rng = np.random.default_rng(0)
-        useful = UNSEEN.useful_terms(scored, result.account, rng)
-        assert useful == (list(scored.terms) if kept else [])
-
     @pytest.mark.parametrize("often", [True, False])
     def test_one_event_is_no_law(self, often):
         """Any fits it; that of a drive at its limit fits a knock."""
@@ -1259,6 +1242,15 @@ def test_what_is_left_of_several_terms_has_to_pass_the_checks_anew(monkeypatch):
     diagnosis = examine(robot, recordings).diagnosis
     assert diagnosis.findings == ()  # it is a small part of what is there
     assert diagnosis.verdict == "unexplained"
+
+
+@pytest.mark.parametrize(("size", "stays"), [(0.1, False), (0.3, True)])
+def test_what_is_tiny_beside_others_has_to_be_of_sure_use(monkeypatch, size, stays):
+    gains = {g.name: size * RIPPLE.values[g.name] for g in RIPPLE.gains}
+    robot, recordings = logs([RIPPLE.at(gains), Viscous((0,), {"coefficient": 2.0})])
+    monkeypatch.setattr(DIAGNOSE, "_unsure", lambda f: f.effect == TorqueRipple.id)
+    found = {effect for effect, _ in named(examine(robot, recordings))}
+    assert found == {"viscous", *(["torque_ripple"] if stays else [])}
 
 
 @pytest.mark.parametrize(("joint", "gain"), [(0, 0.15), (1, 0.15), (1, -0.2)])

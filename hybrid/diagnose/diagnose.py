@@ -49,6 +49,7 @@ from hybrid.signals import Motion
 
 Progress = Callable[[str], None]
 
+_SMALL = 0.01  # of all that is explained
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ANYWHERE = (
     "{} at {} explains as much as {} at {}: these motions do not tell where it is, so "
@@ -168,6 +169,9 @@ def _examined(
         own = [kinds[t] for t in search.terms]
         causes = findings(scored, effects, own, shares(search, rng), rng)
         useful = useful_terms(scored, found, rng)
+        for f in [f for f in causes if f.share < _SMALL and _unsure(f)]:
+            idle = [scored.terms[k] for k in scored.members(f.effect)]
+            useful = [t for t in useful if t not in idle]
         if len(useful) == len(search.terms):
             break
         odd |= not negligible(scored, useful)

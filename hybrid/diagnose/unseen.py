@@ -61,7 +61,7 @@ def useful_terms(
             if seen is not scored:
                 if left > _MOST_LEFT_ONCE and _as_large(scored, seen, members, joints):
                     useless |= {*members}
-                useless |= {k for k in members if _is_event(seen, k, rng)}
+                useless |= {k for k in members if _is_event(seen, k)}
                 continue
             shrink = torque_shrink(scored, members, rng)
             if not enough and _large(scored.learnt, members, rng):
@@ -93,16 +93,15 @@ def _where(scored: Explanation, members: Sequence[int]) -> list[int]:
     return [i for i, x in enumerate(squares) if x > _MAIN * squares.max()]
 
 
-def _is_event(seen: Explanation, k: int, rng: np.random.Generator) -> bool:
-    """Whether a term, which is not of such a kind, does no good but for one second."""
+def _is_event(seen: Explanation, k: int) -> bool:
+    """Whether a term, which is not of such a kind, acts within one second only."""
     if seen.terms[k].place[0] == Contact.id:
         return False
     parts, noise = seen.contribution(k), seen.evidence.noise
     weights = np.concatenate([x**2 / s for x, s in zip(parts, noise, strict=True)])
     blocks = np.concatenate([seen.blocks(i) for i in range(len(parts))])
     squares = np.bincount(blocks, weights)
-    at_once = squares.max(initial=0.0) > _AT_ONCE * squares.sum()
-    return bool(at_once or torque_shrink(seen, [k], rng).interval[0] < 0)
+    return bool(squares.max(initial=0.0) > _AT_ONCE * squares.sum())
 
 
 def _as_large(

@@ -170,9 +170,7 @@ def _joint_columns(labels: Sequence[str]) -> list[_Column]:
     return [c for c in found if c.joint is None or c.channel not in numbered]
 
 
-def _is_of(
-    column: _Column, columns: list[_Column], joints: tuple[str, ...]
-) -> bool:
+def _is_of(column: _Column, columns: list[_Column], joints: tuple[str, ...]) -> bool:
     """Whether a channel is one of the joints: dq_cmd1 is no speed of a joint cmd1."""
     same = [c for c in columns if c.channel == column.channel]
     return any(_joint_of(c, joints, start=1) in joints for c in same)
