@@ -101,7 +101,7 @@ def test_what_swings_along_is_no_late_log(tmp_path):
     make(case, tmp_path, tmp_path / "open", tmp_path / "sealed")
     robot, logs, _ = read_open(tmp_path / "open")
     for k, x in enumerate(logs):
-        early = {n: y[x.t < 6.0] for n, y in (x.channels | {"t": x.t}).items()}
+        early = {n: y[x.t < 5.0] for n, y in (x.channels | {"t": x.t}).items()}
         logs[k] = replace(x, **early)
     assert find_convention(measure_gap(robot, logs), logs).clocks
     diagnosis = examine(robot, logs).diagnosis

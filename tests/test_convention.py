@@ -53,7 +53,7 @@ def raw_logs(name, integrator, after, count=4, seed=1, offset=0.0):
     shown = replace(robot, kp=kp, kd=kd, timestep=STEP)
     rng, logs = np.random.default_rng(seed), []
     for _ in range(count):
-        wanted = random_fourier(robot, duration=10.0, rate=1 / STEP, rng=rng)
+        wanted = random_fourier(robot, duration=6.0, rate=1 / STEP, rng=rng)
         data = mujoco.MjData(model)
         data.qpos[:] = wanted.q[0]
         for _ in range(250):
@@ -83,9 +83,9 @@ def test_the_convention_of_a_loop_is_found(name, integrator, after):
     assert found == Convention(STEP * after, STEP * implicit)
 
 
-@pytest.mark.parametrize("seed", [1, 3])
 @pytest.mark.parametrize(
-    "integrator, after", [(EULER, False), (EULER, True), (IMPLICIT_FAST, True)]
+    "integrator, after, seed",
+    [(EULER, False, 1), (EULER, True, 3), (IMPLICIT_FAST, True, 1)],
 )
 def test_a_faultless_simulation_has_no_gap(integrator, after, seed):
     robot, logs = raw_logs("coman_like", integrator, after, seed=seed)

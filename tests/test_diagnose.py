@@ -225,7 +225,7 @@ class TestGap:
         robot, delay = arm("coman_like"), Delay((joint,), {"time": time})
         noise = Noise.typical(robot)
         plant = Plant(robot, [delay], nominal=robot, noise=noise)
-        recordings = simulate(plant, trajectories=4, duration=8.0, seed=3)
+        recordings = simulate(plant, trajectories=4, duration=5.0, seed=3)
         (finding,) = examine(robot, recordings).diagnosis.findings
         assert finding.effect == "delay"
         assert finding.parameters[0].value == pytest.approx(time, rel=0.05)
@@ -396,7 +396,7 @@ class TestGap:
     @pytest.mark.parametrize(("harder", "hum"), [(1.0, 3.0), (8.0, 0.6)])
     def test_a_contact_is_no_cause_of_as_much_without_it(self, harder, hum):
         push = Contact((0, 1), PUSH | {n: harder * PUSH[n] for n in FORCES})
-        (robot, plain), (_, pushed) = logs([]), logs([push])
+        (robot, plain), (_, pushed) = (logs(x, duration=4.0) for x in ([], [push]))
         once = [pushed[0], *plain[1:]]
         contact = {("contact", robot.joints)}
         assert named(examine(robot, once)) == contact
@@ -530,7 +530,7 @@ class TestCause:
         robot = arm("coman_like")
         effect, noise = LinkInertia((0, 1, 2, 3), values), Noise.typical(robot)
         plant = Plant(robot, [effect], nominal=robot, noise=noise)
-        recordings = simulate(plant, trajectories=4, duration=8.0, seed=3)
+        recordings = simulate(plant, trajectories=4, duration=5.0, seed=3)
         (finding,) = examine(robot, recordings).diagnosis.findings
         assert finding.effect == "link_inertia"
         found = {p.name: p for p in finding.parameters if p.joint in robot.joints}
