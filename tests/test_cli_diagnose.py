@@ -1,11 +1,12 @@
 """``hybrid diagnose``: the verdict, the folder, and nothing half-written."""
 
 import json
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from importlib import import_module
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from arms import MODELS
@@ -76,13 +77,34 @@ def diagnose(logs) -> str:
     return f"diagnose --robot {PLANAR} --recordings {logs}"
 
 
-def test_it_names_the_cause_in_ten_lines_and_in_a_folder(
-    diagnose, logs, tmp_path, capsys
-):
-    run(f"{diagnose} --out {tmp_path}/deep/new --json {tmp_path}/result.json")
-    out, err = capsys.readouterr()
-    assert err == ""  # no spinner where nobody looks
-    *verdict, report, simulator = out.splitlines()
+@pytest.fixture(scope="module")
+def answered(logs, tmp_path_factory) -> SimpleNamespace:
+    """One run: its folder, what it printed, and what it told while it worked."""
+    folder, shown = tmp_path_factory.mktemp("answered"), []
+    whole, out, err = Screen.working, StringIO(), StringIO()
+
+    @contextmanager
+    def working(self, text):
+        shown.append(text)
+        with whole(self, text) as tell:
+            yield lambda text: (shown.append(text), tell(text))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Screen, "working", working)
+        with redirect_stdout(out), redirect_stderr(err):
+            run(
+                f"diagnose --robot {PLANAR} --recordings {logs} "
+                f"--out {folder}/deep/new --json {folder}/result.json"
+            )
+    return SimpleNamespace(
+        folder=folder, out=out.getvalue(), err=err.getvalue(), shown=shown
+    )
+
+
+def test_it_names_the_cause_in_ten_lines_and_in_a_folder(answered):
+    tmp_path = answered.folder
+    assert answered.err == ""  # no spinner where nobody looks
+    *verdict, report, simulator = answered.out.splitlines()
     assert len(verdict) <= 10
     assert verdict[0].startswith("Explained: one effect accounts for")
     assert any(line.startswith("1. Stribeck at elbow") for line in verdict)
@@ -100,10 +122,10 @@ def test_it_names_the_cause_in_ten_lines_and_in_a_folder(
     assert b"Stribeck" in found["deep/new/report.html"]
 
 
-def test_the_simulator_it_writes_can_be_loaded(diagnose, tmp_path):
-    run(f"{diagnose} --out {tmp_path}")
-    assert Robot.load(tmp_path / "sim_fixed.xml").joints == ("shoulder", "elbow")
-    model = DynamicModel.load(tmp_path / "model.json")
+def test_the_simulator_it_writes_can_be_loaded(answered):
+    written = answered.folder / "deep/new"
+    assert Robot.load(written / "sim_fixed.xml").joints == ("shoulder", "elbow")
+    model = DynamicModel.load(written / "model.json")
     assert "stribeck" in [effect.id for effect in model.effects]
 
 
@@ -151,15 +173,15 @@ def test_it_says_how_the_result_came_about(diagnose, logs, tmp_path):
     ).read_text("utf-8")
 
 
-def test_the_same_run_gives_the_same_files_and_leaves_others_alone(diagnose, tmp_path):
-    (tmp_path / "two").mkdir()
-    (tmp_path / "two" / "notes.txt").write_text("mine")
-    (tmp_path / "two" / "report.html").write_text("old")
-    for name in ("one", "two"):
-        run(f"{diagnose} --out {tmp_path}/{name}")
-    one, two = (tree(tmp_path / name) for name in ("one", "two"))
-    assert two.pop("notes.txt") == b"mine"
-    assert one == two
+def test_the_same_run_gives_the_same_files_and_leaves_others_alone(
+    diagnose, answered, tmp_path
+):
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "report.html").write_text("old")
+    run(f"{diagnose} --out {tmp_path}")
+    again = tree(tmp_path)
+    assert again.pop("notes.txt") == b"mine"
+    assert again == tree(answered.folder / "deep/new")
 
 
 def test_what_cannot_be_told_apart_is_said_with_what_to_run_next(tmp_path, capsys):
@@ -198,19 +220,10 @@ def test_effects_of_a_users_own_take_part(tmp_path, capsys, monkeypatch):
     )
 
 
-def test_progress_is_told_step_by_step(diagnose, tmp_path, monkeypatch):
-    shown = []
-
-    @contextmanager
-    def working(self, text):
-        shown.append(text)
-        yield shown.append
-
-    monkeypatch.setattr(Screen, "working", working)
-    run(f"{diagnose} --out {tmp_path}/out")
-    assert shown[:2] == ["reading recordings", "diagnosing planar"]
-    assert shown[-1] == "writing the report"
-    assert len(shown) > 4
+def test_progress_is_told_step_by_step(answered):
+    assert answered.shown[:2] == ["reading recordings", "diagnosing planar"]
+    assert answered.shown[-1] == "writing the report"
+    assert len(answered.shown) > 4
 
 
 def test_a_terminal_shows_what_is_being_done():
@@ -269,13 +282,13 @@ def test_bad_input_is_one_line_and_writes_nothing(diagnose, logs, tmp_path, caps
     assert tree(tmp_path) == before
 
 
-def test_it_is_the_public_function(diagnose, logs, tmp_path):
+def test_it_is_the_public_function(answered, logs):
     import hybrid
 
-    run(f"{diagnose} --out {tmp_path}")
     robot = hybrid.Robot.load(PLANAR)
     found = hybrid.diagnose(robot, hybrid.read_recordings(logs, joints=robot.joints))
     assert isinstance(found, hybrid.Diagnosis)
-    expected = json.loads((tmp_path / "diagnosis.json").read_text("utf-8"))
+    written = answered.folder / "result.json"
+    expected = json.loads(written.read_text("utf-8"))
     content = json.loads(json.dumps(found.as_dict()))
     assert content | {"provenance": {}} == expected | {"provenance": {}}
