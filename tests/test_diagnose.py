@@ -65,7 +65,7 @@ FORCES = ("force_x", "force_y")
 PUSH = {"force_x": 8.0, "force_y": -5.0, "start": 2.0, "duration": 0.8}
 
 
-def logs(effects, *, seed=1, duration=6.0, count=4, quiet=False):
+def logs(effects, *, seed=1, duration=4.5, count=4, quiet=False):
     robot = arm("planar")
     noise = Noise.none(robot.size) if quiet else None
     plant = Plant(robot, effects, nominal=robot, noise=noise)
@@ -132,7 +132,7 @@ class TestGap:
         ],
     )
     def test_of_one_effect_it_is_its_columns_times_its_gain(self, effect):
-        robot, clean = logs([], quiet=True)
+        robot, clean = logs([], quiet=True, duration=6.0)
         bare = measure_gap(robot, clean, cutoff=15.0)
         plant = Plant(robot, [effect], nominal=robot, noise=Noise.none(robot.size))
         logged = simulate(plant, trajectories=4, duration=6.0, seed=1)
@@ -189,7 +189,7 @@ class TestGap:
         assert 0.05 < unseen.mean() < 0.35
 
     def test_what_surrounds_a_fault_is_left_out_as_far_as_the_filter_carries_it(self):
-        robot, clean = logs([])
+        robot, clean = logs([], duration=6.0)
         tau = clean[0].tau.copy()
         tau[1000:1500, 0] = tau[1000, 0]
         sound = measure_gap(robot, clean, cutoff=15.0)
@@ -1063,7 +1063,7 @@ class TestSilence:
 class TestEvents:
     def test_a_contact_is_found_by_its_time(self):
         push = {"force_x": 12.0, "force_z": -9.0, "start": 2.2, "duration": 0.7}
-        robot, recordings = logs([Contact((0, 1), push)])
+        robot, recordings = logs([Contact((0, 1), push)], duration=6.0)
         (finding,) = examine(robot, recordings).diagnosis.findings
         assert finding.effect == "contact" and finding.joints == robot.joints
         values = {p.name: p for p in finding.parameters}

@@ -49,7 +49,7 @@ def offset(level):
 def recording(rng, more):
     s = np.linspace(0, 1, round(1.5 * RATE))
     rise = np.concatenate([s**3 * (10 - 15 * s + 6 * s**2), np.ones(round(0.2 * RATE))])
-    at = rng.uniform(-1.2, 1.2, (11, 2))
+    at = rng.uniform(-1.2, 1.2, (8, 2))
     moves = zip(at[:-1], at[1:], strict=True)
     q = np.concatenate([a + np.outer(rise, b - a) for a, b in moves])
     t = np.arange(len(q)) / RATE
