@@ -21,6 +21,14 @@ _LIMITED = Robot.load(MODELS / "coman_like.xml")
 FREE = np.full(_LIMITED.size, np.inf)
 # Positions beyond a joint's limits are refused before anything is asked.
 ROBOT = replace(_LIMITED, q_min=-FREE, q_max=FREE)
+CHANNELS = pytest.mark.parametrize(
+    ("words", "which"),
+    [
+        ("the columns", {}),
+        ("the positions", {"torque": False}),
+        ("the torques", {"position": False}),
+    ],
+)
 
 
 def logs(*effects):
@@ -58,14 +66,7 @@ def flip(a):
 
 
 @pytest.mark.parametrize("pair", [(0, 2), (1, 2), (2, 4)])
-@pytest.mark.parametrize(
-    ("words", "which"),
-    [
-        ("the columns", {}),
-        ("the positions", {"torque": False}),
-        ("the torques", {"position": False}),
-    ],
-)
+@CHANNELS
 def test_two_joints_that_are_swapped_are_said_to_be(words, which, pair):
     swapped = read(usual(), swap(*pair), flip(None), **which)
     a, b = (ROBOT.joints[j] for j in pair)
@@ -73,14 +74,7 @@ def test_two_joints_that_are_swapped_are_said_to_be(words, which, pair):
     assert said.startswith(f"{words} of {a} and {b} seem to be swapped")
 
 
-@pytest.mark.parametrize(
-    ("words", "which"),
-    [
-        ("the columns", {}),
-        ("the positions", {"torque": False}),
-        ("the torques", {"position": False}),
-    ],
-)
+@CHANNELS
 def test_a_joint_that_counts_the_other_way_round_is_said_to(words, which):
     turned = read(usual(), np.arange(ROBOT.size), flip(2), **which)
     said = mixed_up(measure_gap(ROBOT, turned))

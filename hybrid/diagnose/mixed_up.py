@@ -18,7 +18,7 @@ from hybrid.dynamics import RigidBody
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
-_FAR = 0.5  # of squares of measured torque: no simulator in use is so far off
+_FAR = 0.5  # of squares of measured torque: nearer, nothing is mixed up
 _NEARER = 0.25  # of the same squares, if read otherwise
 _ENOUGH = 1000  # samples
 _WHAT = {
