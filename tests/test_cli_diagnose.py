@@ -97,7 +97,11 @@ def answered(logs, tmp_path_factory) -> SimpleNamespace:
                 f"--out {folder}/deep/new --json {folder}/result.json"
             )
     return SimpleNamespace(
-        folder=folder, out=out.getvalue(), err=err.getvalue(), shown=shown
+        folder=folder,
+        written=folder / "deep/new",
+        out=out.getvalue(),
+        err=err.getvalue(),
+        shown=shown,
     )
 
 
@@ -123,9 +127,9 @@ def test_it_names_the_cause_in_ten_lines_and_in_a_folder(answered):
 
 
 def test_the_simulator_it_writes_can_be_loaded(answered):
-    written = answered.folder / "deep/new"
-    assert Robot.load(written / "sim_fixed.xml").joints == ("shoulder", "elbow")
-    model = DynamicModel.load(written / "model.json")
+    fixed = Robot.load(answered.written / "sim_fixed.xml")
+    assert fixed.joints == ("shoulder", "elbow")
+    model = DynamicModel.load(answered.written / "model.json")
     assert "stribeck" in [effect.id for effect in model.effects]
 
 
@@ -181,7 +185,7 @@ def test_the_same_run_gives_the_same_files_and_leaves_others_alone(
     run(f"{diagnose} --out {tmp_path}")
     again = tree(tmp_path)
     assert again.pop("notes.txt") == b"mine"
-    assert again == tree(answered.folder / "deep/new")
+    assert again == tree(answered.written)
 
 
 def test_what_cannot_be_told_apart_is_said_with_what_to_run_next(tmp_path, capsys):

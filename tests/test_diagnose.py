@@ -57,10 +57,12 @@ from hybrid.report.diagnosis_text import verdict_lines
 from hybrid.robot import Robot
 from hybrid.signals import butterworth
 
-ACCOUNT, ATTRIBUTE, CHECK, DIAGNOSE, REPLAYED, UNSEEN = (
+ACCOUNT, ATTRIBUTE, CHECK, DIAGNOSE, REPLAYED, SETTLED, UNSEEN = (
     import_module(f"hybrid.diagnose.{x}")
-    for x in ("account", "attribute", "check", "diagnose", "replayed", "unseen")
-)
+    for x in (
+        "account", "attribute", "check", "diagnose", "replayed", "settled", "unseen"
+    )
+)  # fmt: skip
 FORCES = ("force_x", "force_y")
 PUSH = {"force_x": 8.0, "force_y": -5.0, "start": 2.0, "duration": 0.8}
 
@@ -1238,7 +1240,7 @@ def test_what_is_left_of_several_terms_has_to_pass_the_checks_anew(monkeypatch):
     def but_for_ripple(scored, *_):
         return [t for t in scored.terms if t.place[0] != TorqueRipple.id]
 
-    monkeypatch.setattr(DIAGNOSE, "useful_terms", but_for_ripple)
+    monkeypatch.setattr(SETTLED, "useful_terms", but_for_ripple)
     diagnosis = examine(robot, recordings).diagnosis
     assert diagnosis.findings == ()  # it is a small part of what is there
     assert diagnosis.verdict == "unexplained"
@@ -1248,7 +1250,7 @@ def test_what_is_left_of_several_terms_has_to_pass_the_checks_anew(monkeypatch):
 def test_what_is_tiny_beside_others_has_to_be_of_sure_use(monkeypatch, size, stays):
     gains = {g.name: size * RIPPLE.values[g.name] for g in RIPPLE.gains}
     robot, recordings = logs([RIPPLE.at(gains), Viscous((0,), {"coefficient": 2.0})])
-    monkeypatch.setattr(DIAGNOSE, "_unsure", lambda f: f.effect == TorqueRipple.id)
+    monkeypatch.setattr(SETTLED, "unsure", lambda f: f.effect == TorqueRipple.id)
     found = {effect for effect, _ in named(examine(robot, recordings))}
     assert found == {"viscous", *(["torque_ripple"] if stays else [])}
 

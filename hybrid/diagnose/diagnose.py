@@ -14,8 +14,7 @@ from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.clocks import clocks_apart
 from hybrid.diagnose.command import Link, command_link
 from hybrid.diagnose.diagnosis import Diagnosis, Finding, Verdict
-from hybrid.diagnose.explanation import Explanation, explain, shares, split
-from hybrid.diagnose.findings import findings
+from hybrid.diagnose.explanation import Explanation, split
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.grounds import (
     another_arm,
@@ -28,18 +27,13 @@ from hybrid.diagnose.links import joined
 from hybrid.diagnose.locate import locate
 from hybrid.diagnose.logs import measured, since_first, without_holes
 from hybrid.diagnose.mixed_up import mixed_up
-from hybrid.diagnose.refit import refit
 from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.result import Result
+from hybrid.diagnose.settled import settled, unsure
 from hybrid.diagnose.threads import one_thread
 from hybrid.diagnose.thresholds import Thresholds, thresholds
 from hybrid.diagnose.units import units
-from hybrid.diagnose.unseen import (
-    left_somewhere,
-    left_unseen,
-    negligible,
-    useful_terms,
-)
+from hybrid.diagnose.unseen import left_somewhere, left_unseen
 from hybrid.diagnose.vetted import torn, vetted
 from hybrid.diagnose.visited import not_excited
 from hybrid.effects.delay import Delay
@@ -49,7 +43,6 @@ from hybrid.signals import Motion
 
 Progress = Callable[[str], None]
 
-_SMALL = 0.01  # of all that is explained
 _UNSURE = "{} does not surely shrink the gap on motions that no step has seen"
 _ANYWHERE = (
     "{} at {} explains as much as {} at {}: these motions do not tell where it is, so "
@@ -162,23 +155,10 @@ def _examined(
         search.terms = [t for t in search.terms if t not in small]
         found = account(gap, search, limits, reached)
     tell("scoring on motions that no step has seen")
-    odd = False
-    while True:
-        scored = explain(gap, search, learn)
-        effects = refit(gap, search)
-        own = [kinds[t] for t in search.terms]
-        causes = findings(scored, effects, own, shares(search, rng), rng)
-        useful = useful_terms(scored, found, rng)
-        for f in [f for f in causes if f.share < _SMALL and _unsure(f)]:
-            idle = [scored.terms[k] for k in scored.members(f.effect)]
-            useful = [t for t in useful if t not in idle]
-        if len(useful) == len(search.terms):
-            break
-        odd |= not negligible(scored, useful)
-        search.terms = useful
-        found, more, _ = vetted(gap, search, limits, reached)
-        kinds |= more
-    doubts += [_UNSURE.format(f.effect) for f in causes if _unsure(f)]
+    last = settled(search, learn, found, kinds, reached, rng)
+    found, scored, odd = last.found, last.scored, last.odd
+    effects, causes = last.effects, last.causes
+    doubts += [_UNSURE.format(f.effect) for f in causes if unsure(f)]
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
     if logged.clocks and not foreign:
         apart = clocks_apart(as_logged, scored, logged, rng)
@@ -208,10 +188,6 @@ def _examined(
     return Result(
         diagnosis, as_logged, search, scored, found, effects, link.effects, anywhere
     )
-
-
-def _unsure(finding: Finding) -> bool:
-    return finding.shrink["torque"].interval[0] < 0
 
 
 def _once(finding: Finding, scored: Explanation) -> bool:

@@ -107,7 +107,9 @@ def match_columns(
             )
     if joints is None:
         joints = _joints_of(columns)
-    columns = [c for c in columns if c.channel in _NEEDED or _is_of(c, columns, joints)]
+    # dq_cmd1 is no speed of a joint cmd1.
+    known = {c.channel for c in columns if _joint_of(c, joints, start=1) in joints}
+    columns = [c for c in columns if c.channel in known.union(_NEEDED)]
     channels = {
         channel: _placed([c for c in columns if c.channel == channel], joints, source)
         for channel in CHANNELS
@@ -168,12 +170,6 @@ def _joint_columns(labels: Sequence[str]) -> list[_Column]:
     numbered = {column.channel for column in found if column.number is not None}
     # q1..q6 beside q_motor1..q_motor6: the numbered ones are the joints
     return [c for c in found if c.joint is None or c.channel not in numbered]
-
-
-def _is_of(column: _Column, columns: list[_Column], joints: tuple[str, ...]) -> bool:
-    """Whether a channel is one of the joints: dq_cmd1 is no speed of a joint cmd1."""
-    same = [c for c in columns if c.channel == column.channel]
-    return any(_joint_of(c, joints, start=1) in joints for c in same)
 
 
 def _joints_of(columns: list[_Column]) -> tuple[str, ...]:
