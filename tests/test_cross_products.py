@@ -158,17 +158,6 @@ def test_residual_products_are_those_of_the_residuals():
     assert_same(each.sum(axis=0), left.T @ left, 1e-11)
 
 
-def test_torque_that_is_explained_already_is_subtracted():
-    robot = arm("planar")
-    problem, chosen = linear_problem(robot), loaded(robot)
-    known = [
-        np.random.default_rng(k).normal(size=m.q.shape) for k, m in enumerate(chosen)
-    ]
-    less = [with_torque(m, m.tau - x) for m, x in zip(chosen, known, strict=True)]
-    found = crossed(problem, chosen, known=known).total
-    assert_same(found, crossed(problem, less).total, 1e-12)
-
-
 def test_what_a_joint_shows_while_it_stands_or_is_masked_does_not_count():
     robot = arm("planar")
     problem, chosen = linear_problem(robot), loaded(robot)

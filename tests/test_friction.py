@@ -176,7 +176,7 @@ def test_friction_that_lowers_nothing_is_left_out_with_a_warning():
     fit, said = fitted(plain)
     assert any("friction" in text for text in fit.left_out)
     assert any("left out friction" in text for text in said)
-    np.testing.assert_array_equal(fit.held_out["+ friction"], fit.held_out["IRLS"])
+    np.testing.assert_array_equal(fit.held_out["+ friction"], fit.held_out["rigid"])
 
 
 def test_friction_that_grows_with_the_load_is_told_from_the_rest():

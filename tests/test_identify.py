@@ -196,12 +196,17 @@ def test_motions_and_their_masks_are_taken_as_they_are(logs):
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-def test_the_model_is_that_of_the_estimator_asked_for(logs, estimator):
+def test_the_estimator_is_the_best_up_to_the_one_asked_for(logs, estimator):
     robot = arm("planar")
     fit, _ = quiet(identify, robot, logs, estimator=estimator, stages=("rigid",))
-    chosen = fit.model.simpler[estimator.upper()]
-    np.testing.assert_array_equal(fit.model.base.values, chosen.base.values)
-    assert list(fit.held_out) == ["LS", "WLS", "IRLS"]
+    assert list(fit.held_out) == ["LS", "WLS", "IRLS", "rigid"]
+    off = fit.estimate.weight - np.diag(np.diag(fit.estimate.weight))
+    if estimator != "irls":  # no covariance across joints
+        assert not off.any()
+    if estimator == "ls":  # all joints alike
+        assert np.ptp(np.diag(fit.estimate.weight)) == 0
+    better = np.minimum(fit.held_out["LS"], fit.held_out["WLS"])
+    assert (fit.held_out["rigid"] <= 1.02 * better).all()
 
 
 def test_a_stage_that_was_not_asked_for_does_not_run(logs):
@@ -237,7 +242,7 @@ def test_what_recordings_leave_open_is_named(logs):
     robot = arm("coman_like")
     log = simulate(robot, trajectories=1, duration=3, seed=0, fill=0.05)
     fit, _ = quiet(identify, robot, log, stages=("rigid",))
-    open_ = [x for x in fit.unidentifiable if "cannot be told from zero" in x]
+    open_ = [x for x in fit.unidentifiable if "is held by the robot file" in x]
     assert len(open_) > 5
 
 
@@ -264,7 +269,7 @@ def test_robust_weights_shrug_off_a_contact():
     """A push of two seconds at both joints bends the plain fit, not the robust one."""
     robot = arm("planar")
     clean = simulate(robot, trajectories=5, duration=8, seed=4)
-    push = ((clean[0].t > 3) & (clean[0].t < 5))[:, None] * np.array([12.0, 6.0])
+    push = ((clean[0].t > 3) & (clean[0].t < 5))[:, None] * np.array([24.0, 12.0])
     spoiled = [replace(clean[0], tau=clean[0].tau + push), *clean[1:4]]
     error = {}
     for robust in (False, True):
@@ -272,5 +277,5 @@ def test_robust_weights_shrug_off_a_contact():
         error[robust] = validate(fit.model, clean[4:]).rows[-1].mean
     best, _ = quiet(identify, robot, clean[:4], stages=("rigid",))
     best = validate(best.model, clean[4:]).rows[-1].mean
-    assert error[False] > 1.2 * best
-    assert error[True] < 1.05 * best
+    assert error[False] > 1.05 * best
+    assert error[True] < 1.02 * best

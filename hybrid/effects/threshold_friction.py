@@ -18,7 +18,8 @@ class ThresholdFriction(JointEffect):
     fall towards λ, in a line and in a parabola (break-away), or rise to it (a
     rounded knee); all of these vanish or settle at λ, so that the law is continuous
     there. Rising and falling together are a level, so a fit needs only one of the two.
-    Within ±``width`` it is the straight line through zero. Every coefficient is
+    Within ±``width`` it is the straight line through zero. Beyond ``fastest``, the
+    highest speed that was seen, the curve goes on as its tangent. Every coefficient is
     non-negative: friction takes energy at every speed.
     """
 
@@ -45,6 +46,7 @@ class ThresholdFriction(JointEffect):
     shapes = (
         Quantity("threshold", "rad/s", 0.2, 0.0001, 100.0),
         Quantity("width", "rad/s", 0.002, 0.0, 10.0),
+        Quantity("fastest", "rad/s", 1e3, 1e-4, 1e3, whole=True),
     )
     equation = (
         "τ = k_c± σ(v) + k_f σ(v)(1 − |v|/λ)₊ + k_s σ(v)(1 − |v|/λ)₊² "
@@ -62,6 +64,8 @@ class ThresholdFriction(JointEffect):
         ramp = np.where(speed < width, speed / np.maximum(width, 1e-12), 1.0)
         sigma = state.sign * ramp
         below = np.clip(1.0 - speed / shapes["threshold"], 0.0, None)
+        seen = np.clip(speed, 0.0, shapes["fastest"])
+        beyond = speed - seen
         return (
             np.where(state.sign > 0, sigma, 0.0),
             np.where(state.sign < 0, sigma, 0.0),
@@ -69,6 +73,6 @@ class ThresholdFriction(JointEffect):
             sigma * below**2,
             sigma * (1.0 - below),
             state.sign * speed,
-            state.sign * speed**2,
-            state.sign * speed**3,
+            state.sign * (seen + 2 * beyond) * seen,
+            state.sign * (seen + 3 * beyond) * seen**2,
         )

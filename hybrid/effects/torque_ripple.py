@@ -12,7 +12,11 @@ from hybrid.effects.joint_effect import JointEffect
 
 
 class TorqueRipple(JointEffect):
-    """Periodic torque of motor cogging or gear teeth: A·sin(k q + φ)."""
+    """Periodic torque of motor cogging or gear teeth: A·sin(k q + φ).
+
+    Above ``fastest``, the highest speed at which a fit could see it, it fades, and is
+    gone at twice that speed.
+    """
 
     id = "torque_ripple"
     port = Port.DRIVE
@@ -20,7 +24,10 @@ class TorqueRipple(JointEffect):
         Quantity("sine", "N·m", 0.02, -0.15, 0.15, per=(1, 0)),
         Quantity("cosine", "N·m", 0.0, -0.15, 0.15, per=(1, 0)),
     )
-    shapes = (Quantity("periods", "1/turn", 20.0, 1.0, 1000.0),)
+    shapes = (
+        Quantity("periods", "1/turn", 20.0, 1.0, 1000.0),
+        Quantity("fastest", "rad/s", 1e3, 1e-4, 1e3, whole=True),
+    )
     equation = "τ = A_s · sin(k q) + A_c · cos(k q)"
     source = "Holtz and Springob 1996, doi 10.1109/28.491472"
     sentence = "The torque of {joints} repeats with position."
@@ -30,4 +37,5 @@ class TorqueRipple(JointEffect):
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:
         """Torque per N·m of the sine and of the cosine amplitude."""
         angle = shapes["periods"] * state.q
-        return np.sin(angle), np.cos(angle)
+        fade = np.clip(2.0 - abs(state.v) / shapes["fastest"], 0.0, 1.0)
+        return fade * np.sin(angle), fade * np.cos(angle)

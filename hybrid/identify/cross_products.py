@@ -8,23 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import IdentificationError
-from hybrid.identify.problem import Problem
+from hybrid.identify.problem import Problem, part
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 
 _CHUNK = 16384  # samples worked on at a time, at full rate
-_MOST_BLOCKS = 256
+_MOST_BLOCKS = 96
 _BLOCK_SECONDS = 0.25
 _GRADIENT_MARGIN = 16  # samples that numerical derivatives need on both sides
 
-Rows = Callable[[Motion], Array]
+# From a problem, a motion and some of its samples to rows of shape (P, N).
+Rows = Callable[[Problem, Motion, slice], Array]
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class CrossProducts:
         counts: Samples of each block in which both joints moved, shape (B, n, n).
         recording: Which recording each block is from, shape (B,).
         fold: Part of the data each block belongs to, for cross-validation, shape (B,).
+        scores: The same sums of each joint alone, unfiltered, to score on.
     """
 
     problem: Problem
@@ -44,11 +46,26 @@ class CrossProducts:
     counts: Array
     recording: NDArray[np.intp]
     fold: NDArray[np.intp]
+    scores: Scores | None = None
 
     @cached_property
     def total(self) -> Array:
         """Sum over all blocks, shape (P, P)."""
         return np.asarray(self.blocks.sum(axis=0))
+
+    @cached_property
+    def folds(self) -> Array:
+        """Sums over the blocks of each fold, shape (F, P, P)."""
+        return self.weighted(np.ones(len(self.fold)))
+
+    def weighted(self, share: Array) -> Array:
+        """Sums over the blocks of each fold, each with a weight, shape (F, P, P).
+
+        Args:
+            share: Weight of each block, shape (B,).
+        """
+        parts = [self.fold == k for k in range(int(self.fold.max()) + 1)]
+        return np.array([np.tensordot(share[x], self.blocks[x], axes=1) for x in parts])
 
     @property
     def samples(self) -> int:
@@ -65,13 +82,8 @@ class CrossProducts:
             fold=self.fold[chosen],
         )
 
-    def merged(self, factor: int) -> CrossProducts:
-        """Blocks of one recording merged, ``factor`` neighbours at a time.
-
-        Folds are given up.
-        """
-        if factor == 1:
-            return self
+    def labels(self, factor: int) -> NDArray[np.intp]:
+        """Number of each block once ``factor`` neighbours of a recording are one."""
         label, last = np.zeros(len(self.counts), dtype=int), -1
         seen: dict[int, int] = {}
         for b, r in enumerate(self.recording):
@@ -79,7 +91,16 @@ class CrossProducts:
             if position % factor == 0:
                 last += 1
             label[b] = last
-        starts = np.flatnonzero(np.diff(label, prepend=-1))
+        return label
+
+    def merged(self, factor: int) -> CrossProducts:
+        """Blocks of one recording merged, ``factor`` neighbours at a time.
+
+        Folds are given up.
+        """
+        if factor == 1:
+            return self
+        starts = np.flatnonzero(np.diff(self.labels(factor), prepend=-1))
         return replace(
             self,
             blocks=np.add.reduceat(self.blocks, starts),
@@ -138,6 +159,40 @@ class CrossProducts:
         return np.maximum(np.diag(self.counts.sum(axis=0)), 1.0)
 
 
+@dataclass(frozen=True)
+class Scores:
+    """Sums of unfiltered rows: what any solution leaves of the torque as logged.
+
+    Attributes:
+        problem: Unknowns and layout of the rows.
+        sums: Rows of each joint times rows transposed in each block, shapes
+            (B, d + 1, d + 1).
+        fold: Fold of each block, shape (B,).
+    """
+
+    problem: Problem
+    sums: tuple[Array, ...]
+    fold: NDArray[np.intp]
+
+    def squares(self, theta: Array) -> Array:
+        """Squares left in each block by the solution without its fold.
+
+        Args:
+            theta: Solutions without each fold, shape (F, p).
+
+        Returns:
+            Squares of each joint, shape (B, n), [N²·m²].
+        """
+        own = theta[self.fold]  # (B, p)
+        found = np.empty((len(own), len(self.sums)))
+        for i, (sums, support) in enumerate(
+            zip(self.sums, self.problem.support, strict=True)
+        ):
+            c = np.concatenate([-own[:, support], np.ones((len(own), 1))], axis=1)
+            found[:, i] = np.einsum("bk,bkl,bl->b", c, sums, c)
+        return np.maximum(found, 0.0)
+
+
 def accumulate(
     problem: Problem,
     motions: Sequence[Motion],
@@ -145,7 +200,8 @@ def accumulate(
     cutoff: float,
     standing: Array,
     folds: Sequence[NDArray[np.intp]] | None = None,
-    known: Sequence[Array] | None = None,
+    blocks: Sequence[NDArray[np.intp]] | None = None,
+    rows: Rows | None = None,
 ) -> CrossProducts:
     """Cross-products over motions, columns and torque filtered alike.
 
@@ -158,57 +214,104 @@ def accumulate(
         cutoff: Cut-off of the filter of columns and torque, [Hz]; inf for none.
         standing: Speed of each joint below which it stands, shape (n,), [rad/s].
         folds: Fold of every sample, shape (N,) for each motion.
-        known: Filtered torque already explained, to subtract, shape (M, n) for the
-            decimated samples of each motion, [N·m].
+        blocks: Block of every sample to score on, shape (N,) for each motion; each lies
+            in one fold.
+        rows: Where the rows of some samples of a motion come from.
 
     Returns:
-        Cross-products in some 256 blocks at most.
+        Cross-products in some 100 blocks at most.
     """
     seconds = sum(m.t[-1] - m.t[0] for m in motions)
     block_seconds = max(_BLOCK_SECONDS, seconds / _MOST_BLOCKS * 1.2)
+    scoring = (
+        None if blocks is None or folds is None else _Scoring(problem, blocks, folds)
+    )
     found: list[tuple[int, int, Array, Array]] = []
     for r, motion in enumerate(motions):
         fold = folds[r] if folds is not None else np.zeros(len(motion.t), dtype=int)
-        explained = None if known is None else known[r]
-        blocks = _one_motion(
-            problem, motion, fold, explained, cutoff, standing, block_seconds
+        own = partial(rows or rows_of, problem, motion)
+        sums = _one_motion(
+            problem, motion, fold, cutoff, standing, block_seconds, own, scoring, r
         )
-        found += [(r, key[1], *sums) for key, sums in sorted(blocks.items())]
+        found += [(r, key[1], *x) for key, x in sorted(sums.items())]
     if not found:
         raise IdentificationError(
             "no usable sample: every one is masked, or no joint moves"
         )
-    of, fold_of, sums, counts = zip(*found, strict=True)
+    of, fold_of, both, counts = zip(*found, strict=True)
     return CrossProducts(
-        problem, np.array(sums), np.array(counts), np.array(of), np.array(fold_of)
+        problem,
+        np.array(both),
+        np.array(counts),
+        np.array(of),
+        np.array(fold_of),
+        None if scoring is None else scoring.scores,
     )
+
+
+class _Scoring:
+    """Sums of unfiltered rows as they come; see :class:`Scores`."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        blocks: Sequence[NDArray[np.intp]],
+        folds: Sequence[NDArray[np.intp]],
+    ) -> None:
+        self.blocks = blocks
+        label, first = np.unique(np.concatenate(blocks), return_index=True)
+        count, sizes = 1 + int(label.max()), np.diff(problem.offsets)
+        fold = np.zeros(count, dtype=np.intp)
+        fold[label] = np.concatenate(folds)[first]
+        sums = tuple(np.zeros((count, size, size)) for size in sizes)
+        self.scores = Scores(problem, sums, fold)
+
+    def add(self, r: int, here: slice, D: Array, moving: Array) -> None:
+        """Take in rows, shape (P, N), of samples of motion r at which joints move."""
+        label = self.blocks[r][here]
+        order = np.argsort(label, kind="stable")  # folds of masked samples may return
+        label = label[order]
+        offsets = self.scores.problem.offsets
+        for start, stop in _runs(label):
+            at = order[start:stop]
+            for i, sums in enumerate(self.scores.sums):
+                part = D[offsets[i] : offsets[i + 1], at] * moving[i, at]
+                sums[label[start]] += part @ part.T
+
+
+def _runs(*labels: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """First sample and the one behind the last of each run of equal labels."""
+    steps = np.sum([np.abs(np.diff(x, prepend=-1)) for x in labels], axis=0)
+    return list(pairwise([*np.flatnonzero(steps), len(labels[0])]))
 
 
 def _one_motion(
     problem: Problem,
     motion: Motion,
     fold: NDArray[np.intp],
-    known: Array | None,
     cutoff: float,
     standing: Array,
     block_seconds: float,
+    rows: Callable[[slice], Array],
+    scoring: _Scoring | None,
+    number: int,
 ) -> dict[tuple[int, int], tuple[Array, Array]]:
     """Sums and counts by block in time and fold."""
     sampler = Sampler.for_rate(motion.rate, cutoff)
     length = max(1, round(block_seconds * motion.rate / sampler.factor))
     sizes = np.diff(problem.offsets)
     found: dict[tuple[int, int], tuple[Array, Array]] = {}
-    everywhere = moving_samples(motion, sampler, standing)
-    for first, D in sampled_chunks(problem.rows, motion, sampler):
+    moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T.astype(float)
+    for first, D, raw in sampled_chunks(rows, len(motion.t), sampler):
+        if scoring is not None:
+            here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
+            scoring.add(number, here, raw, moves[:, here])
         samples = slice(first, first + D.shape[1])
-        moving = everywhere[samples].T.astype(float)
-        if known is not None:
-            D[np.array(problem.offsets[1:]) - 1] -= known[samples].T
+        moving = moves[:, :: sampler.factor][:, samples]
         D *= np.repeat(moving, sizes, axis=0)
         block = (first + np.arange(D.shape[1])) // length
         own = fold[:: sampler.factor][samples]
-        starts = np.flatnonzero(np.diff(block, prepend=-1) | np.diff(own, prepend=-1))
-        for start, stop in pairwise([*starts, D.shape[1]]):
+        for start, stop in _runs(block, own):
             part, both = D[:, start:stop], moving[:, start:stop]
             if not both.any():
                 continue
@@ -218,51 +321,37 @@ def _one_motion(
     return found
 
 
-def moving_samples(
-    motion: Motion, sampler: Sampler, standing: Array
-) -> NDArray[np.bool_]:
-    """Decimated samples at which each joint moves and the mask allows, (M, n)."""
-    moving = np.abs(motion.v[:: sampler.factor]) > standing
-    return np.asarray(moving & sampler.keep(motion.mask)[:, None])
+def rows_of(problem: Problem, motion: Motion, here: slice) -> Array:
+    """:meth:`Problem.rows` of some consecutive samples of a motion."""
+    return problem.rows(part(motion, here))
 
 
 def sampled_chunks(
-    rows: Rows, motion: Motion, sampler: Sampler
-) -> Iterator[tuple[int, Array]]:
+    rows: Callable[[slice], Array], total: int, sampler: Sampler
+) -> Iterator[tuple[int, Array, Array]]:
     """Rows evaluated at full rate, filtered and decimated, a chunk at a time.
 
     Chunks overlap by as much as the filter reaches, so the result is that of one piece.
 
     Args:
-        rows: From a motion of N samples to rows of shape (P, N).
-        motion: Motion at full rate.
+        rows: From consecutive samples, as a slice, to rows of shape (P, N).
+        total: Number of samples.
         sampler: Filter and decimation.
 
     Yields:
-        Index of the first decimated sample, and the decimated rows, shape (P, M).
+        Index of the first decimated sample, the decimated rows, shape (P, M), and the
+        rows at full rate that they come from, shape (P, samples).
     """
-    factor, total = sampler.factor, len(motion.t)
+    factor = sampler.factor
     margin = -(-max(sampler.margin, _GRADIENT_MARGIN) // factor) * factor
     chunk = max(_CHUNK, 4 * margin) // factor * factor
     for start in range(0, total, chunk):
         before = max(0, start - margin)
         after = min(total, start + chunk + margin)
-        D = sampler(rows(part(motion, slice(before, after))), axis=1)
+        stop = min(total, start + chunk)
+        full = rows(slice(before, after))
+        D = sampler(full, axis=1)
         skip = (start - before) // factor
-        count = -(-(min(total, start + chunk) - start) // factor)
-        yield start // factor, D[:, skip : skip + count]
-
-
-def part(motion: Motion, samples: slice) -> Motion:
-    """Some consecutive samples of a motion."""
-    warm = None if motion.temperature is None else motion.temperature[samples]
-    return replace(
-        motion,
-        t=motion.t[samples],
-        q=motion.q[samples],
-        v=motion.v[samples],
-        a=motion.a[samples],
-        tau=motion.tau[samples],
-        mask=motion.mask[samples],
-        temperature=warm,
-    )
+        count = -(-(stop - start) // factor)
+        raw = full[:, start - before : stop - before]
+        yield start // factor, D[:, skip : skip + count], raw

@@ -1,32 +1,35 @@
-"""What a fit works on: motions, folds, filter and standstill."""
+"""What a fit works on: motions, folds, blocks, filter and standstill."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.dynamics import RigidBody
+from hybrid.effects import Scale
 from hybrid.errors import IdentificationError, RecordingError
 from hybrid.identify.cross_products import (
     CrossProducts,
     accumulate,
-    moving_samples,
     sampled_chunks,
 )
-from hybrid.identify.model import DynamicModel
-from hybrid.identify.problem import Problem
+from hybrid.identify.problem import Problem, part
 from hybrid.recording import Recording, check_recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
 
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
+_WORKING_RATE = 20.0  # of the cut-off: ten times the bandwidth that positions have
+_ALIAS_FREE = 8.0  # of the cut-off: torque below passes, torque above 10 does not
 _STANDING = 0.01  # of the highest speed
 FOLDS = 4
-_BLOCK_SECONDS = 1.0
+_BLOCKS = 48  # over which the gain of a term is averaged, at the least
+_MOST_KEPT = 2**28  # bytes of the links' regressors
 FEWEST_PERIODS = 3.0  # of the cut-off in a recording: its edges take 2.3 of them
 
 
@@ -35,7 +38,7 @@ class Data:
     """Motions prepared for fitting.
 
     Attributes:
-        motions: Motions at full rate.
+        motions: Motions at the rate the fit works at, see :func:`thinned`.
         folds: Fold of every sample for cross-validation, shape (N,) for each motion.
         cutoff: Cut-off of the filter of columns and torque, [Hz].
         standing: Speed of each joint below which it stands, shape (n,), [rad/s].
@@ -48,6 +51,9 @@ class Data:
     folds: tuple[NDArray[np.intp], ...]
     cutoff: float
     standing: Array
+    _regressors: dict[tuple[int, int, int], Array] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         for motion in self.motions:
@@ -57,9 +63,14 @@ class Data:
                     "time, positions and torques"
                 )
 
-    def products(
-        self, problem: Problem, known: Sequence[Array] | None = None
-    ) -> CrossProducts:
+    def less(self, known: Sequence[Array] | None) -> Data:
+        """The same data less torque that is explained, (N, n) for each motion."""
+        if known is None:
+            return self
+        pairs = zip(self.motions, known, strict=True)
+        return replace(self, motions=tuple(replace(m, tau=m.tau - x) for m, x in pairs))
+
+    def products(self, problem: Problem) -> CrossProducts:
         """Cross-products of a problem on these motions; see :func:`accumulate`."""
         return accumulate(
             problem,
@@ -67,60 +78,111 @@ class Data:
             cutoff=self.cutoff,
             standing=self.standing,
             folds=self.folds,
-            known=known,
+            blocks=self.blocks,
+            rows=self.rows,
         )
 
-    def split(self, samples: NDArray[Any]) -> list[NDArray[Any]]:
-        """Decimated samples of all motions, stacked, apart again."""
-        sizes = [
-            -(-len(m.t) // Sampler.for_rate(m.rate, self.cutoff).factor)
-            for m in self.motions
-        ]
-        return np.split(samples, np.cumsum(sizes)[:-1])
+    def rows(self, problem: Problem, motion: Motion, here: slice) -> Array:
+        """Rows of a problem at some samples; see :meth:`Problem.rows`.
 
-    def rest(self, predicted: Sequence[Array]) -> Rest:
-        """What predictions leave of the torque, filtered, decimated and stacked.
-
-        Args:
-            predicted: Torque at full rate, shape (N, n) for each motion, [N·m].
+        The regressor of the links is the same for every problem: it is kept, as far as
+        it takes no more memory than a few minutes of an arm's motion.
         """
-        parts = []
-        for motion, tau, fold in zip(self.motions, predicted, self.folds, strict=True):
-            sampler = Sampler.for_rate(motion.rate, self.cutoff)
-            moving = moving_samples(motion, sampler, self.standing)
-            q, v = motion.q[:: sampler.factor], motion.v[:: sampler.factor]
-            left = sampler(motion.tau - tau)
-            parts.append((q, v, left, moving, fold[:: sampler.factor]))
-        return Rest(*(np.concatenate(x) for x in zip(*parts, strict=True)))
+        some = part(motion, here)
+        body = RigidBody(problem.chain, some, problem.inertial)
+        key = motion.number, here.start, here.stop
+        if key in self._regressors:
+            body.__dict__["columns"] = self._regressors[key]
+        elif sum(x.nbytes for x in self._regressors.values()) < _MOST_KEPT:
+            self._regressors[key] = body.columns
+        return problem.rows(some, body)
 
-    def rest_of_folds(self, problem: Problem, theta: Array) -> Rest:
-        """What solutions leave on the fold that each was not fitted on.
+    def left_out(self, problem: Problem, theta: Array) -> list[Array]:
+        """Torque that solutions leave on the fold that each was not fitted on.
 
         Args:
             problem: The linear problem.
             theta: A solution without each fold, shape (F, p).
+
+        Returns:
+            Unfiltered torque, shape (N, n) for each motion, [N·m].
+        """
+        found = []
+        for motion, fold in zip(self.motions, self.folds, strict=True):
+            left = np.empty_like(motion.tau)
+            everything = Sampler(motion.rate, np.inf, 1)
+            rows = partial(self.rows, problem, motion)
+            for first, D, _ in sampled_chunks(rows, len(motion.t), everything):
+                here = slice(first, first + D.shape[1])
+                for i, support in enumerate(problem.support):
+                    own = D[problem.offsets[i] : problem.offsets[i + 1]]
+                    known = theta[:, support] @ own[:-1]
+                    known = np.take_along_axis(known, fold[None, here], axis=0)[0]
+                    left[here, i] = own[-1] - known
+            found.append(left)
+        return found
+
+    def squares(self, left: Sequence[Array]) -> Array:
+        """Squares of moving joints in each block, shape (B, n), [N²·m²].
+
+        Args:
+            left: Torque at the rate of the motions, shape (N, n) for each, [N·m].
+        """
+        label = np.concatenate(self.blocks)
+        moves = np.concatenate([self.moves(m) for m in self.motions])
+        squares = np.where(moves, np.concatenate(left), 0.0) ** 2
+        return np.stack([np.bincount(label, x) for x in squares.T], axis=1)
+
+    @cached_property
+    def blocks(self) -> list[NDArray[np.intp]]:
+        """Block of each sample, shape (N,) for each motion; each lies in one fold."""
+        each = max(1, -(-_BLOCKS // len(self.motions)))
+        found, last = [], 0
+        for fold in self.folds:
+            position = np.arange(len(fold)) * each // len(fold)
+            _, label = np.unique(position * FOLDS + fold, return_inverse=True)
+            found.append(last + label)
+            last += 1 + int(label.max())
+        return found
+
+    @property
+    def scales(self) -> list[Scale]:
+        """Highest torque and speed of every joint; files often state none."""
+        each = [np.abs(m.tau[m.mask]).max(axis=0) for m in self.motions]
+        torque = np.max(each, axis=0)
+        pairs = zip(torque, _fastest(self.motions), strict=True)
+        return [Scale(max(float(x), 1e-12), max(float(y), 1e-12)) for x, y in pairs]
+
+    @property
+    def moving(self) -> Array:
+        """Samples at which each joint moves, shape (n,)."""
+        each = [self.moves(m).sum(axis=0) for m in self.motions]
+        return np.asarray(np.maximum(np.sum(each, axis=0), 1.0))
+
+    def moves(self, motion: Motion) -> NDArray[np.bool_]:
+        """Where each joint moves and the mask allows, shape (N, n)."""
+        moves = np.abs(motion.v) > self.standing
+        return np.asarray(moves & motion.mask[:, None])
+
+    def rms(self, left: Sequence[Array]) -> Array:
+        """RMS of each joint over its moving samples, shape (n,), [N·m]."""
+        return np.asarray(np.sqrt(self.squares(left).sum(axis=0) / self.moving))
+
+    def sampled(self, left: Sequence[Array]) -> Rest:
+        """Torque filtered and decimated, with positions and speeds, motions stacked.
+
+        Args:
+            left: Torque at the rate of the motions, shape (N, n) for each, [N·m].
         """
         parts = []
-        for motion, fold in zip(self.motions, self.folds, strict=True):
+        for motion, tau, fold in zip(self.motions, left, self.folds, strict=True):
             sampler = Sampler.for_rate(motion.rate, self.cutoff)
-            own = fold[:: sampler.factor]
-            left = np.empty((len(own), problem.chain.size))
-            for first, D in sampled_chunks(problem.rows, motion, sampler):
-                here = slice(first, first + D.shape[1])
-                left[here] = _left_over(problem, D, theta[own[here]])
-            moving = moving_samples(motion, sampler, self.standing)
-            q, v = motion.q[:: sampler.factor], motion.v[:: sampler.factor]
-            parts.append((q, v, left, moving, own))
+            few = slice(None, None, sampler.factor)
+            moves = self.moves(motion)
+            parts.append(
+                (motion.q[few], motion.v[few], sampler(tau), moves[few], fold[few])
+            )
         return Rest(*(np.concatenate(x) for x in zip(*parts, strict=True)))
-
-
-def _left_over(problem: Problem, D: Array, theta: Array) -> Array:
-    """Torque less columns times a solution of its own at each sample, (M, n)."""
-    left = np.empty((D.shape[1], problem.chain.size))
-    for i, support in enumerate(problem.support):
-        rows = D[problem.offsets[i] : problem.offsets[i + 1]]
-        left[:, i] = rows[-1] - np.einsum("km,mk->m", rows[:-1], theta[:, support])
-    return left
 
 
 @dataclass(frozen=True)
@@ -130,7 +192,7 @@ class Rest:
     Attributes:
         q: Positions, shape (M, n), [rad].
         v: Speeds, shape (M, n), [rad/s].
-        tau: Torque left, shape (M, n), [N·m].
+        tau: Torque left, filtered, shape (M, n), [N·m].
         moving: True where a joint moves and the mask allows, shape (M, n).
         fold: Fold of each sample, shape (M,).
     """
@@ -140,27 +202,6 @@ class Rest:
     tau: Array
     moving: NDArray[np.bool_]
     fold: NDArray[np.intp]
-
-    def squares(self, joint: int, predicted: Array | float) -> Array:
-        """Sum of squares of a joint on each fold less some torque, shape (F,)."""
-        left = np.where(self.moving[:, joint], self.tau[:, joint] - predicted, 0.0)
-        return np.asarray(np.bincount(self.fold, weights=left**2), dtype=np.float64)
-
-    def rms(self) -> Array:
-        """RMS of each joint over its moving samples, shape (n,), [N·m]."""
-        squares = np.where(self.moving, self.tau**2, 0.0).sum(axis=0)
-        return np.asarray(np.sqrt(squares / np.maximum(self.moving.sum(axis=0), 1)))
-
-
-def helps(before: Array, after: Array, worth: float) -> bool:
-    """Whether squares fall on every fold, and as a whole by some share.
-
-    Args:
-        before: Squares on each fold, shape (F,).
-        after: Squares on each fold with the new term, shape (F,).
-        worth: Least relative fall of their sum.
-    """
-    return bool(np.all(after < before) and after.sum() < (1 - worth) * before.sum())
 
 
 def prepare_motions(
@@ -205,33 +246,70 @@ def prepare_motions(
 
 
 def prepare(
-    robot: Robot, recordings: Sequence[Recording | Motion], cutoff: float | None
+    robot: Robot,
+    recordings: Sequence[Recording | Motion],
+    cutoff: float | None,
+    *,
+    highest: float | None = None,
 ) -> Data:
     """Motions dealt into folds, each of which scores what the others fitted.
 
-    Whole recordings make the folds when there are four or more, else blocks of a
-    second (shorter ones in recordings below eight): neighbouring samples are too alike
-    to score on.
+    Whole recordings make the folds where there are four or more, else the quarters of
+    each: neighbouring samples are too alike to score on, and a model has to hold on
+    motions that it has not seen.
 
     Args:
         robot: The arm.
         recordings: Logs of it, or motions made from such.
         cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
+        highest: Cut-off for which motions are thinned, [Hz]; the same if not given.
     """
     motions, cutoff = prepare_motions(robot, recordings, cutoff)
-    motions = [m for m in motions if m.mask.any()]
+    motions = [thinned(m, highest or cutoff) for m in motions if m.mask.any()]
     if not motions:
         raise IdentificationError("no usable sample: every one is masked")
-    usable = min(float(np.ptp(m.t[m.mask])) for m in motions)
-    seconds = max(1e-3, min(_BLOCK_SECONDS, usable / (2 * FOLDS)))
-    folds = []
+    standing = _STANDING * _fastest(motions)
+    motions = [replace(m, number=r) for r, m in enumerate(motions)]
+    return Data(tuple(motions), tuple(_folds(motions, standing)), cutoff, standing)
+
+
+def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]:
+    found = []
     for r, motion in enumerate(motions):
         if len(motions) >= FOLDS:
-            block = np.full(len(motion.t), r)
-        else:
-            block = ((motion.t - motion.t[0]) // seconds).astype(int)
-        folds.append(block % FOLDS)
-    return Data(tuple(motions), tuple(folds), cutoff, _STANDING * _fastest(motions))
+            found.append(np.full(len(motion.t), r % FOLDS))
+        else:  # quarters of the motion, not of the rest before and after it
+            moves = np.any(np.abs(motion.v) > standing, axis=1) & motion.mask
+            found.append(FOLDS * np.cumsum(moves) // (1 + int(moves.sum())))
+    return found
+
+
+def thinned(motion: Motion, cutoff: float) -> Motion:
+    """A motion at no more than twenty samples a period of the cut-off.
+
+    Positions hold nothing above twice the cut-off, so laws of them lose nothing; torque
+    loses what is above ten times the cut-off, where no smooth law has any.
+
+    Args:
+        motion: Motion at its full rate.
+        cutoff: Cut-off of columns and torque, [Hz]; inf keeps every sample.
+    """
+    factor = int(motion.rate / (_WORKING_RATE * cutoff))
+    if factor < 2:
+        return motion
+    few = slice(None, None, factor)
+    warm = motion.temperature
+    return replace(
+        motion,
+        t=motion.t[few],
+        q=motion.q[few],
+        v=motion.v[few],
+        a=motion.a[few],
+        tau=Sampler(motion.rate, _ALIAS_FREE * cutoff, factor)(motion.tau),
+        mask=motion.mask[few],
+        temperature=None if warm is None else warm[few],
+        asked=None if motion.asked is None else motion.asked[few],
+    )
 
 
 def visited(data: Data) -> dict[str, Array]:
@@ -248,8 +326,3 @@ def _fastest(motions: Sequence[Motion]) -> Array:
     """Highest speed of each joint, shape (n,)."""
     each = [np.abs(m.v[m.mask]).max(axis=0) for m in motions]
     return np.asarray(np.max(each, axis=0))
-
-
-def predictions(model: DynamicModel, data: Data) -> list[Array]:
-    """Torque of a model along each motion, shapes (N, n), [N·m]."""
-    return [model.predict(motion) for motion in data.motions]

@@ -82,9 +82,14 @@ def unidentifiable(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
         f"{labels[k]} is not determined by these recordings"
         for k in estimate.undetermined
     ]
+    held = set(estimate.held) - set(estimate.undetermined)
+    found += [
+        f"{labels[k]} is held by the robot file: these recordings say less of it"
+        for k in sorted(held)
+    ]
     low, high = estimate.interval()
     open_ = (low < 0) & (high > 0)
-    open_[list(estimate.undetermined)] = False
+    open_[[*estimate.undetermined, *held]] = False
     found += [
         f"{labels[k]} cannot be told from zero" for k in problem.rigid if open_[k]
     ]

@@ -1,9 +1,9 @@
 """Nonlinear friction of one joint: threshold, width and non-negative coefficients.
 
-The law is linear in its coefficients once threshold λ and width are given. Every pair
-on a fine grid is a set of columns in one dictionary, whose cross-products are
-accumulated once; the search over λ is then a search over small non-negative
-least-squares problems.
+The law is linear in its coefficients once threshold λ and width are given, and nearly
+all of it is straight between a few speeds. Its columns at every pair on a grid are thus
+sums of the same few hat functions of speed, which are filtered and multiplied once; the
+search over λ is a search over small non-negative least-squares problems.
 
 Source: Lawson and Hanson 1974, doi 10.1137/1.9781611971217 (non-negative least
 squares).
@@ -13,93 +13,114 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh
 from scipy.optimize import nnls
 
 from hybrid.effects import Effect, JointState
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.identify.cross_products import moving_samples, sampled_chunks
-from hybrid.identify.data import FOLDS, helps
+from hybrid.identify.cross_products import sampled_chunks
+from hybrid.identify.data import FOLDS, Data
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 
 _THRESHOLDS = 16
 _WIDTHS = (0.0, 0.01, 0.04)  # of the joint's highest speed
 _SMALLEST_THRESHOLD = 0.01  # of the joint's highest speed
-_WORTH = 0.01  # least relative fall of squares for load friction to stay
+_SMOOTH = 3  # columns of powers of speed
+_COLUMNS = len(ThresholdFriction.gains)
 
 
 @dataclass(frozen=True)
-class _Dictionary:
-    """Columns of one joint for every threshold and width."""
+class _Grid:
+    """Thresholds and widths, and the speeds between which their laws are straight."""
 
-    thresholds: Array
-    widths: Array
+    fastest: float
 
-    @property
-    def shapes(self) -> list[tuple[float, float]]:
-        return [(x, w) for w in self.widths for x in self.thresholds if w < x]
+    @cached_property
+    def shapes(self) -> list[dict[str, float]]:
+        """Every pair whose width is below its threshold."""
+        ratios = np.geomspace(_SMALLEST_THRESHOLD, 1.0, _THRESHOLDS)
+        return [
+            {"threshold": x * self.fastest, "width": w * self.fastest}
+            for w in _WIDTHS
+            for x in ratios
+            if w < x
+        ]
+
+    @cached_property
+    def knots(self) -> Array:
+        """Speeds from zero to the highest, shape (K,), [rad/s]."""
+        found = {x for shape in self.shapes for x in shape.values()} | {self.fastest}
+        return np.array(sorted(found))
 
     def columns(self, state: JointState) -> Array:
-        """All columns, the load column last; shape (8·shapes + 1, N)."""
-        rows = [
-            np.stack(ThresholdFriction.law(state, threshold=x, width=w))
-            for x, w in self.shapes
-        ]
-        load = np.stack(LoadFriction.law(state))
-        return np.concatenate([*rows, load])
+        """Hats of each direction, powers of speed, and load; shape (2K + 4, N)."""
+        speed = abs(state.v)
+        at = np.clip(np.searchsorted(self.knots, speed) - 1, 0, len(self.knots) - 2)
+        step = np.diff(self.knots)[at]
+        share = np.clip((speed - self.knots[at]) / step, 0.0, 1.0)
+        count, samples = len(self.knots), np.arange(len(speed))
+        hats = np.zeros((2 * count, len(speed)))
+        row = at + np.where(state.v < 0, count, 0)
+        hats[row, samples] = state.sign * (1.0 - share)
+        hats[row + 1, samples] = state.sign * share
+        smooth = [state.sign * speed**k for k in range(1, _SMOOTH + 1)]
+        return np.concatenate([hats, smooth, LoadFriction.law(state)])
+
+    @cached_property
+    def maps(self) -> list[Array]:
+        """Columns of the law at each pair, and of load, from :meth:`columns`."""
+        zero, count = np.zeros(len(self.knots)), len(self.knots)
+        dry = _COLUMNS - _SMOOTH
+        found = []
+        for shapes in self.shapes:
+            hats = np.zeros((dry, 2 * count))
+            for k, sign in enumerate((1.0, -1.0)):
+                v = sign * np.maximum(self.knots, 1e-9 * self.fastest)
+                state = JointState(zero, zero, v, zero, np.sign(v), zero)
+                law = ThresholdFriction.law(state, fastest=self.fastest, **shapes)
+                hats[:, k * count : (k + 1) * count] = sign * np.stack(law[:dry])
+            found.append(block_diag(hats, np.eye(_SMOOTH + 1)))
+        return found
 
 
 def fit_friction(
-    joint: int,
-    motions: Sequence[Motion],
-    rest: Sequence[Array],
-    load: Sequence[Array],
-    *,
-    known: Sequence[Array] | None,
-    cutoff: float,
-    standing: float,
-    folds: Sequence[NDArray[np.intp]],
-) -> tuple[tuple[Effect, ...], Array]:
+    data: Data, joint: int, rest: Sequence[Array], load: Sequence[Array]
+) -> tuple[Effect, ...]:
     """Friction of one joint from what the rigid body leaves of its torque.
 
     Args:
+        data: Motions with folds.
         joint: The joint.
-        motions: Motions at full rate.
         rest: Torque less everything but friction, shape (N,) for each motion, [N·m].
         load: Torque transmitted to the link, shape (N,) for each motion, [N·m].
-        known: Filtered torque already explained, shape (M,) for the decimated samples
-            of each motion, [N·m], or None.
-        cutoff: Cut-off of the filter of columns and torque, [Hz].
-        standing: Speed below which the joint stands, [rad/s].
-        folds: Fold of every sample, shape (N,) for each motion.
 
     Returns:
-        Threshold friction, and load friction where it helps; and the squares left on
-        each fold by coefficients from the others, shape (F,), [N²·m²].
+        Threshold friction, and load friction where it lowers the error on folds that
+        were left out.
     """
-    fastest = max(float(np.abs(m.v[m.mask, joint]).max()) for m in motions)
-    ratios = np.geomspace(_SMALLEST_THRESHOLD, 1.0, _THRESHOLDS)
-    grid = _Dictionary(fastest * ratios, fastest * np.array(_WIDTHS))
-    sums = _products(joint, motions, rest, load, known, grid, cutoff, standing, folds)
-    own = [np.arange(8 * k, 8 * k + 8) for k in range(len(grid.shapes))]
-    loaded = [np.append(rows, 8 * len(grid.shapes)) for rows in own]
-    errors = np.array([[_cross_validated(sums, r) for r in x] for x in (own, loaded)])
-    without, with_load = errors.sum(axis=2).argmin(axis=1)
-    better = helps(errors[0, without], errors[1, with_load], _WORTH)
-    k = int(with_load if better else without)
-    coefficients = _nonnegative(sums.sum(axis=0), (loaded if better else own)[k])
+    grid = _Grid(max(float(np.abs(m.v[m.mask, joint]).max()) for m in data.motions))
+    sums = _products(data, joint, rest, load, grid)
+    found: list[tuple[float, Array, dict[str, float]]] = []
+    for shapes, mapping in zip(grid.shapes, grid.maps, strict=True):
+        own = block_diag(mapping, np.eye(1))
+        products = own @ sums @ own.T
+        for rows in (np.arange(_COLUMNS), np.arange(_COLUMNS + 1)):
+            error, coefficients = _cross_validated(products, rows)
+            found.append((error, coefficients, shapes))
+    _, coefficients, shapes = min(found, key=lambda x: x[0])
     names = [g.name for g in ThresholdFriction.gains]
-    shapes = dict(zip(("threshold", "width"), grid.shapes[k], strict=True))
-    values = _canonical(dict(zip(names, coefficients, strict=False)))
+    values = _canonical(dict(zip(names, coefficients.tolist(), strict=False)))
+    shapes = {**shapes, "fastest": grid.fastest}
     effects: tuple[Effect, ...] = (ThresholdFriction((joint,), values | shapes),)
-    if better:
-        effects += (LoadFriction((joint,), {"coefficient": coefficients[8]}),)
-    return effects, errors[int(better), k]
+    if len(coefficients) > _COLUMNS and coefficients[-1] > 0:
+        effects += (LoadFriction((joint,), {"coefficient": coefficients[-1]}),)
+    return effects
 
 
 def _canonical(values: dict[str, float]) -> dict[str, float]:
@@ -111,51 +132,39 @@ def _canonical(values: dict[str, float]) -> dict[str, float]:
 
 
 def _products(
-    joint: int,
-    motions: Sequence[Motion],
-    rest: Sequence[Array],
-    load: Sequence[Array],
-    known: Sequence[Array] | None,
-    grid: _Dictionary,
-    cutoff: float,
-    standing: float,
-    folds: Sequence[NDArray[np.intp]],
+    data: Data, joint: int, rest: Sequence[Array], load: Sequence[Array], grid: _Grid
 ) -> Array:
     """Cross-products of [columns, rest] of each fold, shape (F, rows, rows)."""
-    size = 8 * len(grid.shapes) + 2
+    size = 2 * len(grid.knots) + _SMOOTH + 2
     sums = np.zeros((FOLDS, size, size))
-    for r, motion in enumerate(motions):
-        y, carried, fold = rest[r], load[r], folds[r]
-        sampler = Sampler.for_rate(motion.rate, cutoff)
-        moving = moving_samples(motion, sampler, np.full(motion.q.shape[1], standing))
-        start = motion.t[0]
+    for motion, fold, y, carried in zip(
+        data.motions, data.folds, rest, load, strict=True
+    ):
+        sampler = Sampler.for_rate(motion.rate, data.cutoff)
+        few = slice(None, None, sampler.factor)
+        moves, own = data.moves(motion)[few, joint], fold[few]
 
         def rows(
-            part: Motion, y: Array = y, carried: Array = carried, start: float = start
+            here: slice, m: Motion = motion, y: Array = y, load: Array = carried
         ) -> Array:
-            first = round((part.t[0] - start) * part.rate)
-            here = slice(first, first + len(part.t))
-            v = part.v[:, joint]
-            state = JointState(
-                part.t, part.q[:, joint], v, part.a[:, joint], np.sign(v), carried[here]
-            )
+            q, v, a = (x[here, joint] for x in (m.q, m.v, m.a))
+            state = JointState(m.t[here], q, v, a, np.sign(v), load[here])
             return np.concatenate([grid.columns(state), y[None, here]])
 
-        for first, D in sampled_chunks(rows, motion, sampler):
+        for first, D, _ in sampled_chunks(rows, len(motion.t), sampler):
             here = slice(first, first + D.shape[1])
-            if known is not None:
-                D[-1] -= known[r][here]
-            own = fold[:: sampler.factor][here]
-            for k in np.unique(own):
-                part = D[:, moving[here, joint] & (own == k)]
+            for k in np.unique(own[here]):
+                part = D[:, moves[here] & (own[here] == k)]
                 sums[k] += part @ part.T
     return sums
 
 
-def _cross_validated(sums: Array, rows: NDArray[np.intp]) -> Array:
-    """Squares left on each fold by coefficients from the others, shape (F,)."""
+def _cross_validated(sums: Array, rows: NDArray[np.intp]) -> tuple[float, Array]:
+    """Squares left on folds by coefficients from the others; those from all folds."""
     total = sums.sum(axis=0)
-    return np.array([_squares(s, rows, _nonnegative(total - s, rows)) for s in sums])
+    folds = [s for s in sums if s[-1, -1] > 0]
+    left = [_squares(s, rows, _nonnegative(total - s, rows)) for s in folds]
+    return sum(left), _nonnegative(total, rows)
 
 
 def _nonnegative(sums: Array, rows: NDArray[np.intp]) -> Array:

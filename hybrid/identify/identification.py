@@ -1,14 +1,21 @@
-"""The state of one identification: the best terms so far, and what each stage does."""
+"""The state of one identification: the best terms so far, and what each rung does.
+
+The ladder: least squares, weighted by the variance of each joint, by the full
+covariance across joints, with the robot file as a prior; then friction, ripple and a
+learned remainder. A rung is taken for each joint on which it lowers the held-out error
+of the torque that the model predicts, by one gate; see :mod:`hybrid.identify.gate`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from hybrid.compensator.arm_remainder import ArmRemainder
+from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
@@ -16,43 +23,97 @@ from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
+from hybrid.errors import IdentificationError
 from hybrid.identify.consistency import physically_consistent
-from hybrid.identify.data import Data, Rest, helps
+from hybrid.identify.cross_products import CrossProducts
+from hybrid.identify.data import FEWEST_PERIODS, FOLDS, Data, prepare
 from hybrid.identify.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identify.friction import fit_friction
+from hybrid.identify.gate import lowers
 from hybrid.identify.least_squares import (
     ESTIMATORS,
+    OUTLYING,
     Estimator,
-    cross_validate,
-    solve,
+    settle,
+    without_folds,
 )
 from hybrid.identify.model import DynamicModel
+from hybrid.identify.prior import Prior, file_prior
 from hybrid.identify.problem import Problem, build_problem
 from hybrid.identify.remainder import Learned, fit_remainder
-from hybrid.identify.ripple import find_ripples
+from hybrid.identify.ripple import JUDGED, find_ripples, in_band
 from hybrid.identify.solution import Solution, to_be_found
+from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
+from hybrid.signals import Motion
 
-_FRICTION = (Coulomb, Viscous, ThresholdFriction, LoadFriction)
-_WORTH = 0.02  # least relative fall of squares for a joint's term to stay
+_FRICTION = (Coulomb, Viscous, ThresholdFriction, LoadFriction, TorqueOffset)
+# How many samples the prior is worth: noise that lasts lets a hundred count for one.
+_STRENGTHS = (0.0, 1.0, 10.0, 100.0, 1e3, 1e9)
+_HARM = 3.0  # weight of a joint's rise above plain least squares against any fall
 _MOST_ROUNDS = 4
 _SETTLED = 0.005  # relative change of the held-out error that ends the iteration
-_MOST_RIPPLE_ROUNDS = 3
 _MOST_LINEARISATIONS = 8
+_HIDDEN = 0.05  # relative fall of the error that is worth half of the bandwidth
+_MOST_HALVINGS = 3  # of the cut-off that the spectrum of positions suggests
 # Largest share of the rated torque that a learned remainder may ever give: it is a
 # correction; should it go wrong, the arm's own brakes and limits must master it.
 MOST_LEARNED = 0.3
+_WORSE = 0.05  # relative rise of the error above that of the file that is refused
 _COSTLY = 0.01  # relative rise of the held-out error that is warned of
 
 
+def linear_effects(size: int) -> list[Effect]:
+    """Rotor, offset and linear friction of every joint."""
+    classes = (Armature, TorqueOffset, Coulomb, Viscous)
+    return [cls((j,)) for cls in classes for j in range(size)]
+
+
+def prepared(
+    robot: Robot, recordings: Sequence[Recording | Motion], extra: Sequence[Effect]
+) -> Data:
+    """Recordings at the cut-off whose plain model predicts unseen torque best.
+
+    The spectrum of positions says up to where they hold motion. Torque may be noisy
+    sooner, and friction chatters where speeds do: the cut-off is halved while that
+    lowers the held-out error of weighted least squares, at the rate of the log, by more
+    than what it hides of friction may be worth.
+
+    Args:
+        robot: The arm.
+        recordings: Logs, or motions made from them, which keep their own.
+        extra: Effects of the user.
+    """
+    problem = build_problem(robot.chain, (*linear_effects(robot.size), *extra))
+    best, least = prepare(robot, recordings, None), np.inf
+    highest = best.cutoff
+    if not any(isinstance(x, Recording) for x in recordings):
+        return best
+    shortest = min(float(m.t[-1] - m.t[0]) for m in best.motions)
+    for halvings in range(_MOST_HALVINGS + 1):
+        cutoff = highest / 2**halvings
+        if cutoff * shortest < FEWEST_PERIODS * FOLDS:
+            break
+        data = prepare(robot, recordings, cutoff, highest=highest)
+        products = data.products(problem)
+        weight = settle(products, "wls").weight
+        squares = _scored(products, without_folds(products, weight, folds=FOLDS))
+        error = np.sqrt(squares.sum(axis=0) / data.moving)
+        level = float(np.log(np.maximum(error, 1e-300)).mean())
+        if level > least - _HIDDEN:
+            break
+        best, least = data, level
+    return best
+
+
 class Identification:
-    """The best terms so far and their error; every stage may improve them.
+    """The best terms so far and their error; every rung may improve them.
 
     Args:
         robot: The arm.
         data: Motions with folds.
-        estimator: How joints are weighed.
+        estimator: How joints are weighed, at the most.
         extra: Effects of the user.
         robust: Weigh down stretches that do not fit.
         seed: Seed of the mixtures' starts.
@@ -67,7 +128,8 @@ class Identification:
         robust: bool,
         seed: int,
     ) -> None:
-        self.robot, self.data, self.estimator = robot, data, estimator
+        self.robot, self.data = robot, data
+        self.estimators = ESTIMATORS[: ESTIMATORS.index(estimator) + 1]
         self.extra, self.robust, self.seed = extra, robust, seed
         self.simpler: dict[Estimator, Solution] = {}
         self.stages: dict[str, DynamicModel] = {}
@@ -75,79 +137,79 @@ class Identification:
         self.left_out: list[str] = []
         self.warnings: list[str] = []
         self.rounds, self.settled = 1, True
+        self.scales = data.scales
 
     def plain(self) -> dict[str, Array]:
-        """Stage one with linear friction, by all three estimators."""
-        joints = range(self.robot.size)
-        classes = (Armature, TorqueOffset, Coulomb, Viscous)
-        linear = [cls((j,)) for cls in classes for j in joints]
+        """Rigid body with linear friction: by three estimators, then with the prior."""
+        linear = linear_effects(self.robot.size)
         problem = build_problem(self.robot.chain, (*linear, *self.extra))
         if any(e.reports or e.observes for e in self.extra):
             problem = self._linearised(problem)
         products = self.data.products(problem)
         for name in ESTIMATORS:
-            estimate = solve(products, name, robust=self.robust)
-            cross = cross_validate(products, estimate)
-            self.simpler[name] = Solution(problem, products, estimate, cross)
-        self.best = self.simpler[self.estimator]
-        self.error = self.best.error
-        self.scale = np.maximum(self.simpler["ls"].error, 1e-12)
-        poor = poor_excitation(products, self.best.estimate)
+            self.simpler[name] = self._tried(products, name, None, bounded=False)
+        plain = [self._total(self.simpler[x].squares) for x in ESTIMATORS[:2]]
+        self.base = np.maximum(np.min(plain, axis=0), 1e-300)
+        self.best = self._chosen(problem, self.data)
+        self.squares = self.best.squares
+        poor = poor_excitation(products, self.simpler[self.estimators[-1]].estimate)
         if poor:
             self.warnings.append(poor)
-        return {name.upper(): s.error for name, s in self.simpler.items()}
+        found = {x.upper(): self._rms(s.squares) for x, s in self.simpler.items()}
+        return {**found, "rigid": self.error}
+
+    @property
+    def error(self) -> Array:
+        """Held-out RMS of each joint, shape (n,), [N·m]."""
+        return self._rms(self.squares)
 
     def bend(self) -> None:
         """Stage two, and stage one again with its law, until the error settles."""
+        before = self.best
         for _ in range(_MOST_ROUNDS):
-            found = self._with_friction(self.best, None)
-            gain = self._mean(self.error) - self._mean(found.error)
-            if gain > 0:
-                self.best, self.error = found, found.error
-            if gain <= _SETTLED * self._mean(self.error):
+            offer = self._friction(self.best)
+            found = self._climb(self.best, [offer])
+            gain = self._cost(self.best.squares) - self._cost(found.squares)
+            self._take(found)
+            if gain <= _SETTLED:
                 break
-        if self.best is self.simpler[self.estimator]:
+        if self.best is before:
             self._leave_out("friction: the threshold law does not lower the error")
 
     def ripple(self) -> None:
         """Stage two, second part: torque that repeats with position."""
         before = self.best
-        for _ in range(_MOST_RIPPLE_ROUNDS):
-            joints = range(self.robot.size)
-            ripples = [r for j in joints for r in find_ripples(self.data, self.best, j)]
-            if not ripples:
+        for _ in range(_MOST_ROUNDS):
+            new = find_ripples(self.data, self.best)
+            # At every speed that was seen, or else only where the fit saw it.
+            offers = [
+                {
+                    j: [*self._at(self.best, j), *map(where, ripples)]
+                    for j, ripples in new.items()
+                }
+                for where in (lambda x: x, partial(in_band, cutoff=self.data.cutoff))
+            ]
+            found = self._climb(self.best, offers, tried=JUDGED)
+            if found is self.best:
                 break
-            effects = self.best.effects
-            found = self._solve(self.best, [*effects, *ripples], None)
-            if self._mean(found.error) >= self._mean(self.error):
-                break
-            self.best, self.error = found, found.error
+            self._take(found)
         if self.best is not before:
             self._keep(self._model(before))
 
-    def learn(self, *, bend: bool) -> None:
-        """Stage three, and the others again around it, until the error settles.
-
-        Args:
-            bend: Whether stage two is one of the others.
-        """
+    def learn(self) -> None:
+        """Stage three, and the physical terms again around it, until it settles."""
         physical = self.best
         for self.rounds in range(1, _MOST_ROUNDS + 1):
-            rest = self.data.rest_of_folds(physical.problem, physical.cross.theta)
-            learned = self._learned(rest)
+            learned = self._learned(physical)
             if not learned.remainder.parts:
                 break
-            gain = self._mean(self.error) - self._mean(learned.rms)
+            gain = self._cost(self.squares) - self._cost(learned.squares)
             if gain > 0:
-                self.best, self.error = physical, learned.rms
+                self.best, self.squares = physical, learned.squares
                 self.remainder = learned.remainder
-            if gain <= _SETTLED * self._mean(self.error):
+            if gain <= _SETTLED:
                 break
-            known = self.data.split(learned.cross)
-            if bend:
-                physical = self._with_friction(physical, known)
-            else:
-                physical = self._solve(physical, physical.effects, known)
+            physical = self._solve(physical, physical.effects, learned.cross)
         else:
             self.settled = False
         if self.remainder is None:
@@ -155,35 +217,42 @@ class Identification:
         else:
             self._keep(self._model(self.best))
 
-    def _learned(self, rest: Rest) -> Learned:
+    def _learned(self, physical: Solution) -> Learned:
+        left = self.data.left_out(physical.problem, physical.theta)
         bound = MOST_LEARNED * self.robot.tau_max
-        return fit_remainder(rest, among=self.remainder, bound=bound, seed=self.seed)
+        return fit_remainder(
+            self.data, left, among=self.remainder, bound=bound, seed=self.seed
+        )
 
     def constrain(self) -> None:
         """Links that could be built; what was learned is learned anew around them."""
-        free, before = self.best, self.error
+        free, before = self.best, self.squares
         self._keep(self._model(free, self.remainder))
 
         def optimum(A: Array, b: Array) -> Array:
             return physically_consistent(free.problem, A, b).theta
 
-        sums = np.tensordot(free.estimate.share, free.products.blocks, axes=1)
+        products, settled = free.products, free.settled
+        sums = np.tensordot(settled.share, products.blocks, axes=1)
         found = physically_consistent(
-            free.problem, *free.products.normal(free.estimate.weight, sums)
+            free.problem, *products.normal(settled.weight, sums)
         )
-        estimate = replace(free.estimate, theta=found.theta)
-        cross = cross_validate(free.products, estimate, optimum=optimum)
+        theta = without_folds(products, settled.weight, optimum=optimum, folds=FOLDS)
         self.settled &= found.converged
-        self.best = replace(
-            free, estimate=estimate, cross=cross, inertial=found.inertial
+        self._take(
+            replace(
+                free,
+                settled=replace(settled, theta=found.theta),
+                theta=theta,
+                squares=_scored(products, theta),
+                inertial=found.inertial,
+            )
         )
-        self.error = self.best.error
         if self.remainder is not None:
-            rest = self.data.rest_of_folds(free.problem, cross.theta)
-            learned = self._learned(rest)
+            learned = self._learned(self.best)
             self.remainder = learned.remainder if learned.remainder.parts else None
-            self.error = learned.rms
-        cost = self._mean(self.error) / self._mean(before) - 1.0
+            self.squares = learned.squares
+        cost = np.exp(self._cost(self.squares, 0.0) - self._cost(before, 0.0)) - 1.0
         if cost > _COSTLY:
             self.warnings.append(
                 f"physically consistent links raise the held-out error by {cost:.1%}; "
@@ -191,7 +260,12 @@ class Identification:
             )
 
     def fit(self, held_out: dict[str, Array]) -> Fit:
-        """The chosen terms, how sure they are, and what is open."""
+        """The chosen terms, how sure they are, and what is open.
+
+        Raises:
+            IdentificationError: The robot file itself predicts the torque better.
+        """
+        self._refuse_harm()
         problem, estimate = self.best.problem, self.best.estimate
         model = self._model(self.best, self.remainder)
         simpler = {name.upper(): self._model(s) for name, s in self.simpler.items()}
@@ -205,7 +279,7 @@ class Identification:
             units=tuple(problem.base.units[k] for k in problem.base.kept),
             estimate=estimate,
             held_out=held_out,
-            condition=self.simpler[self.estimator].estimate.condition,
+            condition=self.simpler[self.estimators[-1]].estimate.condition,
             converged=converged,
             unidentifiable=unidentifiable(problem, estimate),
             left_out=tuple(self.left_out),
@@ -213,10 +287,35 @@ class Identification:
             rounds=self.rounds,
         )
 
+    def _refuse_harm(self) -> None:
+        """Refuse what is worse than the file; say where plain LS is better."""
+        file = self.data.squares([self._file_leaves(m) for m in self.data.motions])
+        total = self._total(self.squares)
+        ratio = np.sqrt(total / np.maximum(self._total(file), 1e-300))
+        if np.log(np.maximum(ratio, 1e-300)).mean() > _WORSE:
+            raise IdentificationError(
+                "the model predicts unseen torque worse than the robot file does "
+                f"(by {ratio.mean() - 1:.0%} on the mean of the joints); valid are "
+                "logs of this arm whose columns, units and clock are right"
+            )
+        rise = np.sqrt(total / self.base) - 1.0
+        for j in np.flatnonzero(rise > _COSTLY):
+            self.warnings.append(
+                f"{self.robot.joints[j]}: {rise[j]:.1%} worse than plain least squares "
+                "on held-out samples"
+            )
+
+    def _file_leaves(self, motion: Motion) -> Array:
+        robot = self.robot
+        known = RigidBody(robot.chain, motion).load + robot.chain.armature * motion.a
+        known += robot.damping * motion.v + robot.frictionloss * np.sign(motion.v)
+        return np.asarray(motion.tau - known)
+
     def _linearised(self, problem: Problem) -> Problem:
         """The same problem around the values that signal-changing effects settle at."""
         for _ in range(_MOST_LINEARISATIONS):
-            theta = solve(self.data.products(problem), self.estimator).theta
+            products = self.data.products(problem)
+            theta = settle(products, self.estimators[-1]).theta
             effects = to_be_found(problem.fitted(theta)[1])
             before = [x for e in problem.effects for x in e.gain_values]
             problem = build_problem(
@@ -229,70 +328,62 @@ class Identification:
             self.settled = False
         return problem
 
-    def _with_friction(
-        self, start: Solution, known: Sequence[Array] | None
-    ) -> Solution:
-        """Friction of each joint anew, then all physical terms together."""
-        data, model = self.data, self._model(start)
+    def _friction(self, start: Solution) -> dict[int, list[Effect]]:
+        """The effects at each joint with its friction found anew."""
+        data, model = self.data, start.model(self.robot, self.data, sure=False)
         others = [e for e in start.effects if not self._is_friction(e)]
         frictionless = replace(model, effects=tuple(others))
         rest = [m.tau - frictionless.predict(m) for m in data.motions]
         loads = [model.body(m).load for m in data.motions]
-        found: list[Effect] = []
+        offer = {}
         for j in range(self.robot.size):
-            offset = [e for e in others if e.id == TorqueOffset.id and e.joints == (j,)]
-            level = sum(e.values["level"] for e in offset)
-            terms = partial(
-                fit_friction,
-                j,
-                data.motions,
-                load=[load[:, j] for load in loads],
-                known=None if known is None else [x[:, j] for x in known],
-                cutoff=data.cutoff,
-                standing=data.standing[j],
-                folds=data.folds,
+            friction = fit_friction(
+                data, j, [x[:, j] for x in rest], [x[:, j] for x in loads]
             )
-            # Two levels, one a direction, take an offset in unless it exceeds them.
-            friction, squares = terms([x[:, j] + level for x in rest])
-            kept, squares_kept = terms([x[:, j] for x in rest])
-            if offset and helps(squares, squares_kept, _WORTH):
-                friction = kept
-            else:
-                others = [e for e in others if e not in offset]
-            found += friction
-        new = self._solve(start, [*others, *found], known)
-        return self._without_losses(start, new, known)
+            kept = [e for e in self._at(start, j) if not self._is_friction(e)]
+            offer[j] = [*kept, *friction]
+        return offer
 
-    def _without_losses(
-        self, start: Solution, new: Solution, known: Sequence[Array] | None
+    def _at(self, solution: Solution, joint: int) -> list[Effect]:
+        """Effects of one joint alone that stages may replace or add to."""
+        mine = [e for e in solution.effects if not _same_place(e, self.extra)]
+        return [e for e in mine if e.joints == (joint,)]
+
+    def _climb(
+        self,
+        start: Solution,
+        offers: Sequence[Mapping[int, list[Effect]]],
+        *,
+        tried: int = 1,
     ) -> Solution:
-        """Give joints whose error did not fall on every fold their friction back."""
-        before, after = start.cross.squares, new.cross.squares
-        worse = np.array(
-            [not helps(x, y, _WORTH) for x, y in zip(before.T, after.T, strict=True)]
-        )
-        if not worse.any():
-            return new
-        if worse.all():
+        """Take at each joint the first offer of effects that passes the gate."""
+        taken: dict[int, list[Effect]] = {}
+        for offer in offers:
+            open_ = {j: x for j, x in offer.items() if j not in taken}
+            if not open_:
+                continue
+            found = self._solve(start, self._exchanged(start, {**taken, **open_}))
+            gains = lowers(start.squares, found.squares, tried=tried)
+            taken |= {j: x for j, x in open_.items() if gains[j]}
+            refused = [j for j in open_ if j not in taken]
+        if not taken:
             return start
-        now, then = (s.effects for s in (new, start))
-        laws = (*_FRICTION, TorqueOffset)
-        mine = [e for e in self.extra if isinstance(e, laws)]
+        if refused:
+            found = self._solve(start, self._exchanged(start, taken))
+        return found if self._cost(found.squares) < self._cost(start.squares) else start
 
-        def keeps(effect: Effect, former: bool) -> bool:
-            if not isinstance(effect, laws) or _same_place(effect, mine):
-                return not former
-            return bool(worse[effect.joints[0]]) is former
-
-        kept = [e for e in now if keeps(e, False)] + [e for e in then if keeps(e, True)]
-        mixed = self._solve(start, kept, known)
-        return min(new, mixed, key=lambda s: self._mean(s.error))
+    def _exchanged(
+        self, start: Solution, at: Mapping[int, list[Effect]]
+    ) -> list[Effect]:
+        old = [e for j in at for e in self._at(start, j)]
+        kept = [e for e in start.effects if not any(e is x for x in old)]
+        return [*kept, *(e for effects in at.values() for e in effects)]
 
     def _solve(
         self,
         start: Solution,
         effects: Sequence[Effect],
-        known: Sequence[Array] | None,
+        known: Sequence[Array] | None = None,
     ) -> Solution:
         # What stage two left at zero stays there: its opposites would be collinear.
         without = [
@@ -304,13 +395,66 @@ class Identification:
         problem = build_problem(
             self.robot.chain,
             to_be_found(effects),
-            inertial=start.problem.rigid_inertial(start.estimate.theta),
+            inertial=start.problem.rigid_inertial(start.settled.theta),
             without=without,
         )
-        products = self.data.products(problem, known)
-        estimate = solve(products, self.estimator, bounded=True, robust=self.robust)
-        cross = cross_validate(products, estimate, bounded=True)
-        return Solution(problem, products, estimate, cross)
+        return self._chosen(problem, self.data.less(known))
+
+    def _chosen(self, problem: Problem, data: Data) -> Solution:
+        """The rungs of stage one that predict unseen samples best, joint by joint."""
+        products = data.products(problem)
+        file = file_prior(problem, self.robot, self.scales)
+        strengths = _STRENGTHS if file is not None else _STRENGTHS[:1]
+        priors = [file.times(x) if file and x else None for x in strengths]
+        # The strength first, by the estimator between the others; then the estimator.
+        middle = self.estimators[min(1, len(self.estimators) - 1)]
+        best = min(
+            (self._tried(products, middle, x) for x in priors),
+            key=lambda x: self._cost(x.squares),
+        )
+        others = [x for x in self.estimators if x != middle]
+        return min(
+            [best, *(self._tried(products, x, best.prior) for x in others)],
+            key=lambda x: self._cost(x.squares),
+        )
+
+    def _tried(
+        self,
+        products: CrossProducts,
+        estimator: Estimator,
+        prior: Prior | None,
+        *,
+        bounded: bool = True,
+    ) -> Solution:
+        settled = settle(
+            products, estimator, bounded=bounded, robust=self.robust, prior=prior
+        )
+        theta = without_folds(
+            products,
+            settled.weight,
+            bounded=bounded,
+            prior=prior,
+            folds=FOLDS,
+            share=settled.share,
+        )
+        squares = _scored(products, theta)
+        problem = products.problem
+        return Solution(problem, products, settled, prior, bounded, theta, squares)
+
+    def _cost(self, squares: Array, harm: float = _HARM) -> float:
+        """Mean log of the held-out RMS, and of its rise above plain LS besides."""
+        total = np.maximum(self._total(squares), 1e-300) / self.base
+        level = 0.5 * np.log(total)
+        return float(np.mean(level + harm * np.maximum(level, 0.0)))
+
+    def _total(self, squares: Array) -> Array:
+        """Squares of all blocks, shape (n,); if robust, none counts far more."""
+        if self.robust:
+            squares = np.minimum(squares, OUTLYING * np.median(squares, axis=0))
+        return np.asarray(squares.sum(axis=0))
+
+    def _rms(self, squares: Array) -> Array:
+        return np.asarray(np.sqrt(squares.sum(axis=0) / self.data.moving))
 
     def _model(
         self, solution: Solution, remainder: ArmRemainder | None = None
@@ -321,9 +465,8 @@ class Identification:
         """Whether stage two may replace an effect; the user's own ones stay."""
         return isinstance(effect, _FRICTION) and not _same_place(effect, self.extra)
 
-    def _mean(self, error: Array) -> float:
-        """Mean over joints, each against plain least squares."""
-        return float(np.mean(error / self.scale))
+    def _take(self, solution: Solution) -> None:
+        self.best, self.squares = solution, solution.squares
 
     def _keep(self, model: DynamicModel) -> None:
         """Keep the model of a stage that another one follows, for comparison."""
@@ -333,6 +476,11 @@ class Identification:
     def _leave_out(self, text: str) -> None:
         self.left_out.append(text)
         self.warnings.append(f"left out {text} on held-out samples")
+
+
+def _scored(products: CrossProducts, theta: Array) -> Array:
+    assert products.scores is not None
+    return products.scores.squares(theta)
 
 
 def _same_place(effect: Effect, others: Sequence[Effect]) -> bool:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, eigh
 from scipy.stats import f as fisher
 
-from hybrid.identify.data import FOLDS
 from hybrid.identify.solution import Solution
 from hybrid.robot.chain import Array
 
@@ -51,20 +50,20 @@ class PartialRegression:
             rows: Its columns, and what the solution leaves of its torque last,
                 shape (d + 1, M).
         """
-        products, estimate = solution.products, solution.estimate
-        variance = np.diag(estimate.sigma)
+        products, theta = solution.products, solution.settled.theta
+        variance = np.diag(solution.sigma)
         weight = np.diag(variance[joint] / np.maximum(variance, 1e-300))
         weight[joint, joint] = 0.0
         A, b = [], []
-        for k in range(FOLDS):
-            A_k, b_k = products.some(products.fold == k).normal(weight)
+        for sums in products.folds:
+            A_k, b_k = products.normal(weight, sums)
             A.append(A_k)
-            b.append(b_k - A_k @ estimate.theta)
+            b.append(b_k - A_k @ theta)
         support = solution.problem.support[joint]
         return cls((np.array(A), np.array(b)), support, rows[:-1], rows[-1])
 
     def with_wave(self, wave: Array) -> PartialRegression:
-        """The same with the gains of a wave, shape (2, M), among the unknowns."""
+        """The same with a wave, shape (2, M), at its best gains among the terms."""
         A, b = self.others
         size = A.shape[1]
         return replace(
@@ -75,7 +74,19 @@ class PartialRegression:
             ),
             support=np.append(self.support, [size, size + 1]),
             columns=np.concatenate([self.columns, wave]),
+            left=self.left - self._gains(wave)[0] @ wave,
         )
+
+    def _gains(self, wave: Array) -> tuple[Array, Array, Array, Array]:
+        """Gains of a wave, its own part, its normal matrix, and what it leaves."""
+        S, theta = self._inverse(
+            np.ones(len(self.others[0]), dtype=bool), self.columns, self.left
+        )
+        own = wave - (wave @ self.columns.T @ S) @ self.columns
+        H = own @ wave.T + _ridge(wave @ wave.T)
+        before = self.left - theta @ self.columns
+        gains: Array = np.asarray(np.linalg.solve(H, own @ before))
+        return gains, own, H, before - gains @ own
 
     def _inverse(
         self, chosen: NDArray[np.bool_], D: Array, y: Array
@@ -99,14 +110,15 @@ class PartialRegression:
         Returns:
             Squares without a wave, shape (F,), and with each, shape (K, F), [N²·m²].
         """
+        folds = len(self.others[0])
         parts = [
-            _Sums.of(waves, self.columns, self.left, fold == k) for k in range(FOLDS)
+            _Sums.of(waves, self.columns, self.left, fold == k) for k in range(folds)
         ]
         before, after = [], []
         for k, held in enumerate(parts):
             rest = fold != k
             S, theta = self._inverse(
-                np.arange(FOLDS) != k, self.columns[:, rest], self.left[rest]
+                np.arange(folds) != k, self.columns[:, rest], self.left[rest]
             )
             B, G, c = (
                 sum(getattr(x, name) for x in parts) - getattr(held, name)
@@ -127,12 +139,7 @@ class PartialRegression:
             block: Block of each sample; noise may be alike within, shape (M,).
             chance: How often noise alone may pass.
         """
-        everything = np.ones(FOLDS, dtype=bool)
-        S, theta = self._inverse(everything, self.columns, self.left)
-        own = wave - (wave @ self.columns.T @ S) @ self.columns
-        H = own @ wave.T + _ridge(wave @ wave.T)
-        gains = np.linalg.solve(H, own @ (self.left - theta @ self.columns))
-        rest = self.left - theta @ self.columns - gains @ own
+        gains, own, H, rest = self._gains(wave)
         _, label = np.unique(block, return_inverse=True)
         scores = np.array([np.bincount(label, weights=x * rest) for x in own])
         count = scores.shape[1]

@@ -7,7 +7,7 @@ parameters followed by the gains of the effects.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -94,15 +94,19 @@ class Problem:
         sizes = [len(s) + 1 for s in self.support]
         return (0, *np.cumsum(sizes).tolist())
 
-    def rows(self, motion: Motion) -> Array:
+    def rows(self, motion: Motion, body: RigidBody | None = None) -> Array:
         """Columns of every joint with its torque last, at full rate.
+
+        Args:
+            motion: N samples of motion and torque.
+            body: The rigid body along it, if it is known already.
 
         Returns:
             For joint i, rows ``offsets[i]`` on hold its columns in the order of
             ``support[i]``, then its measured torque; shape (P, N).
         """
         tau = motion.tau
-        body = RigidBody(self.chain, motion, self.inertial)
+        body = body or RigidBody(self.chain, motion, self.inertial)
         for effect in self.effects:
             if effect.observes:
                 motion = effect.observe(motion, body)
@@ -159,6 +163,21 @@ class Problem:
         """Link parameters, shape (n, 10), with the rigid torque of a solution."""
         n = 10 * self.chain.size
         return self.base.with_values(theta).standard()[:n].reshape(-1, 10)
+
+
+def part(motion: Motion, samples: slice) -> Motion:
+    """Some consecutive samples of a motion."""
+    warm = None if motion.temperature is None else motion.temperature[samples]
+    return replace(
+        motion,
+        t=motion.t[samples],
+        q=motion.q[samples],
+        v=motion.v[samples],
+        a=motion.a[samples],
+        tau=motion.tau[samples],
+        mask=motion.mask[samples],
+        temperature=warm,
+    )
 
 
 def build_problem(

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.effects import Effect
 from hybrid.identify.cross_products import CrossProducts
 from hybrid.identify.data import Data, visited
-from hybrid.identify.least_squares import CrossValidation, Estimate
+from hybrid.identify.least_squares import (
+    Estimate,
+    Settled,
+    estimated,
+    residual_covariance,
+)
 from hybrid.identify.model import DynamicModel
+from hybrid.identify.prior import Prior
 from hybrid.identify.problem import Problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
@@ -23,30 +30,48 @@ class Solution:
     Attributes:
         problem: The unknowns.
         products: The data.
-        estimate: Their values on all samples.
-        cross: Their values and errors fold by fold.
+        settled: Their values and weights on all samples.
+        prior: What was known beforehand, or None.
+        bounded: Whether gains kept at their physical side.
+        theta: Their values without each fold, shape (F, p).
+        squares: Held-out squares of each block, unfiltered, shape (B, n), [N²·m²].
         inertial: Physically consistent links that give these values, shape (n, 10),
             or None.
     """
 
     problem: Problem
     products: CrossProducts
-    estimate: Estimate
-    cross: CrossValidation
+    settled: Settled
+    prior: Prior | None
+    bounded: bool
+    theta: Array
+    squares: Array
     inertial: Array | None = None
 
-    @property
-    def error(self) -> Array:
-        """RMS of each joint on folds that were left out, shape (n,), [N·m]."""
-        return self.cross.rms
+    @cached_property
+    def estimate(self) -> Estimate:
+        """The values and how sure they are."""
+        return estimated(
+            self.products, self.settled, bounded=self.bounded, prior=self.prior
+        )
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Residual covariance across joints, shape (n, n), [N²·m²]."""
+        return residual_covariance(self.products, self.settled.theta)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
         """Effects with their values."""
-        return self.problem.fitted(self.estimate.theta)[1]
+        return self.problem.fitted(self.settled.theta)[1]
 
     def model(
-        self, robot: Robot, data: Data, remainder: ArmRemainder | None = None
+        self,
+        robot: Robot,
+        data: Data,
+        remainder: ArmRemainder | None = None,
+        *,
+        sure: bool = True,
     ) -> DynamicModel:
         """The terms as a model, its gains with their standard deviations.
 
@@ -54,10 +79,11 @@ class Solution:
             robot: The arm.
             data: What was fitted.
             remainder: What was learned of the rest.
+            sure: Whether to say how sure the gains are.
         """
-        base, effects = self.problem.fitted(self.estimate.theta)
+        base, effects = self.problem.fitted(self.settled.theta)
         std: list[dict[str, float]] = [{} for _ in effects]
-        for unknown, e, g in self.problem.gains:
+        for unknown, e, g in self.problem.gains if sure else ():
             std[e][effects[e].gains[g].name] = float(self.estimate.std[unknown])
         return DynamicModel(
             robot,

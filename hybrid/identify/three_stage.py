@@ -14,7 +14,7 @@ from hybrid.effects import Effect
 from hybrid.errors import HybridWarning, IdentificationError
 from hybrid.identify.data import prepare
 from hybrid.identify.fit import Fit
-from hybrid.identify.identification import Identification
+from hybrid.identify.identification import Identification, prepared
 from hybrid.identify.least_squares import ESTIMATORS, Estimator
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -64,7 +64,11 @@ def identify(
             excites the arm poorly, or consistent links fit worse.
     """
     _check_choices(estimator, stages)
-    data = prepare(robot, recordings, cutoff)
+    data = (
+        prepared(robot, recordings, effects)
+        if cutoff is None
+        else prepare(robot, recordings, cutoff)
+    )
     terms = Identification(robot, data, estimator, tuple(effects), robust, seed)
     held_out = terms.plain()
     if "friction" in stages:
@@ -74,7 +78,7 @@ def identify(
         terms.ripple()
         held_out["+ ripple"] = terms.error
     if "remainder" in stages:
-        terms.learn(bend="friction" in stages)
+        terms.learn()
         held_out["+ remainder"] = terms.error
     if consistent:
         terms.constrain()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hybrid.errors import RecordingError
-from hybrid.identify.data import Data, predictions, prepare_motions
+from hybrid.identify.data import prepare_motions
 from hybrid.identify.model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -45,9 +45,9 @@ class Validation:
         robot: Name of the arm.
         joints: Its joints.
         rows: Models from the plainest to the fullest.
-        noise_floor: RMS of the noise that is left after the filter, shape (n,), [N·m].
+        noise_floor: RMS of the noise of the torque, shape (n,), [N·m].
         sources: Recordings that were scored.
-        samples: Moving samples scored, after decimation, of the joint with most.
+        samples: Moving samples scored, of the joint with most.
         seconds: Duration of the recordings, [s].
     """
 
@@ -61,8 +61,12 @@ class Validation:
 
     @property
     def reduction(self) -> float:
-        """Share of the plain least-squares mean RMS that the last model removes."""
-        return 1.0 - self.rows[-1].mean / self.rows[0].mean
+        """Share of the mean RMS that the last model removes.
+
+        It is that of the better of least squares and weighted least squares.
+        """
+        plain = [row.mean for row in self.rows if row.name in ("LS", "WLS")]
+        return 1.0 - self.rows[-1].mean / min(plain or [self.rows[0].mean])
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
@@ -97,8 +101,8 @@ def validate(
 ) -> Validation:
     """Score a model and its simpler versions on recordings it has not seen.
 
-    Columns and torque pass the filter of the identification; samples at which a joint
-    stands still are left out for that joint.
+    The error is that of the torque which :func:`predict` gives, at the rate of the log;
+    samples at which a joint stands still are left out for that joint.
 
     Args:
         model: Model from :func:`~hybrid.identify.identify`.
@@ -113,34 +117,40 @@ def validate(
     """
     if robot is not None:
         check_same_arm(model, robot)
-    motions, cutoff = prepare_motions(model.robot, recordings, model.cutoff)
-    everything = tuple(np.zeros(len(m.t), dtype=int) for m in motions)
-    data = Data(
-        tuple(motions),
-        everything,
-        cutoff,
-        model.standing if standing is None else standing,
-    )
-    measured = data.rest([np.zeros_like(m.tau) for m in motions])
-    size = np.maximum(measured.rms(), 1e-300)
-    models = {**model.simpler, model.stage: model}
+    motions, _ = prepare_motions(model.robot, recordings, model.cutoff)
+    for motion in motions:
+        if not np.isfinite(motion.tau).all():
+            raise RecordingError(
+                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
+                "positions and torques"
+            )
+    slowest = model.standing if standing is None else standing
+    moving = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
+    count = np.sum([x.sum(axis=0) for x in moving], axis=0)
+
+    def rms(left: Sequence[Array]) -> Array:
+        pairs = zip(moving, left, strict=True)
+        squares = np.sum([(np.where(x, y, 0.0) ** 2).sum(0) for x, y in pairs], axis=0)
+        return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
+
+    size = np.maximum(rms([m.tau for m in motions]), 1e-300)
     rows = []
-    for name, each in models.items():
-        rms = data.rest(predictions(each, data)).rms()
-        rows.append(ValidationRow(name, rms, rms / size))
+    for name, each in {**model.simpler, model.stage: model}.items():
+        error = rms([m.tau - each.predict(m) for m in motions])
+        rows.append(ValidationRow(name, error, error / size))
     return Validation(
         robot=model.robot.name,
         joints=model.robot.joints,
         rows=tuple(rows),
-        noise_floor=noise_floor(motions, cutoff),
+        noise_floor=noise_floor(motions, model.cutoff),
         sources=tuple(m.source for m in motions),
-        samples=int(measured.moving.sum(axis=0).max()),
+        samples=int(count.max()),
         seconds=float(sum(m.t[-1] - m.t[0] for m in motions)),
     )
 
 
 def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
-    """Noise RMS below the cut-off, from the torque's content far above it.
+    """Noise RMS at the rate of the log, from the torque far above the cut-off.
 
     White noise has the same power in every band; motion has none up there. Ripple or
     resonance above the cut-off raises it.
@@ -159,7 +169,7 @@ def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
             return None
         high = motion.tau - Sampler(motion.rate, edge, 1)(motion.tau)
         density = high[motion.mask].var(axis=0) / (motion.rate / 2 - edge)
-        power.append(density * cutoff)
+        power.append(density * motion.rate / 2)
     return np.asarray(np.sqrt(np.mean(power, axis=0)))
 
 

@@ -101,6 +101,25 @@ def butterworth(
     return _filtered(x, rate, cutoff, order, axis, 1)
 
 
+def butterworth_gain(
+    frequency: Array, *, rate: float, cutoff: float, order: int = 5
+) -> Array:
+    """Gain of :func:`butterworth` at some frequencies; none above half the rate.
+
+    Args:
+        frequency: Frequencies, any shape, [Hz].
+        rate: Samples per second, [Hz].
+        cutoff: Cut-off, [Hz].
+        order: Order of one pass.
+    """
+    if passes_all(rate, cutoff):
+        return np.asarray(frequency < rate / 2, dtype=np.float64)
+    below = np.clip(np.abs(frequency) / rate, 0.0, 0.4999)
+    with np.errstate(over="ignore"):
+        warped = np.tan(np.pi * below) / np.tan(np.pi * cutoff / rate)
+        return np.asarray(1.0 / (1.0 + warped ** (2 * order)))
+
+
 def filter_reach(
     relative_cutoff: float, *, order: int = 5, tolerance: float = 1e-6
 ) -> int:

@@ -1,0 +1,117 @@
+"""What the robot file says of links and drives, as a prior of the unknowns.
+
+The file's numbers are a guess, and a link may be as far off as it is large: the
+standard deviation of a mass is the mass, that of a first moment the mass times the size
+of the link, that of an inertia the mass times its square. A gain may be as far from
+what the file declares as it can be at all. Motion that excites an arm poorly leaves directions
+open in which plain least squares puts any value; there the guess of the file stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.effects import Effect, Scale
+from hybrid.effects.armature import Armature
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.viscous import Viscous
+from hybrid.identify.problem import Problem
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array, Chain
+
+_LEAST_MASS = 0.3  # of the mean mass of the links: a flange may carry a tool
+_LEAST_SIZE = 0.1  # of the length of the arm
+_OPEN = 1e-9  # of the largest: directions in which the guess has no spread at all
+# What a robot file declares of a drive, by the effect that it is.
+_DECLARED: Mapping[str, Callable[[Robot], Array]] = {
+    Armature.id: lambda robot: robot.chain.armature,
+    Viscous.id: lambda robot: robot.damping,
+    Coulomb.id: lambda robot: robot.frictionloss,
+}
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A normal prior of the unknowns.
+
+    Attributes:
+        mean: Expected value, shape (p,).
+        precision: Inverse covariance, shape (p, p); zero for what is not guessed at.
+    """
+
+    mean: Array
+    precision: Array
+
+    def times(self, factor: float) -> Prior:
+        """The prior as if it had been stated ``factor`` times."""
+        return Prior(self.mean, factor * self.precision)
+
+    @property
+    def pull(self) -> Array:
+        """Precision times mean, shape (p,)."""
+        return np.asarray(self.precision @ self.mean)
+
+
+def file_prior(problem: Problem, robot: Robot, scales: Sequence[Scale]) -> Prior | None:
+    """The robot file's numbers, each as uncertain as it is large.
+
+    Args:
+        problem: Unknowns; those that shift or scale signals stay free.
+        robot: The arm as its file has it.
+        scales: Torque and speed of every joint.
+
+    Returns:
+        The prior; None where the file gives no link a mass.
+    """
+    chain = problem.chain
+    if not (chain.inertial[:, 0] > 0).any():
+        return None
+    expected, sizes = chain.inertial.ravel().tolist(), spread(chain).ravel().tolist()
+    for e, g in problem.columns:
+        effect = problem.effects[e]
+        joint = effect.joints[-1]
+        gain = effect.gains[g].scaled(scales[joint])
+        declared = _DECLARED.get(effect.id)
+        expected.append(float(declared(robot)[joint]) if declared else 0.0)
+        sizes.append(gain.spread or max(abs(gain.lower), abs(gain.upper)))
+    free = {u for u, e, _ in problem.gains if _shifts(problem.effects[e])}
+    held = [u for u in range(problem.size) if u not in free]
+    mapping = problem.base.mapping[held]
+    scaled = mapping * np.array(sizes)
+    values, vectors = np.linalg.eigh(_unit(scaled @ scaled.T, scaled))
+    inside = values > _OPEN * values[-1]
+    root = vectors[:, inside] / np.sqrt(values[inside])
+    root /= np.linalg.norm(scaled, axis=1)[:, None]
+    mean, precision = np.zeros(problem.size), np.zeros((problem.size, problem.size))
+    mean[held] = mapping @ np.array(expected)
+    precision[np.ix_(held, held)] = root @ root.T
+    return Prior(mean, precision)
+
+
+def _unit(S: Array, scaled: Array) -> Array:
+    size = np.linalg.norm(scaled, axis=1)
+    return np.asarray(S / size / size[:, None])
+
+
+def _shifts(effect: Effect) -> bool:
+    """Whether the change of a gain is what is unknown, and not the gain."""
+    return effect.reports or effect.observes
+
+
+def spread(chain: Chain) -> Array:
+    """Standard deviation of each link parameter, shape (n, 10), in its SI unit."""
+    mass = np.maximum(chain.inertial[:, 0], 0.0)
+    second = np.abs(chain.inertial[:, [4, 6, 9]]).max(axis=1)
+    gyration = np.sqrt(second / np.where(mass > 0, mass, 1.0)) * (mass > 0)
+    steps = np.linalg.norm(chain.translation, axis=1)
+    reach = steps.sum()
+    next_joint = np.append(steps[1:], 0.0)
+    size = np.max(
+        [gyration, next_joint / 2, np.full_like(mass, _LEAST_SIZE * reach)], 0
+    )
+    mass = mass + _LEAST_MASS * mass.mean()
+    powers = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+    return np.asarray(mass[:, None] * np.maximum(size, 1e-6)[:, None] ** powers)
