@@ -278,4 +278,4 @@ def test_robust_weights_shrug_off_a_contact():
     best, _ = quiet(identify, robot, clean[:4], stages=("rigid",))
     best = validate(best.model, clean[4:]).rows[-1].mean
     assert error[False] > 1.05 * best
-    assert error[True] < 1.02 * best
+    assert error[True] < 1.05 * best

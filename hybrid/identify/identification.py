@@ -71,7 +71,10 @@ def linear_effects(size: int) -> list[Effect]:
 
 
 def prepared(
-    robot: Robot, recordings: Sequence[Recording | Motion], extra: Sequence[Effect]
+    robot: Robot,
+    recordings: Sequence[Recording | Motion],
+    extra: Sequence[Effect],
+    robust: bool,
 ) -> Data:
     """Recordings at the cut-off whose plain model predicts unseen torque best.
 
@@ -84,6 +87,7 @@ def prepared(
         robot: The arm.
         recordings: Logs, or motions made from them, which keep their own.
         extra: Effects of the user.
+        robust: Weigh down stretches that do not fit.
     """
     problem = build_problem(robot.chain, (*linear_effects(robot.size), *extra))
     best, least = prepare(robot, recordings, None), np.inf
@@ -97,9 +101,9 @@ def prepared(
             break
         data = prepare(robot, recordings, cutoff, highest=highest)
         products = data.products(problem)
-        weight = settle(products, "wls").weight
-        squares = _scored(products, without_folds(products, weight, folds=FOLDS))
-        error = np.sqrt(squares.sum(axis=0) / data.moving)
+        found = settle(products, "wls", robust=robust)
+        theta = without_folds(products, found.weight, folds=FOLDS, share=found.share)
+        error = np.sqrt(_total(_scored(products, theta), robust) / data.moving)
         level = float(np.log(np.maximum(error, 1e-300)).mean())
         if level > least - _HIDDEN:
             break
@@ -448,10 +452,7 @@ class Identification:
         return float(np.mean(level + harm * np.maximum(level, 0.0)))
 
     def _total(self, squares: Array) -> Array:
-        """Squares of all blocks, shape (n,); if robust, none counts far more."""
-        if self.robust:
-            squares = np.minimum(squares, OUTLYING * np.median(squares, axis=0))
-        return np.asarray(squares.sum(axis=0))
+        return _total(squares, self.robust)
 
     def _rms(self, squares: Array) -> Array:
         return np.asarray(np.sqrt(squares.sum(axis=0) / self.data.moving))
@@ -476,6 +477,13 @@ class Identification:
     def _leave_out(self, text: str) -> None:
         self.left_out.append(text)
         self.warnings.append(f"left out {text} on held-out samples")
+
+
+def _total(squares: Array, robust: bool) -> Array:
+    """Squares of all blocks, shape (n,); if robust, none counts far more than most."""
+    if robust:
+        squares = np.minimum(squares, OUTLYING * np.median(squares, axis=0))
+    return np.asarray(squares.sum(axis=0))
 
 
 def _scored(products: CrossProducts, theta: Array) -> Array:

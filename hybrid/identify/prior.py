@@ -3,8 +3,9 @@
 The file's numbers are a guess, and a link may be as far off as it is large: the
 standard deviation of a mass is the mass, that of a first moment the mass times the size
 of the link, that of an inertia the mass times its square. A gain may be as far from
-what the file declares as it can be at all. Motion that excites an arm poorly leaves directions
-open in which plain least squares puts any value; there the guess of the file stays.
+what the file declares as it can be at all. Motion that excites an arm poorly leaves
+directions open in which plain least squares puts any value; there the guess of the file
+stays.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ def identify(
     """
     _check_choices(estimator, stages)
     data = (
-        prepared(robot, recordings, effects)
+        prepared(robot, recordings, effects, robust)
         if cutoff is None
         else prepare(robot, recordings, cutoff)
     )
