@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from joint_friction_logs import improved
 from scipy.optimize import differential_evolution
+from separable import Problem, fit_separable
 
 from hybrid.effects import JointState
 from hybrid.effects.improved_stribeck import ImprovedStribeck
-from hybrid.identify.separable import fit_separable
-from hybrid.identify.separable_problem import SeparableProblem
 from hybrid.robot.chain import Array
 from hybrid.search import minimise
 from hybrid.search.adaptive_genetic import AdaptiveGenetic
@@ -51,11 +50,8 @@ def separable(v: Array, y: Array, law: list[int], bounds: Array) -> dict[str, An
             return np.stack([slide + stick, drag], axis=1)
         return np.stack([slide, stick, drag, rest + 1.0][: len(gains)], axis=1)
 
-    low, high = bounds
     start = time.process_time()
-    fit = fit_separable(
-        SeparableProblem(columns, y, low[shapes], high[shapes], low[gains], high[gains])
-    )
+    fit = fit_separable(Problem(columns, y, bounds[:, shapes], bounds[:, gains]))
     seconds = time.process_time() - start
     order = np.argsort(shapes + gains)
     return {

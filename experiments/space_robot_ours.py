@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 
 import numpy as np
+from separable_effects import Log, fit_effects
 from space_robot import OFFLINE, SAMPLES, STEP
 from space_robot_arm import SharedFriction, arm
 
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect, Scale
-from hybrid.identify.effect_shapes import Log, fit_effects
 from hybrid.identify.online import OnlineIdentifier, Sample
 from hybrid.identify.problem import build_problem
 from hybrid.robot import Robot
