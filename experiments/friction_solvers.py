@@ -21,7 +21,8 @@ from hybrid.search.adaptive_genetic import AdaptiveGenetic
 from hybrid.search.annealed_genetic import AnnealedGenetic
 
 LAWS = {"Coulomb + viscous": [0, 3], "Stribeck": [0, 1, 2, 3], "improved": [*range(6)]}
-SEARCHES = {"genetic": (AdaptiveGenetic, 1), "annealed": (AnnealedGenetic, 2)}
+# With how often they ask in a generation: for the offspring, and in the inner loop.
+SEARCHES = {"genetic": (AdaptiveGenetic, 1), "annealed": (AnnealedGenetic, 11)}
 GENERATIONS = 500
 
 
@@ -80,10 +81,12 @@ def searched(
             history = minimise(search, squares, asks * GENERATIONS)[asks - 1 :: asks]
             run = {"x": search.best.point, "history": history}
             run["seconds"] = time.process_time() - start
+            run["evaluations"] = asks * GENERATIONS * search.population
             found.setdefault(name, []).append(run)
     de = differential_evolution(
         lambda x: squares(x.T), list(zip(low, high, strict=True)), rng=0,
         vectorized=True, updating="deferred", polish=False,
     )  # fmt: skip
-    found["scipy DE"] = [{"x": de.x, "history": np.array([de.fun])}]
+    run = {"x": de.x, "history": np.array([de.fun]), "evaluations": de.nfev}
+    found["scipy DE"] = [run]
     return found
