@@ -81,10 +81,10 @@ def _main_result(joints: Sequence[dict[str, Any]]) -> str:
     return (
         f"The publication's main result is {low} to {high} % less error of the "
         "computed joint torque than with Coulomb and viscous friction, on three joints "
-        "of a real arm. It is a share of what that simpler law leaves; whether of squares or of "
-        "RMS, and how much no law explains there, is not known here, and the share "
-        "depends on the latter most of all. Ours, on a motion held out, by size of the "
-        f"ripple: {'; '.join(parts)}.\n"
+        "of a real arm. It is a share of what that simpler law leaves. Whether of "
+        "squares or of RMS, and how much no law explains there, is not known here; the "
+        "share depends on the latter most of all. Ours, on a motion held out, by size "
+        f"of the ripple: {'; '.join(parts)}.\n"
     )
 
 
