@@ -30,9 +30,10 @@ def write_report(
     tables = [errors_table(runs, solution), cost_table(runs, solution, seconds, test)]
     tables.append(bounds_table(bounds))
     note = (
-        "The tabu search's first radius is not published. Five (1.5, 3, 5, 10, 30 %) "
-        "were tried on other poses and seeds; none was best on all, and 10 and 30 % "
-        "stalled on one each.\n"
+        "Bounds are three times each error, to either side, as published. The tabu "
+        "search's first radius is not published. Five (1.5, 3, 5, 10, 30 %) were tried "
+        "on other poses and three seeds; none was best on all, 5 % stalled on one of "
+        "them, 10 % on two and 30 % on all.\n"
     )
     command = f"python experiments/kinematic_calibration.py {options}"
     for table in tables:

@@ -15,7 +15,7 @@ from space_robot_variances import variances_table
 from hybrid.files import atomic_path
 from hybrid.report import markdown_table, numbers_table, provenance, save_figure
 from hybrid.report.output import write_results
-from hybrid.report.style import BEST, BLUE, GREY, RED, clean, legend, new_figure
+from hybrid.report.style import BLUE, GREY, OTHERS, RED, clean, legend, new_figure
 from hybrid.report.table import Table
 from hybrid.robot.chain import Array
 
@@ -31,7 +31,7 @@ PUBLISHED = {
     "published genetic": (6.08, 3.07, 2.72),
     "published swarm": (6.7335, 3.4001, 3.0001),
 }
-INKS = (GREY, "black", RED, BLUE, BEST)  # recursive DE in four variants, the swarm
+INKS = (GREY, "black", RED, BLUE, OTHERS[0])  # recursive DE in four variants, the swarm
 SECONDS = {"published recursive DE, best": 4.0}  # of one recursion
 
 
@@ -67,7 +67,8 @@ def _figure(runs: dict[str, list[Run]]) -> Figure:
     clean(axes, grid="both")
     for (name, each), ink in zip(runs.items(), INKS, strict=False):
         error = [np.abs(run.path[:, :3] - TRUE[:3]).mean(axis=1) for run in each]
-        axes.semilogy(np.median(error, axis=0), color=ink, label=name)
+        label = name.removeprefix("recursive ")
+        axes.semilogy(np.median(error, axis=0), color=ink, label=label)
     axes.set_xlabel("recursion")
     axes.set_ylabel("mean |error| of α, β, ε")
     legend(figure, axes.get_legend_handles_labels()[0])
@@ -101,8 +102,12 @@ def write_report(
     save_figure(_figure(exact), out / "figure.png")
     content = {"provenance": provenance(command=command), "true": TRUE}
     for data, methods in runs.items():
-        content |= {
-            f"{name}, {data}": [{"x": x.path[-1], "updates": x.updates} for x in each]
-            for name, each in methods.items()
-        }
+        for name, each in methods.items():
+            last = np.array([run.path[-1] for run in each])
+            content[f"{name}, {data}"] = {
+                "median": np.median(last, axis=0),
+                "variance": np.var(last, axis=0, ddof=len(last) > 1),
+                "updates": [run.updates for run in each],
+                "cost": [run.cost for run in each],
+            }
     write_results(out / "results.json", content)

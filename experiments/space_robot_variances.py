@@ -13,6 +13,8 @@ from space_robot_searches import Run
 
 from hybrid.report.table import Table
 
+_KNOWN = 1e-20  # variance below which a parameter was given
+
 Runs = Mapping[str, Sequence[Run]]
 
 
@@ -43,5 +45,5 @@ def _cells(runs: Sequence[Run]) -> list[str]:
     spread = np.var([run.path[-1] for run in runs], axis=0, ddof=1)
     return [
         f"{updates} of {steps}",
-        *("" if np.isnan(x) else f"{x:.1e}" for x in spread),
+        *("" if np.isnan(x) else f"{x:.1e}" if x > _KNOWN else "0" for x in spread),
     ]
