@@ -5,6 +5,7 @@ import runpy
 from pathlib import Path
 
 import pytest
+from outputs import command_line
 
 FOLDER = Path(__file__).parents[1] / "experiments"
 FILES = sorted(FOLDER.glob("*.py"))
@@ -13,15 +14,19 @@ MAINS = [file for file in FILES if 'if __name__ == "__main__":' in file.read_tex
 
 @pytest.mark.parametrize("file", MAINS, ids=lambda file: file.stem)
 def test_every_experiment_takes_a_folder_to_write_to(file, monkeypatch, capsys):
-    """Its help shows ``--out``; the default lies outside the repository's reports."""
-    monkeypatch.syspath_prepend(str(FOLDER))
-    monkeypatch.setenv("COLUMNS", "200")
+    """Its help shows ``--out``."""
     monkeypatch.setattr("sys.argv", [str(file), "--help"])
     with pytest.raises(SystemExit) as end:
         runpy.run_path(str(file), run_name="__main__")
-    said = capsys.readouterr().out
     assert end.value.code == 0
-    assert "--out OUT" in said and "(default: out/" in said
+    assert "--out OUT" in capsys.readouterr().out
+
+
+def test_by_default_the_report_goes_to_a_folder_of_its_name():
+    parser = command_line("One line.\n\nAnd more.", "some_report")
+    assert parser.description == "One line."
+    assert parser.parse_args([]).out == Path("out/some_report")
+    assert parser.parse_args(["--out", "there"]).out == Path("there")
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
