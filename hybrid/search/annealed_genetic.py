@@ -33,7 +33,7 @@ class AnnealedGenetic(AdaptiveGenetic):
         temperature: Temperature T₀ of the first generation, in spreads of the first
             population.
         cooling: Its factor from one generation to the tenth after it.
-        chain: Steps of the inner loop, in each generation.
+        chain: Steps of the inner loop, in each generation; ours, as T₀ is.
         options: See :class:`~hybrid.search.adaptive_genetic.AdaptiveGenetic`.
 
     Raises:
