@@ -197,11 +197,11 @@ def fit_separable(
         tried = [] if start is None else [problem.coordinates(start)]
         if starts:
             tried += [*(qmc.Sobol(size, scramble=False).random(starts) + 0.5 / starts)]
-        tried = sorted(
-            np.clip(tried, _EDGE, 1 - _EDGE), key=lambda u: sum(left(u) ** 2)
-        )
+        tried = np.clip(tried, _EDGE, 1 - _EDGE)
+        order = np.argsort([np.sum(left(u) ** 2) for u in tried])
         rough = [
-            least_squares(left, u, bounds=(0, 1), **_ROUGHLY) for u in tried[:_FOLLOWED]
+            least_squares(left, tried[k], bounds=(0, 1), **_ROUGHLY)
+            for k in order[:_FOLLOWED]
         ]
         best = min(rough, key=lambda end: end.cost)
         end = least_squares(left, best.x, bounds=(0, 1), **_FINALLY)
@@ -227,18 +227,8 @@ def _with_intervals(
     std = np.zeros(len(at_bound))
     std[~at_bound], degrees = _deviations(J, residual, problem.block)
     wide = np.concatenate([problem.wide, np.zeros(len(gains), dtype=bool)])
-    return Fit(
-        shapes,
-        gains,
-        others,
-        residual,
-        std,
-        degrees,
-        at_bound,
-        wide,
-        evaluations,
-        converged,
-    )
+    found = shapes, gains, others, residual, std, degrees, at_bound, wide
+    return Fit(*found, evaluations, converged)
 
 
 def _slopes(problem: Problem, u: Array, columns: Array, gains: Array) -> Array:
