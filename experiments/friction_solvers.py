@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from joint_friction_logs import improved
 from scipy.optimize import differential_evolution
+from separable import Problem, fit_separable
 
 from hybrid.effects import JointState
 from hybrid.effects.improved_stribeck import ImprovedStribeck
-from hybrid.identify.separable import fit_separable
-from hybrid.identify.separable_problem import SeparableProblem
 from hybrid.robot.chain import Array
 from hybrid.search import minimise
 from hybrid.search.adaptive_genetic import AdaptiveGenetic
 from hybrid.search.annealed_genetic import AnnealedGenetic
 
 LAWS = {"Coulomb + viscous": [0, 3], "Stribeck": [0, 1, 2, 3], "improved": [*range(6)]}
-SEARCHES = {"genetic": (AdaptiveGenetic, 1), "annealed": (AnnealedGenetic, 2)}
+# With how often they ask in a generation: for the offspring, and in the inner loop.
+SEARCHES = {"genetic": (AdaptiveGenetic, 1), "annealed": (AnnealedGenetic, 11)}
 GENERATIONS = 500
 
 
@@ -51,11 +51,8 @@ def separable(v: Array, y: Array, law: list[int], bounds: Array) -> dict[str, An
             return np.stack([slide + stick, drag], axis=1)
         return np.stack([slide, stick, drag, rest + 1.0][: len(gains)], axis=1)
 
-    low, high = bounds
     start = time.process_time()
-    fit = fit_separable(
-        SeparableProblem(columns, y, low[shapes], high[shapes], low[gains], high[gains])
-    )
+    fit = fit_separable(Problem(columns, y, bounds[:, shapes], bounds[:, gains]))
     seconds = time.process_time() - start
     order = np.argsort(shapes + gains)
     return {
@@ -84,10 +81,13 @@ def searched(
             history = minimise(search, squares, asks * GENERATIONS)[asks - 1 :: asks]
             run = {"x": search.best.point, "history": history}
             run["seconds"] = time.process_time() - start
+            run["evaluations"] = asks * GENERATIONS * search.population
             found.setdefault(name, []).append(run)
     de = differential_evolution(
         lambda x: squares(x.T), list(zip(low, high, strict=True)), rng=0,
         vectorized=True, updating="deferred", polish=False,
     )  # fmt: skip
-    found["scipy DE"] = [{"x": de.x, "history": np.array([de.fun])}]
+    run = {"x": de.x, "history": np.array([de.fun])}
+    run["evaluations"] = de.nfev * len(de.population)  # counted by population
+    found["scipy DE"] = [run]
     return found

@@ -38,7 +38,8 @@ def solvers_table(joints: Sequence[dict[str, Any]], generations: int) -> Table:
                     f"{x:.4g}" for x in np.median([r["x"] for r in runs], 0)
                 )
                 ratio = f"{np.median(worst):.4f} ({max(worst):.3f})"
-                rows.append((f"{k} {law}: {name}", ratio, steps, "",
+                rows.append((f"{k} {law}: {name}", ratio, steps,
+                    f"{runs[0]['evaluations']:,}",
                     "" if np.isnan(time) else f"{time:.0f}", point))  # fmt: skip
             if law == "Stribeck":
                 rows.append((f"{k} {law}: published, 3 solvers", *4 * [""], PUBLISHED))

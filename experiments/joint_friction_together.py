@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 from joint_friction_logs import ALL_TRUE, ARM, CUTOFF, RATE, logged
+from separable_effects import Log, fit_effects
 
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.improved_stribeck import ImprovedStribeck
 from hybrid.effects.torque_offset import TorqueOffset
-from hybrid.identify.effect_shapes import Log, fit_effects
 from hybrid.identify.problem import build_problem
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales

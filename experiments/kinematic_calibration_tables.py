@@ -50,7 +50,7 @@ def cost_table(
     rows.append(row("least squares", solution.x, solution.evaluations, seconds))
     header = ("", "place [mm]", "orientation [mrad]", "worst error [mm, mrad]")
     caption = "Mean pose error on 20 poses left out: median (worst) of the runs"
-    return Table((*header, "evaluations", "time [s]"), tuple(rows), caption)
+    return Table((*header, "evaluations", "time [CPU s]"), tuple(rows), caption)
 
 
 def bounds_table(bounds: Mapping[float, Mapping[str, float]]) -> Table:

@@ -44,7 +44,7 @@ UNITS = tuple("m" if length else "rad" for length in LENGTH)
 SHOWN = np.where(LENGTH, 1e3, 1e2)  # mm and 1e-2 rad
 TRUE = np.array(_TRUE.split(), dtype=float) / SHOWN
 PUBLISHED = np.array(_PUBLISHED.split(), dtype=float) / SHOWN
-UPPER = np.where(LENGTH, 4e-3, 7e-3)  # of the search: twice the largest true error
+UPPER = 3.0 * np.abs(TRUE)  # of the search, to either side, as published
 MODEL = KinematicModel(steps_from_dh(ROWS), ((),), np.zeros((0, 3)))
 
 

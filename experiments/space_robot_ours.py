@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 
 import numpy as np
+from separable_effects import Log, fit_effects
 from space_robot import OFFLINE, SAMPLES, STEP
 from space_robot_arm import SharedFriction, arm
+from space_robot_searches import Run, faded
 
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect, Scale
-from hybrid.identify.effect_shapes import Log, fit_effects
 from hybrid.identify.online import OnlineIdentifier, Sample
 from hybrid.identify.problem import build_problem
 from hybrid.robot import Robot
@@ -35,9 +36,7 @@ def started(
     return list(fit.effects), links.reshape(-1, 10)
 
 
-def track(
-    data: tuple[Array, ...], noise: float, *, offline: bool
-) -> tuple[Array, Array, float]:
+def track(data: tuple[Array, ...], noise: float, *, offline: bool) -> Run:
     """Track the samples in order.
 
     Args:
@@ -46,8 +45,6 @@ def track(
         offline: Start from separable least squares on the samples that the published
             search starts from, else from half the payload and wrong friction.
 
-    Returns:
-        Parameters (8,), their standard deviations, and seconds per sample.
     """
     robot, effects = arm(), [SharedFriction((0, 1), _FIRST)]
     q, v, a, tau = data
@@ -67,18 +64,25 @@ def track(
         standing=np.full(2, 1e-3),
         noise=np.full(2, max(noise, 1e-4)),
     )
-    start = time.process_time()
+    seconds, path = 0.0, [_parameters(tracker)]
     for k in range(first, SAMPLES):
+        start = time.process_time()
         tracker.update(Sample(STEP * k, q[k], tau[k], v[k], a[k]))
-    seconds = (time.process_time() - start) / (SAMPLES - first)
-    rows = {p.name: (p.value, p.std) for p in tracker.parameters}
-    inertia, beta = rows["Izz_1"], rows["Izz_2"]
-    rigid = [(inertia[0] + beta[0], np.hypot(inertia[1], beta[1])), beta]
-    rigid += [rows["mx_2"], rows["my_2"]]
+        seconds += time.process_time() - start
+        path.append(_parameters(tracker))
+    cost = faded(data, path[-1][None], SAMPLES)[0]
+    return Run(np.array(path), float(cost), seconds / (SAMPLES - first))
+
+
+def _parameters(tracker: OnlineIdentifier) -> Array:
+    """In the order of ``space_robot.NAMES``, shape (8,)."""
+    rows = {p.name: p.value for p in tracker.parameters}
+    rigid = [
+        rows["Izz_1"] + rows["Izz_2"],
+        *(rows[x] for x in ("Izz_2", "mx_2", "my_2")),
+    ]
     names = ("coulomb", "static", "velocity", "viscous")
-    friction = [rows[f"shared_friction.{x}[arm]"] for x in names]
-    found = np.array([*rigid, *friction])
-    return found[:, 0], found[:, 1], seconds
+    return np.array([*rigid, *(rows[f"shared_friction.{x}[arm]"] for x in names)])
 
 
 def with_noise(data: tuple[Array, ...], noise: float, seed: int) -> tuple[Array, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,33 +10,28 @@ import numpy as np
 from rich.console import Console
 from space_robot import NAMES, SAMPLES, TRUE
 from space_robot_searches import Run
+from space_robot_variances import variances_table
 
 from hybrid.files import atomic_path
 from hybrid.report import markdown_table, numbers_table, provenance, save_figure
 from hybrid.report.output import write_results
-from hybrid.report.style import BLUE, GREY, RED, clean, legend, new_figure
+from hybrid.report.style import BLUE, GREY, OTHERS, RED, clean, legend, new_figure
 from hybrid.report.table import Table
 from hybrid.robot.chain import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-REPORT = Path(__file__).parents[1] / "reports" / "space_robot"
 PUBLISHED = {
-    "published recursive DE, best": [
-        6.7255,
-        3.3889,
-        2.9918,
-        0,
-        2.8384,
-        3.1698,
-        0.0719,
-        0.2053,
-    ],
-    "published least squares": [6.7370, 3.4202, 3.0092, 0.4917],
-    "published genetic": [6.08, 3.07, 2.72],
-    "published swarm": [6.7335, 3.4001, 3.0001],
+    "published recursive DE, best": (
+        *(6.7255, 3.3889, 2.9918, 0.0),
+        *(2.8384, 3.1698, 0.0719, 0.2053),
+    ),
+    "published least squares": (6.7370, 3.4202, 3.0092, 0.4917),
+    "published genetic": (6.08, 3.07, 2.72),
+    "published swarm": (6.7335, 3.4001, 3.0001),
 }
+INKS = (GREY, "black", RED, BLUE, OTHERS[0])  # recursive DE in four variants, the swarm
 SECONDS = {"published recursive DE, best": 4.0}  # of one recursion
 
 
@@ -46,23 +42,22 @@ def _row(name: str, x: Array, seconds: float | None = None) -> tuple[str, ...]:
     return name, *cells, f"{error:.2g}", "" if seconds is None else f"{seconds:.2g}"
 
 
-def _rows(
-    name: str, points: Array, seconds: float, best: int | None
-) -> list[tuple[str, ...]]:
+def _rows(name: str, runs: Sequence[Run]) -> list[tuple[str, ...]]:
     """Median, quartiles, and the run that fits best."""
+    points = np.array([run.path[-1] for run in runs])
+    seconds = float(np.median([run.seconds for run in runs]))
     first = _row(name, np.median(points, axis=0), seconds)
     if len(points) == 1:
         return [first]
     error = np.median(np.abs(points - TRUE)[:, :3].mean(axis=1))
     ends = zip(*np.percentile(points, [25, 75], axis=0), strict=True)
-    quartiles = (f"{a:.4g} to {b:.4g}" for a, b in ends)
-    rows = [
+    quartiles = ("" if np.isnan(a) else f"{a:.4g} to {b:.4g}" for a, b in ends)
+    best = points[int(np.argmin([run.cost for run in runs]))]
+    return [
         (*first[:-2], f"{error:.2g}", first[-1]),
         ("  quartiles", *quartiles, "", ""),
+        _row("  best fit of all runs", best),
     ]
-    return (
-        rows if best is None else [*rows, _row("  best fit of all runs", points[best])]
-    )
 
 
 def _figure(runs: dict[str, list[Run]]) -> Figure:
@@ -70,9 +65,10 @@ def _figure(runs: dict[str, list[Run]]) -> Figure:
     figure = new_figure(height=2.6)
     axes = figure.subplots()
     clean(axes, grid="both")
-    for (name, each), ink in zip(runs.items(), (GREY, "black", RED, BLUE), strict=True):
+    for (name, each), ink in zip(runs.items(), INKS, strict=False):
         error = [np.abs(run.path[:, :3] - TRUE[:3]).mean(axis=1) for run in each]
-        axes.semilogy(np.median(error, axis=0), color=ink, label=name)
+        label = name.removeprefix("recursive ")
+        axes.semilogy(np.median(error, axis=0), color=ink, label=label)
     axes.set_xlabel("recursion")
     axes.set_ylabel("mean |error| of α, β, ε")
     legend(figure, axes.get_legend_handles_labels()[0])
@@ -80,32 +76,38 @@ def _figure(runs: dict[str, list[Run]]) -> Figure:
 
 
 def write_report(
-    runs: dict[str, list[Run]],
+    out: Path,
+    runs: dict[str, dict[str, list[Run]]],
     plain: dict[str, Array],
-    ours: dict[str, tuple[Array, float]],
     options: str,
 ) -> None:
     """Print the table and write it with the figure and the numbers."""
     rows = [_row("true", TRUE)]
     rows += [_row(k, np.array(x), SECONDS.get(k)) for k, x in PUBLISHED.items()]
     rows += [_row(name, x) for name, x in plain.items()]
-    for name, each in runs.items():
-        points = np.array([run.path[-1] for run in each])
-        seconds = float(np.median([run.seconds for run in each]))
-        best = int(np.argmin([run.cost for run in each]))
-        rows += _rows(f"recursive DE, {name}", points, seconds, best)
-    for name, (points, seconds) in ours.items():
-        rows += _rows(name, points, seconds, None)
-    count = len(next(iter(runs.values())))
+    for data, methods in runs.items():
+        for name, each in methods.items():
+            rows += _rows(f"{name}, {data}", each)
+    exact = next(iter(runs.values()))
+    count = len(next(iter(exact.values())))
     caption = f"{SAMPLES} samples, 34 of them recursions; medians over {count} runs"
     header = ("", *NAMES, "mean error of α, β, ε", "seconds per sample")
     table = Table(header, tuple(rows), caption)
-    Console(width=210).print(numbers_table(table))
+    tables = [table, variances_table(runs)]
+    Console(width=210).print(*map(numbers_table, tables))
     command = f"python experiments/space_robot_online.py {options}"
-    with atomic_path(REPORT / "table.md") as path:
-        path.write_text(f"{caption}.\n\n{markdown_table(table)}\n    {command}\n")
-    save_figure(_figure(runs), REPORT / "figure.png")
+    with atomic_path(out / "table.md") as path:
+        text = "\n".join(f"{x.caption}.\n\n{markdown_table(x)}" for x in tables)
+        path.write_text(f"{text}\n    {command}\n")
+    save_figure(_figure(exact), out / "figure.png")
     content = {"provenance": provenance(command=command), "true": TRUE}
-    content |= {name: [run.path[-1] for run in each] for name, each in runs.items()}
-    content |= {name: points for name, (points, _) in ours.items()}
-    write_results(REPORT / "results.json", content)
+    for data, methods in runs.items():
+        for name, each in methods.items():
+            last = np.array([run.path[-1] for run in each])
+            content[f"{name}, {data}"] = {
+                "median": np.median(last, axis=0),
+                "variance": np.var(last, axis=0, ddof=len(last) > 1),
+                "updates": [run.updates for run in each],
+                "cost": [run.cost for run in each],
+            }
+    write_results(out / "results.json", content)

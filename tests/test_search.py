@@ -7,13 +7,14 @@ from hybrid.errors import HybridError
 from hybrid.search import minimise
 from hybrid.search.adaptive_genetic import AdaptiveGenetic
 from hybrid.search.annealed_genetic import AnnealedGenetic
+from hybrid.search.particle_swarm import ParticleSwarm
 from hybrid.search.recursive_differential_evolution import (
     RecursiveDifferentialEvolution,
 )
 
 LOWER, UPPER = np.array([-3.0, 0.0, 10.0]), np.array([5.0, 1.0, 90.0])
 OPTIMUM = np.array([1.0, 0.3, 70.0])
-GENETIC = (AdaptiveGenetic, AnnealedGenetic)
+KINDS = (AdaptiveGenetic, AnnealedGenetic, ParticleSwarm)
 
 
 def valley(x):
@@ -30,8 +31,8 @@ def search(kind, seed=0, **options):
     return kind(LOWER, UPPER, rng=np.random.default_rng(seed), **options)
 
 
-@pytest.mark.parametrize("kind", GENETIC)
-def test_a_genetic_search_finds_the_optimum_among_ripples(kind):
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_search_finds_the_optimum_among_ripples(kind):
     for seed in range(3):
         found = search(kind, seed)
         minimise(found, valley, 600)
@@ -41,7 +42,7 @@ def test_a_genetic_search_finds_the_optimum_among_ripples(kind):
         )
 
 
-@pytest.mark.parametrize("kind", GENETIC)
+@pytest.mark.parametrize("kind", KINDS)
 def test_it_asks_within_the_bounds_and_never_loses_the_best(kind):
     found = search(kind, population=20)
     values, best = [], []
@@ -55,14 +56,14 @@ def test_it_asks_within_the_bounds_and_never_loses_the_best(kind):
     assert valley(found.best.point[None])[0] == found.best.value
 
 
-@pytest.mark.parametrize("kind", GENETIC)
+@pytest.mark.parametrize("kind", KINDS)
 def test_one_seed_gives_one_course(kind):
     courses = [minimise(search(kind, seed), valley, 40) for seed in (1, 1, 2)]
     np.testing.assert_array_equal(courses[0], courses[1])
     assert np.any(courses[0] != courses[2])
 
 
-@pytest.mark.parametrize("kind", GENETIC)
+@pytest.mark.parametrize("kind", KINDS)
 def test_points_without_a_value_are_no_obstacle(kind):
     def holed(x):
         return np.where(x[:, 0] < 0, np.nan, valley(x))
@@ -87,6 +88,20 @@ def test_annealing_accepts_what_is_worse_while_it_is_hot_and_not_when_cold():
     assert moved(1e-9) == 0
 
 
+def test_the_temperature_of_the_inner_loop_falls_by_the_cooling_in_ten_generations():
+    found = search(AnnealedGenetic, temperature=0.5, cooling=0.9, chain=3)
+    for generation in range(21):
+        assert found.generation == generation
+        assert found.temperature == pytest.approx(0.5 * 0.9 ** (generation / 10))
+        for _ in range(1 + 3):  # the offspring, and three steps of annealing
+            found.tell(valley(found.ask()))
+
+
+def test_annealing_refuses_nonsense():
+    with pytest.raises(HybridError, match="are a temperature above 0"):
+        search(AnnealedGenetic, chain=0)
+
+
 def test_mutations_shrink_to_nothing_with_the_last_generation():
     x = np.tile(OPTIMUM, (1000, 1))
     sizes = []
@@ -102,6 +117,55 @@ def test_the_fittest_are_changed_least():
     rates = AdaptiveGenetic._rate(fitness, fitness, (0.9, 0.6))
     assert np.all(rates[:6] == 0.9)
     assert np.all(np.diff(rates[5:]) < 0) and rates[-1] == pytest.approx(0.6)
+
+
+# --- particle swarm -----------------------------------------------------------------
+
+
+def test_inertia_falls_from_the_first_to_the_last_iteration_and_stays():
+    shares = []
+    for iteration in (1, 50, 100, 150):
+        swarm = search(ParticleSwarm, iterations=100, cognitive=0.0, social=0.0)
+        swarm._x[:], swarm._v[:] = OPTIMUM, 0.01
+        swarm.iteration = iteration
+        shares.append((swarm.ask()[0] - OPTIMUM) / 0.01)
+    expected = np.outer([0.895, 0.65, 0.4, 0.4], np.ones(3))
+    np.testing.assert_allclose(shares, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("pull", ["cognitive", "social"])
+def test_particles_are_pulled_to_their_own_best_or_to_the_best_of_all(pull):
+    swarm = ParticleSwarm(
+        [-1], [1], rng=np.random.default_rng(0), population=2,
+        **{"cognitive": 0.0, "social": 0.0, pull: 2.0},
+    )  # fmt: skip
+    swarm._x[:] = [[0.0], [0.8]]
+    swarm.tell([0.0, 1.0])
+    swarm._x[:] = [[0.5], [0.5]]
+    first, second = swarm.ask()[:, 0] - 0.5
+    assert first < 0
+    assert second < 0 if pull == "social" else second > 0
+
+
+def test_no_particle_is_faster_than_allowed():
+    swarm = search(ParticleSwarm, fastest=0.1, social=50.0)
+    swarm.tell(valley(swarm.ask()))
+    before = swarm._x.copy()
+    step = np.abs(swarm.ask() - before) / (UPPER - LOWER)
+    assert 0.09 < step.max() <= 0.1 + 1e-12
+
+
+def test_a_new_criterion_revalues_what_the_swarm_remembers():
+    swarm = search(ParticleSwarm)
+    minimise(swarm, valley, 50)
+    swarm.renew(-valley(swarm.remembered))
+    k = np.argmax(valley(swarm.remembered))
+    np.testing.assert_array_equal(swarm.best.point, swarm.remembered[k])
+
+
+def test_a_swarm_refuses_nonsense():
+    with pytest.raises(HybridError, match="two particles or more"):
+        search(ParticleSwarm, population=1)
 
 
 # --- recursive differential evolution -----------------------------------------------
@@ -138,6 +202,15 @@ def test_with_the_step_of_recursive_least_squares_it_follows_a_line():
         search.tell(cost(x))
         assert search.best.value <= before
     np.testing.assert_allclose(search.best.point, [0.7, -0.4], atol=0.02)
+
+
+def test_a_trial_goes_some_of_the_way_to_the_best_and_along_the_step():
+    search, step = recursive(crossover=1.0, factor=0.5, combination=0.25), [0.1, -0.2]
+    x = search.population = 0.4 * search.population  # far from the bounds
+    search.renew(np.arange(40.0))
+    search.aim(np.array(step))
+    expected = x + 0.25 * (x[0] - x) + 0.5 * np.array(step)
+    np.testing.assert_allclose(search.ask(), expected, atol=1e-12)
 
 
 def test_a_detour_moves_what_has_met_in_the_best_point():

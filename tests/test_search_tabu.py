@@ -87,6 +87,23 @@ def test_tabu_climbs_out_of_a_hollow_that_it_has_seen():
     assert search.best.point[0] == pytest.approx(0.6, abs=0.01)
 
 
+def test_what_is_forbidden_is_taken_only_if_it_is_the_best_of_all():
+    def tabu():
+        search = Tabu(
+            LOW, HIGH, rng=np.random.default_rng(0), start=np.zeros(4), nearness=1e9
+        )  # every point is near the one where it has been
+        search.tell([1.0])
+        return search, search.ask()
+
+    search, x = tabu()
+    search.tell(np.linspace(1.0, 2.0, len(x)))
+    np.testing.assert_array_equal(search._here, np.zeros(4))
+    search, x = tabu()
+    search.tell(np.append(0.9, np.full(len(x) - 1, 2.0)))
+    np.testing.assert_array_equal(search.best.point, x[0])
+    np.testing.assert_array_equal(search._here, x[0])
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -1,7 +1,8 @@
 """A genetic algorithm whose offspring are annealed: moved, and kept by chance.
 
-Source: Ingber 1989, doi 10.1016/0895-7177(89)90202-1 (very fast annealing); Metropolis
-et al. 1953, doi 10.1063/1.1699114 (acceptance).
+Source: Zhang, Hu and Zou 2021, doi 10.3785/j.issn.1008-973X.2021.05.001 (annealing in
+every generation, cooling); Ingber 1989, doi 10.1016/0895-7177(89)90202-1 (very fast
+annealing); Metropolis et al. 1953, doi 10.1063/1.1699114 (acceptance).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hybrid.errors import HybridError
 from hybrid.search.adaptive_genetic import AdaptiveGenetic
 from hybrid.search.search import Array, checked_values
 
@@ -18,20 +20,24 @@ from hybrid.search.search import Array, checked_values
 class AnnealedGenetic(AdaptiveGenetic):
     """An adaptive genetic algorithm with very fast simulated annealing in every step.
 
-    It asks twice in each generation: for the values of the offspring, then for those
-    of a neighbour of each, which takes the offspring's place if it is better, and with
-    probability exp(−Δ/T) if it is worse. Neighbours are far away while the temperature
-    T is high; T falls by a constant factor with every generation. Δ is measured in
+    In each generation t it asks for the values of the offspring, then, in an inner loop
+    at the temperature T = T₀ · cooling^(t/10), for those of a neighbour of each. This
+    takes the individual's place if it is better, and with probability exp(−Δ/T) if it
+    is worse. Neighbours are far away while the temperature is high. Δ is measured in
     spreads of the first population.
 
     Args:
         lower: Lower bounds, shape (d,).
         upper: Upper bounds, shape (d,).
         rng: Source of every random choice.
-        temperature: Temperature of the first generation, in spreads of the first
+        temperature: Temperature T₀ of the first generation, in spreads of the first
             population.
-        cooling: Its factor from one generation to the next.
+        cooling: Its factor from one generation to the tenth after it.
+        chain: Steps of the inner loop, in each generation; ours, as T₀ is.
         options: See :class:`~hybrid.search.adaptive_genetic.AdaptiveGenetic`.
+
+    Raises:
+        HybridError: An argument is out of range.
     """
 
     def __init__(
@@ -42,16 +48,27 @@ class AnnealedGenetic(AdaptiveGenetic):
         rng: np.random.Generator,
         temperature: float = 0.001,
         cooling: float = 0.99,
+        chain: int = 10,
         **options: Any,
     ) -> None:
         super().__init__(lower, upper, rng=rng, **options)
-        self.temperature, self.cooling = temperature, cooling
+        if not (temperature > 0 and 0 < cooling <= 1 and chain >= 1):
+            raise HybridError(
+                f"temperature {temperature}, cooling {cooling}, chain {chain}; valid "
+                "are a temperature above 0, cooling up to 1 and at least one step"
+            )
+        self._first, self._cooling, self._chain = temperature, cooling, chain
         self._spread = 1.0
-        self._annealing = False
+        self._step = 0  # of the inner loop; 0 for the offspring
+
+    @property
+    def temperature(self) -> float:
+        """Temperature of this generation, in spreads of the first population."""
+        return float(self._first * self._cooling ** (self.generation / 10))
 
     def ask(self) -> Array:
-        """Offspring and their neighbours in turn, shape (P, d)."""
-        if not self._annealing:
+        """The offspring, then neighbours of the individuals, shape (P, d)."""
+        if self._step == 0:
             return super().ask()
         self._asked = self._neighbours(self._x)
         return self._asked.copy()
@@ -59,7 +76,7 @@ class AnnealedGenetic(AdaptiveGenetic):
     def tell(self, values: Array) -> None:
         """Values of the points asked for last, shape (P,); smaller is better."""
         values = checked_values(values, self.population)
-        if not self._annealing:
+        if self._step == 0:
             if self.generation == 0:
                 finite = values[np.isfinite(values)]
                 self._spread = max(
@@ -73,9 +90,8 @@ class AnnealedGenetic(AdaptiveGenetic):
             kept = self._rng.random(self.population) < chance
             x = np.where(kept[:, None], self._asked, self._x)
             self._take_over(x, np.where(kept, values, self._values))
-            self.temperature *= self.cooling
-            self.generation += 1
-        self._annealing = not self._annealing
+        self._step = (self._step + 1) % (self._chain + 1)
+        self.generation += self._step == 0
 
     def _neighbours(self, x: Array) -> Array:
         """Points at distances that scale with the temperature, within the bounds."""
