@@ -101,6 +101,22 @@ def butterworth(
     return _filtered(x, rate, cutoff, order, axis, 1)
 
 
+def low_pass_gain(f: Array, *, rate: float, cutoff: float, order: int = 5) -> Array:
+    """Gain of :func:`butterworth` at frequencies ``f``, [Hz], of any shape.
+
+    Args:
+        f: Frequencies up to half the rate, [Hz].
+        rate: Samples per second, [Hz].
+        cutoff: Cut-off, [Hz]; inf for none.
+        order: Order of one pass.
+    """
+    if passes_all(rate, cutoff):
+        return np.ones_like(f)
+    with np.errstate(over="ignore"):
+        warped = np.tan(np.pi * f / rate) / np.tan(np.pi * cutoff / rate)
+        return np.asarray(1.0 / (1.0 + warped ** (2 * order)))
+
+
 def filter_reach(
     relative_cutoff: float, *, order: int = 5, tolerance: float = 1e-6
 ) -> int:
@@ -155,10 +171,9 @@ def passes_all(rate: float, cutoff: float) -> bool:
 
 @lru_cache(maxsize=64)
 def _gain(relative_cutoff: float, order: int, size: int) -> Array:
-    """Squared Butterworth gain at the frequencies of ``rfft``, shape (size//2 + 1,)."""
-    with np.errstate(over="ignore"):
-        warped = np.tan(np.pi * np.fft.rfftfreq(size)) / np.tan(np.pi * relative_cutoff)
-        return np.asarray(1.0 / (1.0 + warped ** (2 * order)))
+    """Gain of both passes at the frequencies of ``rfft``, shape (size//2 + 1,)."""
+    f = np.fft.rfftfreq(size)
+    return low_pass_gain(f, rate=1.0, cutoff=relative_cutoff, order=order)
 
 
 @lru_cache(maxsize=64)

@@ -16,7 +16,7 @@ from hybrid.signals.filters import (
     filter_reach,
     passes_all,
 )
-from hybrid.signals.speed import positions_with_speed
+from hybrid.signals.speed import correction_by_speed
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,8 @@ def motion_from_recording(
     recording = resample(recording)
     rate = (len(recording.t) - 1) / recording.duration
     cutoff = choose_cutoff(recording) if cutoff is None else cutoff
-    q = butterworth(positions_with_speed(recording), rate=rate, cutoff=cutoff)
+    q = butterworth(recording.q, rate=rate, cutoff=cutoff)
+    q = q + correction_by_speed(recording, cutoff=cutoff)
     v = central_difference(q, rate=rate, accuracy=4)
     a = central_difference(v, rate=rate, accuracy=4)
     edge = 4

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.recording.recording import Recording
+from hybrid.signals.filters import low_pass_gain
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
@@ -32,7 +33,7 @@ _BAND = 1.2  # ratio of frequencies that are alike
 # and has noise of its own where nothing moves: else it was computed from these positions.
 _COHERENT = 0.9
 _WORST_SCALE = 0.05
-_SAME_NOISE = 0.5
+_FARTHEST = 6.0  # times their noise: more than that, positions are not corrected
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +50,7 @@ class SpeedCheck:
             moves, shape (n,), 0 to 1.
         same_noise: The same where nothing moves, shape (n,): near 1 for a speed that
             was computed from these positions, and adds nothing to them.
+        noise: Density of the positions' own noise, shape (n,), [rad²/Hz].
         frequency: Frequencies of the weight, shape (F,), [Hz].
         weight: Weight G of the speed, shape (F, n); 0 for a speed not to be used.
     """
@@ -58,6 +60,7 @@ class SpeedCheck:
     lag: Array
     coherence: Array
     same_noise: Array
+    noise: Array
     frequency: Array
     weight: Array
 
@@ -73,13 +76,14 @@ def speed_against_position(recording: Recording) -> SpeedCheck:
     """
     n, v = recording.size, recording.v
     if v is None or len(v) < _FEWEST:
-        return SpeedCheck(*(np.full(n, np.nan),) * 5, np.zeros(1), np.zeros((1, n)))
+        return SpeedCheck(*(np.full(n, np.nan),) * 6, np.zeros(1), np.zeros((1, n)))
     rate = (len(v) - 1) / recording.duration
     f, uu, vv, uv, count = _spectra(_difference(recording), v, rate)
     quiet, w = f > QUIET[0] * rate, 2 * np.pi * f[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        of_position = w**2 * np.median(uu[quiet] / w[quiet] ** 2, axis=0)
-        of_speed = np.median(vv[quiet], axis=0)
+        same = np.mean(np.abs(uv[quiet]) ** 2 / (uu * vv)[quiet], axis=0)
+        noise = (1 - same) * np.median(uu[quiet] / w[quiet] ** 2, axis=0)
+        of_position, of_speed = w**2 * noise, np.median(vv[quiet], axis=0)
         worth = 1 / (of_position + of_speed)
         moving = worth * np.maximum(uu - of_position, 0)
         lag = _lag(w, worth * uv, rate)
@@ -90,46 +94,55 @@ def speed_against_position(recording: Recording) -> SpeedCheck:
         std = np.sqrt((moving * worth * apart).sum(axis=0) / count) / power
         present = np.maximum((worth * vv).sum(axis=0), np.finfo(float).tiny)
         coherence = both**2 / (worth * uu).sum(axis=0) / present
-        same = np.mean(np.abs(uv[quiet]) ** 2 / (uu * vv)[quiet], axis=0)
         good = (coherence > _COHERENT) & (np.abs(scale - 1) < _WORST_SCALE)
         more = np.maximum(_smooth(f, apart) - of_position, of_speed / scale**2)
-        weight = np.where(good & (same < _SAME_NOISE), 1 / (1 + more / of_position), 0)
-    return SpeedCheck(scale, std, lag, coherence, same, f, np.nan_to_num(weight))
+        weight = np.where(good, 1 / (1 + more / of_position), 0)
+    weight = np.nan_to_num(weight)
+    return SpeedCheck(scale, std, lag, coherence, same, noise, f, weight)
 
 
-def positions_with_speed(recording: Recording) -> Array:
-    """Positions of least noise: those measured, and those that measured speeds add.
+def correction_by_speed(recording: Recording, *, cutoff: float) -> Array:
+    """What measured speeds add to low-passed positions to give those of least noise.
+
+    Where that is more than the noise of positions can be, a speed contradicts them: it
+    is then not used at all.
 
     Args:
         recording: Joint log on a uniform clock.
+        cutoff: Cut-off of the same filter as :func:`butterworth`, [Hz]; inf for none.
 
     Returns:
-        Position, shape (N, n), [rad]; exactly as measured for each joint whose speed is
-        not worth anything.
+        Shape (N, n), [rad]; exactly zero for a joint whose speed is not worth anything.
     """
     check = speed_against_position(recording)
+    added = np.zeros_like(recording.q)
     use = np.flatnonzero(check.weight.any(axis=0))
     if recording.v is None or not len(use):
-        return recording.q
+        return added
     from scipy.fft import irfft, next_fast_len, rfft
 
     samples = len(recording.t)
     rate = (samples - 1) / recording.duration
     pad = min(int(_SEGMENT * rate), samples - 1)
     size = next_fast_len(samples + 2 * pad, real=True)
-    f = np.fft.rfftfreq(size, 1 / rate)
-    f = f[1 : np.searchsorted(f, QUIET[1] * rate)]
+    f = np.fft.rfftfreq(size, 1 / rate)[1:]
+    f = f[f < QUIET[1] * rate]
     w = 2 * np.pi * f
-    q, u = recording.q.copy(), _difference(recording)
+    low = low_pass_gain(f, rate=rate, cutoff=cutoff)
+    u = _difference(recording)
     for j in use:
         both = np.stack([u[:, j], recording.v[:, j]])
-        U, V = rfft(np.pad(both, ((0, 0), (pad, pad)), mode="reflect"), size)
-        V = V[1 : len(f) + 1] * np.exp(1j * w * check.lag[j]) / check.scale[j]
-        U = U[1 : len(f) + 1] / np.sinc(2 * f / rate)
-        weight = np.interp(f, check.frequency, check.weight[:, j])
-        added = np.concatenate([[0], weight * (V - U) / (1j * w)])
-        q[:, j] += irfft(added, size)[pad : pad + samples]
-    return q
+        both = rfft(np.pad(both, ((0, 0), (pad, pad)), mode="reflect"), size)
+        U, V = both[:, 1 : len(f) + 1]
+        U /= np.sinc(2 * f / rate)
+        V *= np.exp(1j * w * check.lag[j]) / check.scale[j]
+        gain = np.interp(f, check.frequency, check.weight[:, j])
+        found = np.concatenate([[0], low * gain * (V - U) / (1j * w)])
+        found = irfft(found, size)[pad : pad + samples]
+        usual = check.noise[j] * (low**2 * gain).sum() * f[0]
+        if np.abs(found).max() < _FARTHEST * np.sqrt(usual):
+            added[:, j] = found
+    return added
 
 
 def _difference(recording: Recording) -> Array:
@@ -157,6 +170,7 @@ def _spectra(
     f = f[f < QUIET[1] * rate]
     slope = np.sinc(2 * f / rate)
     window = blackmanharris(size)
+    window /= np.sqrt((window**2).sum() * rate / 2)  # one-sided densities
     uu = vv = np.zeros(())
     uv = np.zeros((), dtype=complex)
     for first in np.linspace(0, len(u) - size, count).astype(int):
