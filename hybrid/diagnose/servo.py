@@ -187,7 +187,7 @@ def _signals(
     motion, chain = gap.motions[k], gap.robot.chain
     wanted = motion_from_recording(
         replace(recording, q=recording.command, v=None),
-        cutoff=_POSITION_CUTOFF * gap.cutoff
+        cutoff=_POSITION_CUTOFF * gap.cutoff,
     )
     feed = RigidBody(chain, wanted).load + chain.armature * wanted.a
     still = replace(motion, v=0 * motion.v, a=0 * motion.a)

@@ -172,7 +172,7 @@ def passes_all(rate: float, cutoff: float) -> bool:
 @lru_cache(maxsize=64)
 def _gain(relative_cutoff: float, order: int, size: int) -> Array:
     """Gain of both passes at the frequencies of ``rfft``, shape (size//2 + 1,)."""
-    f = np.fft.rfftfreq(size)
+    f = np.asarray(np.fft.rfftfreq(size), dtype=np.float64)
     return low_pass_gain(f, rate=1.0, cutoff=relative_cutoff, order=order)
 
 

@@ -1,4 +1,4 @@
-"""Recording -> motion: filter and differentiate."""
+"""Recording -> motion: fuse, filter and differentiate."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ def motion_from_recording(
 ) -> Motion:
     """Filter and differentiate positions; torque stays as measured.
 
-    Speed and acceleration come from the filtered position and not from a measured
-    speed, whose own filter and delay are unknown: v and a are then exactly consistent
-    with q and with each other.
+    A measured speed corrects positions where it knows better than they do (see
+    :func:`correction_by_speed`); speed and acceleration are the derivatives of these
+    positions, exactly consistent with them and with each other.
 
     Args:
         recording: Joint log; an irregular clock is made uniform first.

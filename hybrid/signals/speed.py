@@ -6,34 +6,40 @@ each frequency, the estimate of least variance from both is
     Q̂ = Q + G · (V − jωQ) / jω,     G = ω² N_q / (ω² N_q + N_v):
 
 position below the crossover of the two noises, integrated speed above. The noise of
-positions is white: their spectrum where nothing moves. That of a speed is its own there
-and, elsewhere, by how much more than the noise of positions it contradicts them: a speed
-that is filtered or wrong loses its weight at the frequencies at which that shows.
+positions is white: what of their spectrum, where nothing moves, is not in the speed too
+(one that was computed from them shares all). That of a speed is its spectrum there and,
+elsewhere, by how much more than their noise it contradicts positions: a speed that is
+filtered or wrong loses its weight at the frequencies at which that shows.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.recording.recording import Recording
+from hybrid.signals.cutoff import QUIET
 from hybrid.signals.filters import low_pass_gain
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
-QUIET = (0.3, 0.45)  # of the rate: frequencies at which an arm does not move
 _SEGMENT = 4.0  # s: of a spectrum
 _FEWEST = 64  # samples of which a spectrum is made
 _LATEST = 0.05  # s: drivers average over less
 _BAND = 1.2  # ratio of frequencies that are alike
-# A speed is used if it agrees with positions where the arm moves, is a speed in rad/s,
-# and has noise of its own where nothing moves: else it was computed from these positions.
+# A speed is used if it is one: it agrees with positions where the arm moves, in rad/s.
 _COHERENT = 0.9
-_WORST_SCALE = 0.05
+_WORST_SCALE = 0.05  # off one
+_MOST_SHIFTS, _SHIFTED = 3, 0.01  # passes; samples
 _FARTHEST = 6.0  # times their noise: more than that, positions are not corrected
+
+
+_TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,27 +84,39 @@ def speed_against_position(recording: Recording) -> SpeedCheck:
     if v is None or len(v) < _FEWEST:
         return SpeedCheck(*(np.full(n, np.nan),) * 6, np.zeros(1), np.zeros((1, n)))
     rate = (len(v) - 1) / recording.duration
-    f, uu, vv, uv, count = _spectra(_difference(recording), v, rate)
-    quiet, w = f > QUIET[0] * rate, 2 * np.pi * f[:, None]
+    u, prompt, lag = _difference(recording), v, np.zeros(n)
+    both = _spectra(u, prompt, rate)
+    for _ in range(_MOST_SHIFTS):
+        late = both.lag
+        if np.abs(late).max() * rate < _SHIFTED:
+            break
+        lag = np.clip(lag + late, -_LATEST, _LATEST)
+        prompt = _earlier(v, lag, rate)
+        both = _spectra(u, prompt, rate)
+    return _judged(both, lag)
+
+
+def _judged(both: _Spectra, lag: Array) -> SpeedCheck:
+    """Judge spectra of two signals that are in step, after one came late."""
+    uu, vv, uv = both.uu, both.vv, both.uv.real
+    worth, of_position = both.worth, both.of_position
     with np.errstate(divide="ignore", invalid="ignore"):
-        same = np.mean(np.abs(uv[quiet]) ** 2 / (uu * vv)[quiet], axis=0)
-        noise = (1 - same) * np.median(uu[quiet] / w[quiet] ** 2, axis=0)
-        of_position, of_speed = w**2 * noise, np.median(vv[quiet], axis=0)
-        worth = 1 / (of_position + of_speed)
         moving = worth * np.maximum(uu - of_position, 0)
-        lag = _lag(w, worth * uv, rate)
-        turned = (uv * np.exp(1j * w * lag)).real
-        power, both = moving.sum(axis=0), (worth * turned).sum(axis=0)
-        scale = both / power
-        apart = np.maximum(vv / scale**2 + uu - 2 * turned / scale, 0)
-        std = np.sqrt((moving * worth * apart).sum(axis=0) / count) / power
-        present = np.maximum((worth * vv).sum(axis=0), np.finfo(float).tiny)
-        coherence = both**2 / (worth * uu).sum(axis=0) / present
+        power, shared = moving.sum(axis=0), (worth * uv).sum(axis=0)
+        scale = shared / power
+        apart = np.maximum(vv / scale**2 + uu - 2 * uv / scale, 0)
+        std = np.sqrt((moving * worth * apart).sum(axis=0) / both.count) / power
+        present = np.maximum((worth * vv).sum(axis=0), _TINY)
+        coherence = shared**2 / (worth * uu).sum(axis=0) / present
         good = (coherence > _COHERENT) & (np.abs(scale - 1) < _WORST_SCALE)
-        more = np.maximum(_smooth(f, apart) - of_position, of_speed / scale**2)
-        weight = np.where(good, 1 / (1 + more / of_position), 0)
-    weight = np.nan_to_num(weight)
-    return SpeedCheck(scale, std, lag, coherence, same, noise, f, weight)
+        more = np.maximum(
+            _smooth(both.f, apart) - of_position, both.of_speed / scale**2
+        )
+        weight = np.nan_to_num(np.where(good, 1 / (1 + more / of_position), 0))
+    noise = (of_position / both.w**2)[0]
+    return SpeedCheck(
+        scale, std, lag, coherence, both.same_noise, noise, both.f, weight
+    )
 
 
 def correction_by_speed(recording: Recording, *, cutoff: float) -> Array:
@@ -114,33 +132,28 @@ def correction_by_speed(recording: Recording, *, cutoff: float) -> Array:
     Returns:
         Shape (N, n), [rad]; exactly zero for a joint whose speed is not worth anything.
     """
-    check = speed_against_position(recording)
+    check, v = speed_against_position(recording), recording.v
     added = np.zeros_like(recording.q)
     use = np.flatnonzero(check.weight.any(axis=0))
-    if recording.v is None or not len(use):
+    if v is None or not len(use):
         return added
     from scipy.fft import irfft, next_fast_len, rfft
 
-    samples = len(recording.t)
-    rate = (samples - 1) / recording.duration
+    samples, rate = len(v), (len(v) - 1) / recording.duration
     pad = min(int(_SEGMENT * rate), samples - 1)
     size = next_fast_len(samples + 2 * pad, real=True)
-    f = np.fft.rfftfreq(size, 1 / rate)[1:]
-    f = f[f < QUIET[1] * rate]
-    w = 2 * np.pi * f
+    f = _moving_band(size, rate)
+    w, slope = 2 * np.pi * f, np.sinc(2 * f / rate)
     low = low_pass_gain(f, rate=rate, cutoff=cutoff)
-    u = _difference(recording)
+    u, v = _difference(recording), _earlier(v, np.nan_to_num(check.lag), rate)
     for j in use:
-        both = np.stack([u[:, j], recording.v[:, j]])
-        both = rfft(np.pad(both, ((0, 0), (pad, pad)), mode="reflect"), size)
-        U, V = both[:, 1 : len(f) + 1]
-        U /= np.sinc(2 * f / rate)
-        V *= np.exp(1j * w * check.lag[j]) / check.scale[j]
-        gain = np.interp(f, check.frequency, check.weight[:, j])
-        found = np.concatenate([[0], low * gain * (V - U) / (1j * w)])
-        found = irfft(found, size)[pad : pad + samples]
-        usual = check.noise[j] * (low**2 * gain).sum() * f[0]
-        if np.abs(found).max() < _FARTHEST * np.sqrt(usual):
+        both = np.pad(np.stack([u[:, j], v[:, j]]), ((0, 0), (pad, pad)), "reflect")
+        U, V = rfft(both, size)[:, 1 : len(f) + 1]
+        apart = V / check.scale[j] - U / slope
+        gain = low * np.interp(f, check.frequency, check.weight[:, j])
+        found = irfft(np.append(0, gain * apart / (1j * w)), size)[pad : pad + samples]
+        usual = np.sqrt(check.noise[j] * (low * gain).sum() * f[0])
+        if np.abs(found).max() < _FARTHEST * usual:
             added[:, j] = found
     return added
 
@@ -151,55 +164,116 @@ def _difference(recording: Recording) -> Array:
     return np.asarray(np.gradient(recording.q, axis=0) * rate)
 
 
-def _spectra(
-    u: Array, v: Array, rate: float
-) -> tuple[Array, Array, Array, Spectrum, int]:
-    """Frequencies (F,), spectra (F, n) of both signals and of them, and their count.
+@dataclass(frozen=True)
+class _Spectra:
+    """Densities of differentiated positions u, their slope a, and speeds v.
 
-    Args:
-        u: Central differences of position, shape (N, n), [rad/s].
-        v: Measured speed, shape (N, n), [rad/s].
-        rate: Samples per second, [Hz].
+    Attributes:
+        f: Frequencies, shape (F,), [Hz].
+        uu: Of u, shape (F, n), [rad²/s²/Hz].
+        vv: Of v.
+        uv: Of u and v, complex.
+        aa: Of a.
+        av: Of a and v, real part.
+        au: Of a and u, real part.
+        count: Number of segments they are means of.
     """
+
+    f: Array
+    uu: Array
+    vv: Array
+    uv: Spectrum
+    aa: Array
+    av: Array
+    au: Array
+    count: int
+
+    @cached_property
+    def w(self) -> Array:
+        """Frequencies, shape (F, 1), [rad/s]."""
+        return 2 * np.pi * self.f[:, None]
+
+    @cached_property
+    def quiet(self) -> slice:
+        """Frequencies at which nothing moves."""
+        return slice(
+            int(np.searchsorted(self.f, self.f[-1] * QUIET[0] / QUIET[1])), None
+        )
+
+    @cached_property
+    def same_noise(self) -> Array:
+        """Coherence where nothing moves, shape (n,)."""
+        uu, vv, uv = (x[self.quiet] for x in (self.uu, self.vv, self.uv))
+        return np.asarray(np.mean(np.abs(uv) ** 2 / np.maximum(uu * vv, _TINY), axis=0))
+
+    @cached_property
+    def of_position(self) -> Array:
+        """Noise of u that is not in v, shape (F, n)."""
+        noise = np.median((self.uu / self.w**2)[self.quiet], axis=0)
+        return np.asarray(self.w**2 * (1 - self.same_noise) * noise)
+
+    @cached_property
+    def of_speed(self) -> Array:
+        """Noise of v where nothing moves, shape (n,)."""
+        return np.asarray(np.median(self.vv[self.quiet], axis=0))
+
+    @cached_property
+    def worth(self) -> Array:
+        """Weight of each frequency in least squares, shape (F, n); 0 for noise."""
+        noise = np.maximum(self.of_position + self.of_speed, _TINY)
+        return np.where(self.uu > 2 * self.of_position, 1 / noise, 0)
+
+    @cached_property
+    def lag(self) -> Array:
+        """By least squares of v ≈ scale · (u − lag · a), shape (n,), [s]."""
+        terms = self.uu, self.aa, self.au, self.uv.real, self.av
+        uu, aa, au, uv, av = ((self.worth * x).sum(axis=0) for x in terms)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = (au * uv - uu * av) / (aa * uv - au * av)
+        return np.asarray(np.nan_to_num(found))
+
+
+def _spectra(u: Array, v: Array, rate: float) -> _Spectra:
+    """Spectra of central differences of position and of speed, shapes (N, n)."""
     from scipy.fft import rfft
     from scipy.signal.windows import blackmanharris
 
     size = min(len(u), int(_SEGMENT * rate))
     count = 2 * len(u) // size - 1
-    f = np.fft.rfftfreq(size, 1 / rate)[1:]
-    f = f[f < QUIET[1] * rate]
-    slope = np.sinc(2 * f / rate)
-    window = blackmanharris(size)
+    f = _moving_band(size, rate)
+    slope, window = np.sinc(2 * f / rate), blackmanharris(size)
     window /= np.sqrt((window**2).sum() * rate / 2)  # one-sided densities
-    uu = vv = np.zeros(())
-    uv = np.zeros((), dtype=complex)
+    signals = np.stack([u.T, np.gradient(u.T, axis=1) * rate, v.T])
+    sums: list[Any] = [0.0] * 6
     for first in np.linspace(0, len(u) - size, count).astype(int):
-        parts = np.stack([x[first : first + size].T for x in (u, v)])
-        parts = window * (parts - parts.mean(axis=-1, keepdims=True))
-        U, V = rfft(parts)[..., 1 : len(f) + 1]
-        U /= slope
-        uu, vv, uv = uu + np.abs(U) ** 2, vv + np.abs(V) ** 2, uv + U.conj() * V
-    return f, uu.T / count, vv.T / count, uv.T / count, count
+        part = signals[..., first : first + size]
+        part = window * (part - part.mean(axis=-1, keepdims=True))
+        U, A, V = rfft(part)[..., 1 : len(f) + 1]
+        U, A = U / slope, A / slope**2
+        terms = (U, U), (V, V), (U, V), (A, A), (A, V), (A, U)
+        sums = [s + x.conj() * y for s, (x, y) in zip(sums, terms, strict=True)]
+    uu, vv, uv, aa, av, au = (s.T / count for s in sums)
+    return _Spectra(f, uu.real, vv.real, uv, aa.real, av.real, au.real, count)
 
 
-def _lag(w: Array, uv: Spectrum, rate: float) -> Array:
-    """Lag of greatest cross-correlation in size, shape (n,), [s].
+def _moving_band(size: int, rate: float) -> Array:
+    """Frequencies of ``rfft`` above zero at which differences tell a slope, [Hz]."""
+    f = np.asarray(np.fft.rfftfreq(size, 1 / rate), dtype=np.float64)
+    return f[1 : np.searchsorted(f, QUIET[1] * rate)]
 
-    Args:
-        w: Frequencies, shape (F, 1), [rad/s].
-        uv: Cross-spectrum, shape (F, n).
-        rate: Samples per second, [Hz].
-    """
-    uv = np.nan_to_num(uv)
-    most = int(np.ceil(_LATEST * rate))
-    lags = np.arange(-most, most + 1) / rate
-    lag = lags[np.argmax(np.abs((np.exp(1j * lags[:, None] * w.T) @ uv).real), axis=0)]
-    for _ in range(3):  # Newton's method: between samples
-        turned = uv * np.exp(1j * w * lag)
-        bend = (w**2 * turned.real).sum(axis=0)
-        step = -(w * turned.imag).sum(axis=0) / np.where(bend == 0, 1, bend)
-        lag = lag + np.clip(step, -1 / rate, 1 / rate)
-    return lag
+
+def _earlier(x: Array, lag: Array, rate: float) -> Array:
+    """Signals (N, n), each earlier by its lag, shape (n,), [s]."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    pad = min(int(2 * _LATEST * rate) + 1, len(x) - 1)
+    size = next_fast_len(len(x) + 2 * pad, real=True)
+    w = 2 * np.pi * np.fft.rfftfreq(size, 1 / rate)
+    # Point reflection keeps value and slope at the ends, which shifts bring in.
+    longer = np.pad(x.T, ((0, 0), (pad, pad)), "reflect", reflect_type="odd")
+    spectrum = rfft(longer, size)
+    shifted = irfft(spectrum * np.exp(1j * w * lag[:, None]), size)
+    return np.asarray(shifted[:, pad : pad + len(x)].T)
 
 
 def _smooth(f: Array, x: Array) -> Array:
