@@ -8,6 +8,7 @@ from hybrid.signals.cutoff import choose_cutoff
 from hybrid.signals.filters import (
     Sampler,
     butterworth,
+    butterworth_gain,
     central_difference,
     filter_reach,
 )
@@ -22,6 +23,7 @@ __all__ = [
     "SpeedCheck",
     "average_periods",
     "butterworth",
+    "butterworth_gain",
     "central_difference",
     "choose_cutoff",
     "filter_reach",

@@ -101,19 +101,22 @@ def butterworth(
     return _filtered(x, rate, cutoff, order, axis, 1)
 
 
-def low_pass_gain(f: Array, *, rate: float, cutoff: float, order: int = 5) -> Array:
-    """Gain of :func:`butterworth` at frequencies ``f``, [Hz], of any shape.
+def butterworth_gain(
+    frequency: Array, *, rate: float, cutoff: float, order: int = 5
+) -> Array:
+    """Gain of :func:`butterworth` at some frequencies; none above half the rate.
 
     Args:
-        f: Frequencies up to half the rate, [Hz].
+        frequency: Frequencies, any shape, [Hz].
         rate: Samples per second, [Hz].
-        cutoff: Cut-off, [Hz]; inf for none.
+        cutoff: Cut-off, [Hz].
         order: Order of one pass.
     """
     if passes_all(rate, cutoff):
-        return np.ones_like(f)
+        return np.asarray(frequency < rate / 2, dtype=np.float64)
+    below = np.clip(np.abs(frequency) / rate, 0.0, 0.4999)
     with np.errstate(over="ignore"):
-        warped = np.tan(np.pi * f / rate) / np.tan(np.pi * cutoff / rate)
+        warped = np.tan(np.pi * below) / np.tan(np.pi * cutoff / rate)
         return np.asarray(1.0 / (1.0 + warped ** (2 * order)))
 
 
@@ -173,7 +176,7 @@ def passes_all(rate: float, cutoff: float) -> bool:
 def _gain(relative_cutoff: float, order: int, size: int) -> Array:
     """Gain of both passes at the frequencies of ``rfft``, shape (size//2 + 1,)."""
     f = np.asarray(np.fft.rfftfreq(size), dtype=np.float64)
-    return low_pass_gain(f, rate=1.0, cutoff=relative_cutoff, order=order)
+    return butterworth_gain(f, rate=1.0, cutoff=relative_cutoff, order=order)
 
 
 @lru_cache(maxsize=64)

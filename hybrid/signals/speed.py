@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from hybrid.recording.recording import Recording
 from hybrid.signals.cutoff import QUIET
-from hybrid.signals.filters import low_pass_gain
+from hybrid.signals.filters import butterworth_gain
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
@@ -35,7 +35,7 @@ _BAND = 1.2  # ratio of frequencies that are alike
 # A speed is used if it is one: it agrees with positions where the arm moves, in rad/s.
 _COHERENT = 0.9
 _WORST_SCALE = 0.05  # off one
-_MOST_SHIFTS, _SHIFTED = 3, 0.01  # passes; samples
+_MOST_SHIFTS, _SHIFTED = 3, 0.05  # passes; samples
 _FARTHEST = 6.0  # times their noise: more than that, positions are not corrected
 
 
@@ -144,7 +144,7 @@ def correction_by_speed(recording: Recording, *, cutoff: float) -> Array:
     size = next_fast_len(samples + 2 * pad, real=True)
     f = _moving_band(size, rate)
     w, slope = 2 * np.pi * f, np.sinc(2 * f / rate)
-    low = low_pass_gain(f, rate=rate, cutoff=cutoff)
+    low = butterworth_gain(f, rate=rate, cutoff=cutoff)
     u, v = _difference(recording), _earlier(v, np.nan_to_num(check.lag), rate)
     for j in use:
         both = np.pad(np.stack([u[:, j], v[:, j]]), ((0, 0), (pad, pad)), "reflect")
