@@ -86,15 +86,15 @@ def motion_from_recording(
     recording = resample(recording)
     rate = (len(recording.t) - 1) / recording.duration
     cutoff = choose_cutoff(recording) if cutoff is None else cutoff
-    q = butterworth(recording.q, rate=rate, cutoff=cutoff)
-    q = q + correction_by_speed(recording, cutoff=cutoff)
-    v = central_difference(q, rate=rate, accuracy=4)
-    a = central_difference(v, rate=rate, accuracy=4)
     edge = 4
     if not passes_all(rate, cutoff):
         edge += filter_reach(cutoff / rate, tolerance=0.04)
-    mask = np.zeros(len(q), dtype=bool)
+    mask = np.zeros(len(recording.t), dtype=bool)
     mask[edge:-edge] = True
+    q = butterworth(recording.q, rate=rate, cutoff=cutoff)
+    q = q + correction_by_speed(recording, cutoff=cutoff, mask=mask)
+    v = central_difference(q, rate=rate, accuracy=4)
+    a = central_difference(v, rate=rate, accuracy=4)
     return Motion(
         t=recording.t,
         q=q,

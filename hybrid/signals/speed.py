@@ -36,9 +36,9 @@ _BAND = 1.2  # ratio of frequencies that are alike
 _COHERENT = 0.9
 _WORST_SCALE = 0.05  # off one
 _MOST_SHIFTS, _SHIFTED = 3, 0.05  # passes; samples
-_FARTHEST = 6.0  # times their noise: more than that, positions are not corrected
-
-
+# Times their usual noise that positions are corrected, at most: twice the largest of a
+# log's many samples, as some noise is greater where the arm is fast.
+_FARTHEST = 8.0
 _TINY = np.finfo(float).tiny
 
 
@@ -119,7 +119,9 @@ def _judged(both: _Spectra, lag: Array) -> SpeedCheck:
     )
 
 
-def correction_by_speed(recording: Recording, *, cutoff: float) -> Array:
+def correction_by_speed(
+    recording: Recording, *, cutoff: float, mask: NDArray[np.bool_]
+) -> Array:
     """What measured speeds add to low-passed positions to give those of least noise.
 
     Where that is more than the noise of positions can be, a speed contradicts them: it
@@ -128,6 +130,7 @@ def correction_by_speed(recording: Recording, *, cutoff: float) -> Array:
     Args:
         recording: Joint log on a uniform clock.
         cutoff: Cut-off of the same filter as :func:`butterworth`, [Hz]; inf for none.
+        mask: Samples by which a speed is judged, shape (N,).
 
     Returns:
         Shape (N, n), [rad]; exactly zero for a joint whose speed is not worth anything.
@@ -153,7 +156,7 @@ def correction_by_speed(recording: Recording, *, cutoff: float) -> Array:
         gain = low * np.interp(f, check.frequency, check.weight[:, j])
         found = irfft(np.append(0, gain * apart / (1j * w)), size)[pad : pad + samples]
         usual = np.sqrt(check.noise[j] * (low * gain).sum() * f[0])
-        if np.abs(found).max() < _FARTHEST * usual:
+        if np.abs(found[mask]).max(initial=0.0) < _FARTHEST * usual:
             added[:, j] = found
     return added
 
