@@ -113,7 +113,7 @@ def _judged(both: _Spectra, lag: Array) -> SpeedCheck:
             _smooth(both.f, apart) - of_position, both.of_speed / scale**2
         )
         weight = np.nan_to_num(np.where(good, 1 / (1 + more / of_position), 0))
-    noise = (of_position / both.w**2)[0]
+    noise, lag = (of_position / both.w**2)[0], np.where(np.isnan(scale), np.nan, lag)
     return SpeedCheck(
         scale, std, lag, coherence, both.same_noise, noise, both.f, weight
     )
