@@ -1,16 +1,18 @@
 """Filters leave what is slow and take what is fast, without delay and without edges."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, lfilter, sosfiltfilt
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording, read_all
 from hybrid.signals import (
+    Motion,
     Sampler,
     average_periods,
     butterworth,
@@ -19,6 +21,7 @@ from hybrid.signals import (
     filter_reach,
     fourier_fit,
     motion_from_recording,
+    speed_against_position,
 )
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -200,12 +203,135 @@ def test_motion_has_the_derivatives_of_the_true_motion_where_its_mask_is_true():
     assert np.array_equal(motion.tau, recording.tau)
 
 
-def test_speed_comes_from_position_whatever_speed_was_measured():
-    recording = swing()
-    wrong = Recording(**vars(recording) | {"v": np.ones_like(recording.q)})
-    assert np.array_equal(
-        motion_from_recording(wrong).v, motion_from_recording(recording).v
+def measured(noise: float = 1e-4, **speed: float) -> tuple[Recording, np.ndarray]:
+    """A noisy log with a speed that is scaled, late and noisy, and the true speed."""
+    log, t = swing(duration=20.0, noise=noise), np.arange(int(20 * RATE)) / RATE
+    late = t - speed.get("lag", 0.0)
+    v = np.stack(
+        [
+            2 * np.cos(2 * late) + 2.1 * np.cos(7 * late),
+            -3 * np.sin(3 * late) - 2.2 * np.cos(11 * late),
+        ],
+        axis=1,
     )
+    rng = np.random.default_rng(1)
+    v = speed.get("scale", 1.0) * v + speed.get("noise", 1e-3) * rng.normal(
+        size=v.shape
+    )
+    true = motion_from_recording(swing(duration=20.0), cutoff=np.inf).v
+    return replace(log, v=v), true
+
+
+def without_speed(log: Recording, cutoff: float | None = None) -> Motion:
+    return motion_from_recording(replace(log, v=None), cutoff=cutoff)
+
+
+@pytest.mark.parametrize("speed", [{}, {"lag": 0.004}, {"lag": -0.003, "scale": 0.98}])
+def test_a_measured_speed_of_little_noise_makes_the_motion_better(speed):
+    log, true = measured(**speed)
+    fused, plain = motion_from_recording(log, cutoff=20.0), without_speed(log, 20.0)
+    for order in ("v", "a"):
+        mask, x = fused.mask, true
+        if order == "a":
+            x = central_difference(true, rate=RATE, accuracy=4)
+        left, before = (getattr(m, order)[mask] - x[mask] for m in (fused, plain))
+        assert np.all(left.std(axis=0) < 0.5 * before.std(axis=0))
+    # One motion: speed and acceleration are its derivatives.
+    assert np.array_equal(fused.v, central_difference(fused.q, rate=RATE, accuracy=4))
+    assert np.array_equal(fused.a, central_difference(fused.v, rate=RATE, accuracy=4))
+    assert np.abs(fused.q - plain.q).max() < 4e-4  # by no more than their noise
+
+
+def test_scale_and_lag_of_a_measured_speed_are_found():
+    check = speed_against_position(measured(lag=0.004, scale=0.9)[0])
+    assert np.all(np.abs(check.scale - 0.9) < 4 * check.scale_std)
+    assert np.all(check.scale_std < 1e-3)
+    assert check.lag == pytest.approx(0.004, abs=1e-4)
+    assert np.all(check.coherence > 0.99)
+    assert np.all(check.same_noise < 0.5)
+    backward = speed_against_position(measured(scale=-1.0)[0])
+    assert backward.scale == pytest.approx(-1.0, abs=0.01)
+    assert not backward.weight.any()
+
+
+def stops(v: np.ndarray, first: int, last: int) -> np.ndarray:
+    """The same, but zero for a while."""
+    v = v.copy()
+    v[first:last] = 0.0
+    return v
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        pytest.param(lambda v, q: np.ones_like(v), id="constant"),
+        pytest.param(lambda v, q: np.zeros_like(v), id="zero"),
+        pytest.param(lambda v, q: 0.9 * v, id="a tenth too slow"),
+        pytest.param(lambda v, q: -v, id="backward"),
+        pytest.param(lambda v, q: np.degrees(v), id="degrees"),
+        pytest.param(lambda v, q: v[:, ::-1], id="of the other joint"),
+        pytest.param(lambda v, q: stops(v, 4000, 4200), id="stops for a while"),
+        pytest.param(lambda v, q: stops(v, 9700, 10_000), id="stops at the end"),
+        pytest.param(
+            lambda v, q: np.random.default_rng(0).normal(size=v.shape), id="noise"
+        ),
+    ],
+)
+def test_a_speed_that_is_none_changes_nothing(spoil):
+    log, _ = measured()
+    spoilt = replace(log, v=spoil(log.v, log.q))
+    fused, plain = motion_from_recording(spoilt), without_speed(spoilt)
+    assert np.array_equal(fused.q, plain.q)
+    assert np.array_equal(fused.a, plain.a)
+
+
+def test_a_speed_that_was_computed_from_the_positions_adds_nothing():
+    log, true = measured()
+    backward = np.diff(log.q, axis=0, prepend=log.q[:1]) * RATE
+    computed = replace(log, v=backward)
+    assert np.all(speed_against_position(computed).same_noise > 0.9)
+    fused, plain = motion_from_recording(computed), without_speed(computed)
+    change = (fused.v - plain.v)[plain.mask].std(axis=0)
+    assert np.all(change < 0.02 * (plain.v - true)[plain.mask].std(axis=0))
+
+
+def test_a_filtered_speed_is_not_followed_where_it_loses_motion():
+    log, true = measured(noise=1e-5)
+    slow = lfilter([1 - 0.94], [1, -0.94], log.v, axis=0)  # 5 Hz, 31 ms late
+    log = replace(log, v=slow)
+    fused, plain = motion_from_recording(log), without_speed(log)
+    errors = [np.std((m.v - true)[m.mask], axis=0) for m in (fused, plain)]
+    assert np.all(errors[0] < 1.03 * errors[1])
+
+
+def test_each_joint_is_judged_on_its_own():
+    log, _ = measured()
+    half = replace(log, v=log.v * [1.0, 0.0])
+    still = replace(log, q=log.q * [1.0, 0.0], v=half.v)
+    for spoilt in (half, still):
+        moved = motion_from_recording(spoilt).q != without_speed(spoilt).q
+        assert moved[:, 0].any()
+        assert not moved[:, 1].any()
+    none, zero = speed_against_position(still), speed_against_position(half)
+    assert np.isnan([none.scale[1], none.lag[1], none.coherence[1]]).all()
+    assert zero.scale[1] == zero.coherence[1] == 0.0
+
+
+@pytest.mark.parametrize("samples", [2, 20, 70, 500])
+def test_a_short_log_keeps_its_positions_or_is_corrected_within_their_noise(samples):
+    log, _ = measured()
+    short = replace(
+        log, t=log.t[:samples], q=log.q[:samples], v=log.v[:samples],
+        tau=log.tau[:samples],
+    )  # fmt: skip
+    check = speed_against_position(short)
+    assert check.weight.shape == (len(check.frequency), 2)
+    assert np.isfinite(check.weight).all()
+    if samples > 5:
+        fused, plain = (
+            f(short, cutoff=20.0) for f in (motion_from_recording, without_speed)
+        )
+        assert np.abs(fused.q - plain.q).max() < 4e-4
 
 
 def test_motion_of_an_irregular_clock_is_on_a_uniform_one():

@@ -186,7 +186,8 @@ def _signals(
     assert recording.command is not None
     motion, chain = gap.motions[k], gap.robot.chain
     wanted = motion_from_recording(
-        replace(recording, q=recording.command), cutoff=_POSITION_CUTOFF * gap.cutoff
+        replace(recording, q=recording.command, v=None),
+        cutoff=_POSITION_CUTOFF * gap.cutoff,
     )
     feed = RigidBody(chain, wanted).load + chain.armature * wanted.a
     still = replace(motion, v=0 * motion.v, a=0 * motion.a)

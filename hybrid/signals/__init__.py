@@ -1,4 +1,4 @@
-"""Recording -> motion: filter, differentiate, decimate, average periods.
+"""Recording -> motion: fuse, filter, differentiate, decimate, average periods.
 
 Columns of a model are evaluated at full rate from a :class:`Motion`; columns and
 measured torque then pass through the same :class:`Sampler`.
@@ -14,11 +14,13 @@ from hybrid.signals.filters import (
 )
 from hybrid.signals.motion import Motion, motion_from_recording
 from hybrid.signals.periodic import FourierMotion, average_periods, fourier_fit
+from hybrid.signals.speed import SpeedCheck, speed_against_position
 
 __all__ = [
     "FourierMotion",
     "Motion",
     "Sampler",
+    "SpeedCheck",
     "average_periods",
     "butterworth",
     "butterworth_gain",
@@ -27,4 +29,5 @@ __all__ = [
     "filter_reach",
     "fourier_fit",
     "motion_from_recording",
+    "speed_against_position",
 ]

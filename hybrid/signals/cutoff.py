@@ -6,6 +6,8 @@ import numpy as np
 
 from hybrid.recording.recording import Recording
 
+QUIET = (0.3, 0.45)  # of the rate: frequencies at which an arm does not move
+
 
 def choose_cutoff(recording: Recording) -> float:
     """Cut-off above which positions hold more noise than motion.
@@ -37,13 +39,14 @@ def choose_cutoff(recording: Recording) -> float:
         detrend="linear",
         axis=0,
     )
-    noise = np.median(power[(f > 0.3 * rate) & (f < 0.45 * rate)], axis=0)
+    quiet = (f > QUIET[0] * rate) & (f < QUIET[1] * rate)
+    noise = np.median(power[quiet], axis=0)
     # A simulated log has no noise: then encoder resolution, 1e-14 of the peak, counts.
     above = power > 30 * np.maximum(noise, 1e-14 * power.max(axis=0))
     # Single bins above or below the floor by chance do not count: majority over 2 Hz.
     width = max(1, int(np.searchsorted(f, 2.0)))
     window = np.ones((width, 1)) / width
     share = np.apply_along_axis(np.convolve, 0, above, window[:, 0], mode="same")
-    quiet = (share < 0.5) & (f > 0.5)[:, None]
-    ends = np.where(quiet.any(axis=0), f[np.argmax(quiet, axis=0)], highest)
+    ended = (share < 0.5) & (f > 0.5)[:, None]
+    ends = np.where(ended.any(axis=0), f[np.argmax(ended, axis=0)], highest)
     return float(np.clip(1.5 * np.median(ends), 5.0, highest))

@@ -174,10 +174,9 @@ def passes_all(rate: float, cutoff: float) -> bool:
 
 @lru_cache(maxsize=64)
 def _gain(relative_cutoff: float, order: int, size: int) -> Array:
-    """Squared Butterworth gain at the frequencies of ``rfft``, shape (size//2 + 1,)."""
-    with np.errstate(over="ignore"):
-        warped = np.tan(np.pi * np.fft.rfftfreq(size)) / np.tan(np.pi * relative_cutoff)
-        return np.asarray(1.0 / (1.0 + warped ** (2 * order)))
+    """Gain of both passes at the frequencies of ``rfft``, shape (size//2 + 1,)."""
+    f = np.asarray(np.fft.rfftfreq(size), dtype=np.float64)
+    return butterworth_gain(f, rate=1.0, cutoff=relative_cutoff, order=order)
 
 
 @lru_cache(maxsize=64)

@@ -1,4 +1,4 @@
-"""Recording -> motion: filter and differentiate."""
+"""Recording -> motion: fuse, filter and differentiate."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from hybrid.signals.filters import (
     filter_reach,
     passes_all,
 )
+from hybrid.signals.speed import correction_by_speed
 
 Array = NDArray[np.float64]
 
@@ -66,9 +67,9 @@ def motion_from_recording(
 ) -> Motion:
     """Filter and differentiate positions; torque stays as measured.
 
-    Speed and acceleration come from the filtered position and not from a measured
-    speed, whose own filter and delay are unknown: v and a are then exactly consistent
-    with q and with each other.
+    A measured speed corrects positions where it knows better than they do (see
+    :func:`correction_by_speed`); speed and acceleration are the derivatives of these
+    positions, exactly consistent with them and with each other.
 
     Args:
         recording: Joint log; an irregular clock is made uniform first.
@@ -85,14 +86,15 @@ def motion_from_recording(
     recording = resample(recording)
     rate = (len(recording.t) - 1) / recording.duration
     cutoff = choose_cutoff(recording) if cutoff is None else cutoff
-    q = butterworth(recording.q, rate=rate, cutoff=cutoff)
-    v = central_difference(q, rate=rate, accuracy=4)
-    a = central_difference(v, rate=rate, accuracy=4)
     edge = 4
     if not passes_all(rate, cutoff):
         edge += filter_reach(cutoff / rate, tolerance=0.04)
-    mask = np.zeros(len(q), dtype=bool)
+    mask = np.zeros(len(recording.t), dtype=bool)
     mask[edge:-edge] = True
+    q = butterworth(recording.q, rate=rate, cutoff=cutoff)
+    q = q + correction_by_speed(recording, cutoff=cutoff, mask=mask)
+    v = central_difference(q, rate=rate, accuracy=4)
+    a = central_difference(v, rate=rate, accuracy=4)
     return Motion(
         t=recording.t,
         q=q,
