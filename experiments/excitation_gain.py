@@ -36,7 +36,7 @@ def main() -> None:
     """Run all seeds and write the table and the figure."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--out", type=Path, default=ROOT / "reports/excitation_gain")
+    parser.add_argument("--out", type=Path, default=Path("out/excitation_gain"))
     options = parser.parse_args()
     robot, plant = load_truth(ROOT / "models/coman_truth.yaml")
     unknown = effects_from_text("viscous,coulomb", robot.joints, joint_scales(robot))

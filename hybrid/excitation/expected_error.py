@@ -1,0 +1,127 @@
+"""The torque error that a motion leaves on the motions the arm will run.
+
+The arm is y = X θ + Z φ + noise: columns X that a fit has, and structure Z that it has
+not, whose gains φ in their usual sizes are independent of unit variance. Least squares
+on a motion with the information G finds θ + C (G_XZ φ + Xᵀ noise) with C = G_XX⁻¹. Over
+the motions to come, whose columns have the second moment M, its mean square error is
+
+    e = tr(M_XX C) + tr(Bᵀ M B),    B = [−C G_XZ; I]
+
+The first part is variance and asks for large motions. The second is bias, what the
+structure misleads the fit to (Box and Draper 1959, doi 10.1080/01621459.1959.10501525),
+and asks for the positions and speeds of the motions to come: condition numbers and
+determinants know the first part only. Every joint has its own e; no joint's size counts
+in their geometric mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.effects import JointEffect
+from hybrid.effects.asymmetric_friction import AsymmetricFriction
+from hybrid.effects.load_friction import LoadFriction
+from hybrid.effects.nonlinear_viscous import NonlinearViscous
+from hybrid.effects.stribeck import Stribeck
+from hybrid.effects.torque_ripple import TorqueRipple
+from hybrid.excitation.criteria import spectrum
+from hybrid.excitation.observation import Observation
+from hybrid.excitation.path import Path
+from hybrid.plant.scale import joint_scales
+from hybrid.robot.chain import Array
+from hybrid.robot.robot import Robot
+
+# Friction may fall within any part of the joint's speed, and torque repeat with any
+# number of periods a turn.
+_FALLS = (0.01, 0.03, 0.1, 0.3)
+_PERIODS = (1.0, 2.0, 3.0, 4.0, 7.0, 20.0)
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedError:
+    """Expected RMS torque error on the motions to come, geometric mean of the joints.
+
+    Attributes:
+        observation: Columns of the fit, and behind them those of the structure.
+        fitted: Number of columns of the fit.
+        moments: Mean product of every two columns over the motions to come, for each
+            joint, shape (n, b, b), [(N·m)²].
+    """
+
+    observation: Observation
+    fitted: int
+    moments: Array
+
+    @classmethod
+    def of(
+        cls, robot: Robot, observation: Observation, usage: Sequence[Path]
+    ) -> ExpectedError:
+        """For the structure that arms usually have.
+
+        Args:
+            robot: The arm.
+            observation: Columns of the fit.
+            usage: Motions like those to come.
+        """
+        wide = observation.with_structure(*usual_structure(robot))
+        whole = Path.joined(usage)
+        coloured = np.linalg.inv(wide.whitening)
+        Y = np.swapaxes(coloured @ wide.matrix(whole), 0, 1)  # (n, N, b)
+        moments = np.swapaxes(Y, 1, 2) @ Y / len(whole.t)
+        return cls(wide, observation.size, np.asarray(moments))
+
+    def value(self, gram: Array) -> float:
+        """See :class:`~hybrid.excitation.criteria.Criterion`; in [N·m]."""
+        return float(np.exp(self.smooth(gram, 1.0)[0]))
+
+    def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
+        """See :class:`~hybrid.excitation.criteria.Criterion`; smooth as it is."""
+        k = self.fitted
+        eigenvalues, vectors = spectrum(gram[:k, :k])
+        C = (vectors / eigenvalues) @ vectors.T
+        A = C @ gram[:k, k:]
+        squares = np.array([_square(M, C, A) for M in self.moments])
+        # Mean logarithm of e, and its derivative by C and by A.
+        M = np.tensordot(0.5 / len(squares) / squares, self.moments, 1)
+        by_A = C @ (M[:k, :k] @ A - M[:k, k:])
+        slope = np.zeros_like(gram)
+        slope[:k, :k] = -C @ M[:k, :k] @ C - by_A @ A.T - A @ by_A.T
+        slope[:k, k:], slope[k:, :k] = by_A, by_A.T
+        return 0.5 * float(np.log(squares).mean()), slope
+
+
+def usual_structure(robot: Robot) -> tuple[list[JointEffect], Array]:
+    """What a joint may do beside inertia, dry and viscous friction, and usual sizes.
+
+    Returns:
+        Effects of every joint, and the usual size of each of their gains.
+    """
+    scales = joint_scales(robot)
+    effects: list[JointEffect] = []
+    for j, scale in enumerate(scales):
+        most = Stribeck.shapes[0].upper
+        falls = [min(x * scale.speed, most) for x in _FALLS]
+        effects += [
+            NonlinearViscous.typical((j,), scales),
+            AsymmetricFriction.typical((j,), scales),
+            LoadFriction.typical((j,), scales),
+            *(Stribeck.typical((j,), scales, velocity=x) for x in falls),
+            *(TorqueRipple.typical((j,), scales, periods=x) for x in _PERIODS),
+        ]
+    sizes = []
+    for effect in effects:
+        for gain in effect.gains:
+            # A sine and a cosine are of one size, whichever of them is the usual one.
+            alike = [g.name for g in effect.gains if g.unit == gain.unit]
+            sizes.append(max(abs(effect.values[name]) for name in alike))
+    return effects, np.array(sizes)
+
+
+def _square(M: Array, C: Array, A: Array) -> float:
+    """Expected square of one joint's error."""
+    k = len(C)
+    bias = (A * (M[:k, :k] @ A - 2.0 * M[:k, k:])).sum() + np.trace(M[k:, k:])
+    return float((M[:k, :k] * C).sum() + bias)
