@@ -21,6 +21,7 @@ from hybrid.excitation import (
     Discrimination,
     DOptimal,
     EOptimal,
+    ExpectedError,
     Fourier,
     FourierQuintic,
     Limits,
@@ -144,13 +145,18 @@ def gradient_error(observation, criterion, motion: Grid, x, power: float) -> flo
     return abs((motion.gradient(*by) * along).sum() - expected) / abs(expected)
 
 
-@pytest.mark.parametrize("kind", range(6))
+@pytest.mark.parametrize("kind", range(7))
 def test_criteria_have_exact_gradients_through_regressor_and_friction(kind):
     robot = public_arm("ur10")
     effects = [effect_class(e)((j,)) for j in range(robot.size) for e in FRICTION]
     noise = np.diag([4.0, 4.0, 1.0, 0.1, 0.1, 0.1]) + 0.02
     observation = observe(robot.chain, effects, covariance=noise)
     sizes = np.ones(observation.size)
+    family = Fourier(4, 0.1)
+    x = 0.5 * np.random.default_rng(0).normal(size=(family.size, robot.size))
+    motion = Grid(family, uniform(10.0, 10.0))
+    expected = ExpectedError.of(robot, observation, [motion.path(0.7 * x)])
+    observation = expected.observation if kind == 6 else observation
     criterion = (
         Condition(),
         NormalisedCondition(),
@@ -158,10 +164,8 @@ def test_criteria_have_exact_gradients_through_regressor_and_friction(kind):
         AOptimal(),
         EOptimal(),
         Discrimination((36, 37), (38,), sizes),
+        expected,
     )[kind]
-    family = Fourier(4, 0.1)
-    x = 0.5 * np.random.default_rng(0).normal(size=(family.size, robot.size))
-    motion = Grid(family, uniform(10.0, 10.0))
     assert gradient_error(observation, criterion, motion, x, 6.0) < 1e-5
 
 

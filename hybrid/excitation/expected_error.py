@@ -1,17 +1,19 @@
 """The torque error that a motion leaves on the motions the arm will run.
 
-The arm is y = X θ + Z φ + noise: columns X that a fit has, and structure Z that it has
-not, whose gains φ in their usual sizes are independent of unit variance. Least squares
-on a motion with the information G finds θ + C (G_XZ φ + Xᵀ noise) with C = G_XX⁻¹. Over
-the motions to come, whose columns have the second moment M, its mean square error is
+The arm is y = X θ + Z φ + noise: columns X that every fit has, and structure Z whose
+gains φ, in their usual sizes, are independent of unit variance. After a motion with the
+information G of [X Z], what is the mean square error e over the motions to come, whose
+columns have the second moment M? A fit may know as little as X, or all:
 
-    e = tr(M_XX C) + tr(Bᵀ M B),    B = [−C G_XZ; I]
+    least squares on X      e = tr(M_XX C) + tr(Bᵀ M B),  C = G_XX⁻¹,  B = [−C G_XZ; I]
+    all columns, with prior e = tr(M (G/ρ + Λ)⁻¹),        Λ = diag(0, I)
 
-The first part is variance and asks for large motions. The second is bias, what the
-structure misleads the fit to (Box and Draper 1959, doi 10.1080/01621459.1959.10501525),
-and asks for the positions and speeds of the motions to come: condition numbers and
-determinants know the first part only. Every joint has its own e; no joint's size counts
-in their geometric mean.
+with the variance ρ, in that of the noise, of what no column describes. In the first the
+structure misleads the fit (Box and Draper 1959, doi 10.1080/01621459.1959.10501525),
+least where the motion has the positions and speeds of those to come; in the second it
+has to be found (Chaloner and Verdinelli 1995, doi 10.1214/ss/1177009939). Condition
+numbers and determinants know of neither. The criterion is the geometric mean of both
+over all joints, in which no joint's size counts.
 """
 
 from __future__ import annotations
@@ -37,16 +39,17 @@ from hybrid.robot.robot import Robot
 # Friction may fall within any part of the joint's speed, and torque repeat with any
 # number of periods a turn.
 _FALLS = (0.01, 0.03, 0.1, 0.3)
+_REST = 10.0  # ρ: ripple of teeth and the like, of three times the sensors' noise
 _PERIODS = (1.0, 2.0, 3.0, 4.0, 7.0, 20.0)
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedError:
-    """Expected RMS torque error on the motions to come, geometric mean of the joints.
+    """Expected RMS torque error on the motions to come, geometric mean over joints.
 
     Attributes:
         observation: Columns of the fit, and behind them those of the structure.
-        fitted: Number of columns of the fit.
+        fitted: Number of columns of the fit, X.
         moments: Mean product of every two columns over the motions to come, for each
             joint, shape (n, b, b), [(N·m)²].
     """
@@ -79,18 +82,40 @@ class ExpectedError:
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """See :class:`~hybrid.excitation.criteria.Criterion`; smooth as it is."""
+        fits = self._of_few(gram), self._of_all(gram)
+        value, slope = (0.5 * (a + b) for a, b in zip(*fits, strict=True))
+        return float(value), np.asarray(slope)
+
+    def _of_few(self, gram: Array) -> tuple[float, Array]:
+        """Mean logarithm of the RMS error of least squares on X, derivative by G."""
         k = self.fitted
         eigenvalues, vectors = spectrum(gram[:k, :k])
         C = (vectors / eigenvalues) @ vectors.T
         A = C @ gram[:k, k:]
-        squares = np.array([_square(M, C, A) for M in self.moments])
-        # Mean logarithm of e, and its derivative by C and by A.
-        M = np.tensordot(0.5 / len(squares) / squares, self.moments, 1)
-        by_A = C @ (M[:k, :k] @ A - M[:k, k:])
+        B = np.vstack([-A, np.eye(A.shape[1])])
+        squares = np.array(
+            [(M[:k, :k] * C).sum() + ((M @ B) * B).sum() for M in self.moments]
+        )
+        M = self._weighed(squares)
+        by_A = -C @ (M @ B)[:k]
         slope = np.zeros_like(gram)
         slope[:k, :k] = -C @ M[:k, :k] @ C - by_A @ A.T - A @ by_A.T
         slope[:k, k:], slope[k:, :k] = by_A, by_A.T
         return 0.5 * float(np.log(squares).mean()), slope
+
+    def _of_all(self, gram: Array) -> tuple[float, Array]:
+        """Mean logarithm of the RMS error of the fit of all, derivative by G."""
+        known = np.arange(len(gram)) >= self.fitted
+        eigenvalues, vectors = spectrum(gram / _REST + np.diag(known.astype(float)))
+        C = (vectors / eigenvalues) @ vectors.T
+        squares = np.tensordot(self.moments, C, 2)
+        slope = -C @ self._weighed(squares) @ C / _REST
+        return 0.5 * float(np.log(squares).mean()), slope
+
+    def _weighed(self, squares: Array) -> Array:
+        """Derivative of the mean logarithm of the RMS errors by C, shape (b, b)."""
+        weights = 0.5 / len(squares) / squares
+        return np.asarray(np.tensordot(weights, self.moments, 1))
 
 
 def usual_structure(robot: Robot) -> tuple[list[JointEffect], Array]:
@@ -118,10 +143,3 @@ def usual_structure(robot: Robot) -> tuple[list[JointEffect], Array]:
             alike = [g.name for g in effect.gains if g.unit == gain.unit]
             sizes.append(max(abs(effect.values[name]) for name in alike))
     return effects, np.array(sizes)
-
-
-def _square(M: Array, C: Array, A: Array) -> float:
-    """Expected square of one joint's error."""
-    k = len(C)
-    bias = (A * (M[:k, :k] @ A - 2.0 * M[:k, k:])).sum() + np.trace(M[k:, k:])
-    return float((M[:k, :k] * C).sum() + bias)
