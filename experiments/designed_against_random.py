@@ -18,31 +18,17 @@ from pathlib import Path
 
 import numpy as np
 from designed_against_random_report import write
-from excitation_arms import arm
+from excitation_plants import FAMILY, FILL, plant_for, random
 
 from hybrid import identify, validate
-from hybrid.effects import effect_class, effects_from_text
+from hybrid.effects import effects_from_text
 from hybrid.errors import HybridWarning
-from hybrid.excitation import Fourier, Limits, design, observe
-from hybrid.excitation.constraints import TorqueLimits
-from hybrid.excitation.experiments import path_from_reference
-from hybrid.plant import Noise, Plant, Reference, load_truth
-from hybrid.plant.reference import random_fourier
+from hybrid.excitation import Limits, design, observe
+from hybrid.plant import Noise
 from hybrid.plant.scale import joint_scales
 
-FAMILY, FILL, TESTS = Fourier(5, 0.1), 0.8, 8
+TESTS = 8
 FITTED = "armature,torque_offset,coulomb,viscous"
-# What a joint of a drawn plant has or not, and the range of its shape. Sizes are a
-# quarter of the usual ones and up.
-KINDS = (
-    ("improved_stribeck", "velocity", 0.02, 0.1),
-    ("presliding", "distance", 0.002, 0.01),
-    ("load_friction", "", 0, 0),
-    ("asymmetric_friction", "", 0, 0),
-    ("torque_ripple", "periods", 1, 6),
-    ("torque_ripple", "periods", 30, 200),
-)
-TRUTH = Path(__file__).parents[1] / "models/coman_truth.yaml"
 
 
 def main() -> None:
@@ -63,7 +49,7 @@ def main() -> None:
 
 def run(name, rng):
     """Error by plain LS and with friction, CPU s: random and designed, (2, 3)."""
-    robot, plant = load_truth(TRUTH) if name == "coman_like" else drawn(arm(name), rng)
+    robot, plant = plant_for(name, rng)
     noise = Noise.typical(robot).torque_covariance
     fitted = effects_from_text(FITTED, robot.joints, joint_scales(robot))
     begin = time.process_time()
@@ -81,34 +67,6 @@ def run(name, rng):
         errors = validate(model, logs[-TESTS:]).rows
         rows.append([errors[0].mean, errors[-1].mean, cost])
     return rows
-
-
-def random(robot, rate, rng):
-    """A random motion that touches a limit of each joint, torque included."""
-    x = random_fourier(
-        robot, duration=FAMILY.duration, rate=rate, rng=rng, fill=FILL,
-        fundamental=FAMILY.fundamental, order=FAMILY.order,
-    )  # fmt: skip
-    middle = (x.q.max(axis=0) + x.q.min(axis=0)) / 2
-    torque = TorqueLimits(robot, FILL * robot.tau_max)
-    while (torque.excess(path_from_reference(x)) > 0).any():
-        x = Reference(x.t, middle + 0.95 * (x.q - middle), 0.95 * x.v, 0.95 * x.a)
-    return x
-
-
-def drawn(robot, rng):
-    """The arm, and a plant whose links and drives differ from it, each in its way."""
-    factors = rng.uniform(0.8, 1.2, (robot.size, 1))
-    effects, scales = [], joint_scales(robot)
-    for j in range(robot.size):
-        for kind, shape, lowest, highest in KINDS:
-            shapes = {shape: rng.uniform(lowest, highest)} if shape else {}
-            usual = effect_class(kind).typical((j,), scales, **shapes)
-            part = rng.uniform(0.25, 1.0) * (rng.random() < 0.5)
-            gains = {g.name: part * usual.values[g.name] for g in usual.gains}
-            effects += [usual.at(gains)] if part else []
-    links = robot.with_inertial(robot.chain.inertial * factors)
-    return robot, Plant(links, effects, nominal=robot)
 
 
 if __name__ == "__main__":

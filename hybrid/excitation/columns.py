@@ -11,8 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import qr
 
-from hybrid.dynamics import RigidBody, regressor, stacked_base
-from hybrid.dynamics.stacked import rich_motion
+from hybrid.dynamics import regressor, stacked_base
 from hybrid.excitation.path import Path
 from hybrid.robot.chain import Array, Chain
 
@@ -30,17 +29,19 @@ def condition(H: Array, columns: Sequence[int]) -> float:
     return float(np.linalg.cond(H[:, list(columns)]))
 
 
-def rigid_columns(chain: Chain) -> dict[str, tuple[int, ...]]:
+def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
     """Choices of columns among the 10n of the regressor, by name.
 
     ``first independent columns`` goes from the base to the tip and keeps what the
-    columns before cannot express. ``columns by pivoted QR`` takes the largest remaining
-    one each time, on a motion that excites everything: the same columns for every
-    design of an arm.
+    columns before cannot express, the same for every motion. ``columns by pivoted QR``
+    takes the largest that remains each time.
+
+    Args:
+        chain: The arm.
+        H: Observation matrix of all columns, shape (rows, 10n).
     """
     kept = stacked_base(chain, (), ()).kept
-    rich = RigidBody(chain, rich_motion(chain)).columns
-    _, order = qr(rich.reshape(-1, rich.shape[2]), mode="r", pivoting=True)
+    _, order = qr(H, mode="r", pivoting=True)
     return {FIRST: kept, PIVOTED: tuple(int(k) for k in order[: len(kept)])}
 
 
@@ -52,4 +53,4 @@ def rigid_conditions(chain: Chain, path: Path) -> dict[str, float]:
         path: Motion, N samples.
     """
     H = regressor(chain, path.q, path.v, path.a).reshape(-1, 10 * chain.size)
-    return {name: condition(H, at) for name, at in rigid_columns(chain).items()}
+    return {name: condition(H, at) for name, at in rigid_columns(chain, H).items()}
