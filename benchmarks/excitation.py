@@ -7,8 +7,8 @@ SI units, not scaled, in its first independent columns, and in those that a pivo
 of the same matrix takes; of all columns, friction included (all); and of all brought to
 unit length (normalised). "rigid" are the base inertial parameters; "full" adds viscous,
 Coulomb, armature and offset columns for each joint. Limits are verified at 200 Hz.
-Collision pairs are any two links that are not neighbours and can be apart, and every link that
-can reach the floor and the floor, at the height of the arm's foot.
+Collision pairs are any two links that are not neighbours and can be apart, and every
+link that can reach the floor and the floor, at the height of the arm's foot.
 
     python benchmarks/excitation.py --seeds 20 --tasks 0 1
 """

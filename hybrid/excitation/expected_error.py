@@ -82,9 +82,8 @@ class ExpectedError:
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """See :class:`~hybrid.excitation.criteria.Criterion`; smooth as it is."""
-        fits = self._of_few(gram), self._of_all(gram)
-        value, slope = (0.5 * (a + b) for a, b in zip(*fits, strict=True))
-        return float(value), np.asarray(slope)
+        (few, by_few), (every, by_every) = self._of_few(gram), self._of_all(gram)
+        return 0.5 * (few + every), 0.5 * (by_few + by_every)
 
     def _of_few(self, gram: Array) -> tuple[float, Array]:
         """Mean logarithm of the RMS error of least squares on X, derivative by G."""
