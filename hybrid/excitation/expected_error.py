@@ -40,6 +40,7 @@ from hybrid.robot.robot import Robot
 # number of periods a turn.
 _FALLS = (0.01, 0.03, 0.1, 0.3)
 _REST = 10.0  # ρ: ripple of teeth and the like, of three times the sensors' noise
+_VAGUE = 1e-9  # prior precision of a gain of X, which keeps the inverse finite
 _PERIODS = (1.0, 2.0, 3.0, 4.0, 7.0, 20.0)
 
 
@@ -105,8 +106,7 @@ class ExpectedError:
     def _of_all(self, gram: Array) -> tuple[float, Array]:
         """Mean logarithm of the RMS error of the fit of all, derivative by G."""
         known = np.arange(len(gram)) >= self.fitted
-        eigenvalues, vectors = spectrum(gram / _REST + np.diag(known.astype(float)))
-        C = (vectors / eigenvalues) @ vectors.T
+        C = np.linalg.inv(gram / _REST + np.diag(np.where(known, 1.0, _VAGUE)))
         squares = np.tensordot(self.moments, C, 2)
         slope = -C @ self._weighed(squares) @ C / _REST
         return 0.5 * float(np.log(squares).mean()), slope
