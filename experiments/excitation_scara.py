@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from excitation_fit import READINGS, error, fit
+from excitation_published import PopulationProgram, niche_design
 from excitation_report import Comparison, readings_table
 
 from hybrid.effects import effects_from_text
@@ -30,7 +31,6 @@ from hybrid.excitation import (
     observe,
 )
 from hybrid.excitation.design import design
-from hybrid.excitation.published import PopulationProgram, niche_design
 from hybrid.plant import Plant
 from hybrid.plant.reference import random_fourier
 from hybrid.plant.scale import joint_scales
@@ -55,7 +55,7 @@ def main() -> None:
     """Run all seeds and write the table and the figure."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--out", type=Path, default=ROOT / "reports/excitation_scara")
+    parser.add_argument("--out", type=Path, default=Path("out/excitation_scara"))
     options = parser.parse_args()
     robot = Robot.load(ROOT / "models/scara.xml")
     scales = joint_scales(robot)

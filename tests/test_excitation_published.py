@@ -5,11 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import MODELS
+from excitation_published import (
+    BlockCondition,
+    BlockProgram,
+    PopulationProgram,
+    iterated_design,
+    niche_design,
+    set_condition,
+)
 
 from hybrid.effects import effects_from_text
 from hybrid.errors import HybridError
 from hybrid.excitation import (
-    BlockCondition,
     Condition,
     Fourier,
     FourierQuintic,
@@ -18,12 +25,6 @@ from hybrid.excitation import (
 from hybrid.excitation.constraints import Limits, MotionLimits
 from hybrid.excitation.path import uniform
 from hybrid.excitation.program import MotionProgram
-from hybrid.excitation.published import (
-    PopulationProgram,
-    iterated_design,
-    niche_design,
-    set_condition,
-)
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.search.niche_genetic import NicheGenetic
@@ -77,10 +78,10 @@ def test_an_odd_population_is_refused():
         NicheGenetic([0], [1], rng=np.random.default_rng(0), population=7)
 
 
-def program(criterion, observation):
+def program(criterion, observation, kind=MotionProgram, **options):
     limits = Limits.of(PLANAR)
-    b = observation.size
-    return MotionProgram(
+    b = observation.size + (kind is BlockProgram)
+    return kind(
         observation,
         criterion,
         Fourier(3, 0.2),
@@ -90,17 +91,19 @@ def program(criterion, observation):
         20.0,
         1.0,
         1e-3,
+        **options,
     )
 
 
 @pytest.mark.parametrize("weighted", [False, True])
 def test_iterated_designs_improve_with_each_motion_and_keep_the_limits(weighted):
     observation = observe(PLANAR.chain, covariance=np.diag([4.0, 1.0]))
-    criterion = Condition()
+    start = program(Condition(), observation)
     if weighted:
         criterion = BlockCondition(observation.gravity_columns)
+        start = program(criterion, observation, BlockProgram)
     found = iterated_design(
-        program(criterion, observation),
+        start,
         trajectories=2,
         rng=np.random.default_rng(0),
         tries=3,
@@ -138,3 +141,41 @@ def test_the_population_design_keeps_limits_and_beats_its_first_population():
     assert value < first.min()
     path = replace(motion, family=FourierQuintic(5, 0.1)).path(uniform(10.0, 10.0))
     assert (np.abs(path.v) <= 1.01 * limits.speed).all()
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_the_block_condition_weighs_by_std_over_mean_of_the_entries(signed):
+    observation = observe(PLANAR.chain, covariance=np.diag([4.0, 1.0]))
+    gravity = observation.gravity_columns
+    start = program(BlockCondition(gravity), observation, BlockProgram, signed=signed)
+    x = start.random(np.random.default_rng(3))
+    path = start.grid.path(start.coefficients(x)).at(slice(0, 70))  # moves on average
+    H = observation.matrix(path).reshape(-1, observation.size)
+    mean = H.mean(axis=0) if signed else np.abs(H).mean(axis=0)
+    weight = np.sqrt((H**2).mean(axis=0) - mean**2) / np.abs(mean)
+    first, second = weight[gravity].mean(), weight[~gravity].mean()
+    expected = (first + second) * np.linalg.cond(H)
+    expected += first * np.linalg.cond(H[:, gravity])
+    expected += second * np.linalg.cond(H[:, ~gravity])
+    gram = start._bordered(observation.matrix(path))
+    assert start.criterion.value(gram) == pytest.approx(expected)
+
+
+def test_the_block_condition_has_exact_slopes():
+    observation = observe(PLANAR.chain, covariance=np.diag([4.0, 1.0]))
+    criterion = BlockCondition(observation.gravity_columns)
+    start = program(criterion, observation, BlockProgram)
+    x = start.random(np.random.default_rng(3))
+    along = np.random.default_rng(4).normal(size=x.shape)
+    ends = [start.objective(x + step * along)[0] for step in (1e-7, -1e-7)]
+    slope = start.objective(x)[1] @ along
+    assert (ends[0] - ends[1]) / 2e-7 == pytest.approx(slope, rel=1e-3)
+
+
+def test_as_printed_an_acceleration_between_rests_has_no_mean_to_divide_by():
+    observation = observe(PLANAR.chain)
+    start = program(Condition(), observation, BlockProgram, signed=True)
+    gram = start.information(start.random(np.random.default_rng(3)))
+    spread = np.sqrt(gram.diagonal()[:-1] / gram[-1, -1])
+    mean = np.abs(gram[:-1, -1]) / gram[-1, -1] / spread
+    assert mean.min() < 1e-9 < 1e-2 < mean.max()

@@ -62,10 +62,24 @@ def test_coefficients_and_figures_of_merit_are_saved(folder):
     assert content["additions"][0] == 1.0 and 0 < content["additions"][1] < 1
     assert max(content["excess"].values()) <= 0
     assert content["provenance"]["hybrid"]
+    assert content["criterion"] == "ExpectedError" and content["value"] > 0
     values = content["singular_values"]
     assert values[0] / values[-1] == pytest.approx(content["condition"])
     recorded = json.loads((folder / "all.json").read_text("utf-8"))
     assert recorded["condition"] == content["condition"]
+
+
+def test_the_condition_number_is_of_the_rigid_body_alone_in_named_columns(
+    tmp_path, capsys
+):
+    command = f"excite --robot {PLANAR} {QUICK} --criterion condition --out {tmp_path}"
+    assert main(command.split()) == 0
+    content = json.loads((tmp_path / "design.json").read_text("utf-8"))
+    assert not any("friction" in x or "coulomb" in x for x in content["unknowns"])
+    named = content["rigid_conditions"]
+    assert named["first independent columns"] == pytest.approx(content["condition"])
+    said = capsys.readouterr().out
+    assert all(f"{x:.4g} ({columns})" in said for columns, x in named.items())
 
 
 def test_pictures_are_drawn_and_the_animation_plays_in_real_time(folder):

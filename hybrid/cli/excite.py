@@ -36,10 +36,14 @@ limits between its samples too.
 
 examples:
   hybrid excite --robot models/coman_like.xml --out excite
+  hybrid excite --robot arm.urdf --criterion condition --out excite
   hybrid excite --robot arm.urdf --effects viscous,coulomb --clearance 0.02 \\
       --floor 0 --trajectories 3 --duration 20 --out excite"""
 
-_CRITERIA = ("condition", "normalised", "d", "a", "e")
+_CRITERIA = ("error", "condition", "normalised", "d", "a", "e")
+# What a fit of a log has beside the rigid body; published condition numbers have none.
+_FITTED = "armature,torque_offset,coulomb,viscous"
+_PLAIN = ("condition", "normalised")
 _FAMILIES = ("fourier", "fourier-quintic", "spline")
 _PICTURES = ("motion.png", "information.png", "postures.png", "motion.gif")
 
@@ -50,17 +54,18 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument(
         "--effects",
-        default="viscous,coulomb",
         metavar="LIST",
         help="effects to be identified beside the rigid body; laws of one joint "
-        "(default viscous,coulomb)",
+        f"(default {_FITTED}; for condition and normalised none)",
     )
     parser.add_argument(
         "--criterion",
         choices=_CRITERIA,
-        default="d",
-        help="d: volume of the confidence ellipsoid (default); a: mean standard error; "
-        "e: longest axis; condition number as it is, or with normalised columns",
+        default="error",
+        help="error: expected torque error on random motions within the limits "
+        "(default); d: volume of the confidence ellipsoid; a: mean standard error; e: "
+        "longest axis; condition number as it is, torque in N·m, or with normalised "
+        "columns",
     )
     parser.add_argument("--family", choices=_FAMILIES, default="fourier")
     parser.add_argument("--trajectories", type=count, default=1, metavar="N")
@@ -109,13 +114,15 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.plant.noise import Noise
 
     robot = load_robot(args)
-    effects = load_effects(args.effects, robot)
+    plain = args.criterion in _PLAIN
+    wanted = "" if plain and args.effects is None else args.effects or _FITTED
+    effects = load_effects(wanted, robot)
     outputs = [*reference_paths(args.out, args.trajectories), args.out / DESIGN]
     pictures = [args.out / name for name in _PICTURES]
     check_outputs([*outputs, *pictures, args.json], [args.robot])
     jerk = np.inf if args.jerk is None else args.jerk
     limits = Limits.of(robot, fill=args.fill, jerk=jerk)
-    noise = Noise.typical(robot).torque_covariance
+    noise = None if plain else Noise.typical(robot).torque_covariance
     observation = observe(robot.chain, effects, covariance=noise)
     with screen.working(f"designing for {observation.size} parameters"):
         found = design(
@@ -169,10 +176,15 @@ def _tell(args: Namespace, screen: Screen, found: Design) -> None:
         f"{found.robot.name}: {len(found.trajectories)} motions of {args.duration:g} s "
         f"for {count} parameters in {args.out}"
     )
+    conditions = found.rigid_conditions.items()
+    named = ", ".join(f"{x:.4g} ({columns})" for columns, x in conditions)
+    screen.say(f"condition of the rigid body in SI units {named}")
     screen.say(
-        f"condition {found.condition:.4g}, with unit columns "
-        f"{found.normalised_condition:.4g}, log det {found.log_det:.4g}"
+        f"of all {count} columns{'' if args.criterion in _PLAIN else ', whitened'}: "
+        f"condition {found.condition:.4g}, log det {found.log_det:.4g}"
     )
+    if args.criterion == "error":
+        screen.say(f"expected torque error on random motions {found.value:.3g} N·m")
     if len(found.trajectories) > 1:
         parts = ", ".join(f"{100 * x:.0f} %" for x in found.additions[1:])
         screen.say(f"each further motion shortens the mean standard error by {parts}")
@@ -193,7 +205,8 @@ def _family(args: Namespace) -> Any:
     return kind(args.order, 1.0 / args.duration)
 
 
-def _criterion(name: str) -> Criterion:
+def _criterion(name: str) -> Criterion | None:
+    """The criterion of that name; nothing for the default of the design."""
     from hybrid.excitation import (
         AOptimal,
         Condition,
@@ -202,14 +215,14 @@ def _criterion(name: str) -> Criterion:
         NormalisedCondition,
     )
 
-    kinds: tuple[type[Criterion], ...] = (
-        Condition,
-        NormalisedCondition,
-        DOptimal,
-        AOptimal,
-        EOptimal,
-    )
-    return dict(zip(_CRITERIA, kinds, strict=True))[name]()
+    kinds: dict[str, type[Criterion]] = {
+        "condition": Condition,
+        "normalised": NormalisedCondition,
+        "d": DOptimal,
+        "a": AOptimal,
+        "e": EOptimal,
+    }
+    return kinds[name]() if name in kinds else None
 
 
 def _constraints(args: Namespace, robot: Robot, limits: Limits) -> list[Constraint]:

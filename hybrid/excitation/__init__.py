@@ -4,7 +4,6 @@ from hybrid.excitation.clearance import Clearance, Workspace
 from hybrid.excitation.constraints import Limits
 from hybrid.excitation.criteria import (
     AOptimal,
-    BlockCondition,
     Condition,
     Discrimination,
     DOptimal,
@@ -12,6 +11,7 @@ from hybrid.excitation.criteria import (
     NormalisedCondition,
 )
 from hybrid.excitation.design import Design, design
+from hybrid.excitation.expected_error import ExpectedError
 from hybrid.excitation.experiments import (
     at_speeds,
     micro_reversals,
@@ -19,20 +19,24 @@ from hybrid.excitation.experiments import (
     speed_ladder,
     static_poses,
 )
-from hybrid.excitation.fourier import Fourier, FourierQuintic, PlainFourier
+from hybrid.excitation.families import (
+    Fourier,
+    FourierQuintic,
+    PlainFourier,
+    Spline,
+)
 from hybrid.excitation.observation import Observation, observe
 from hybrid.excitation.path import Trajectory
-from hybrid.excitation.spline import Spline
 
 __all__ = [
     "AOptimal",
-    "BlockCondition",
     "Clearance",
     "Condition",
     "DOptimal",
     "Design",
     "Discrimination",
     "EOptimal",
+    "ExpectedError",
     "Fourier",
     "FourierQuintic",
     "Limits",

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.errors import ExcitationError
 from hybrid.robot.chain import Array
@@ -43,11 +42,11 @@ class Condition:
 
     def value(self, gram: Array) -> float:
         """See :class:`Criterion`."""
-        return condition(gram)
+        return gram_condition(gram)
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """See :class:`Criterion`."""
-        eigenvalues, vectors = _spectrum(gram)
+        eigenvalues, vectors = spectrum(gram)
         high, by_high = _log_mean(eigenvalues, power)
         low, by_low = _log_mean(1.0 / eigenvalues, power)
         slope = by_high / eigenvalues - by_low / eigenvalues
@@ -60,7 +59,7 @@ class NormalisedCondition:
 
     def value(self, gram: Array) -> float:
         """See :class:`Criterion`."""
-        return condition(normalised(gram))
+        return gram_condition(normalised(gram))
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """See :class:`Criterion`."""
@@ -85,7 +84,7 @@ class DOptimal:
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """See :class:`Criterion`; it is smooth as it is."""
-        eigenvalues, vectors = _spectrum(gram)
+        eigenvalues, vectors = spectrum(gram)
         b = len(gram)
         value = -0.5 * float(np.log(eigenvalues).mean())
         return value, -0.5 / b * (vectors / eigenvalues) @ vectors.T
@@ -110,55 +109,11 @@ class EOptimal:
 
     def value(self, gram: Array) -> float:
         """See :class:`Criterion`."""
-        return float(1.0 / np.sqrt(_spectrum(gram)[0][0]))
+        return float(1.0 / np.sqrt(spectrum(gram)[0][0]))
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """See :class:`Criterion`."""
         return _inverse_mean(gram, power)
-
-
-@dataclass(frozen=True, eq=False)
-class BlockCondition:
-    """Weighted sum of the conditions of W, of its gravity columns and of the others.
-
-    The blocks weigh by the coefficient of variation of their columns' lengths, and the
-    whole by the sum of both.
-
-    Attributes:
-        gravity: True for columns that move a torque at rest, shape (b,).
-    """
-
-    gravity: NDArray[np.bool_]
-
-    def value(self, gram: Array) -> float:
-        """See :class:`Criterion`."""
-        terms = self._terms(gram)
-        return float(
-            sum(w * condition(gram[np.ix_(at, at)]) for w, _, at in terms),
-        )
-
-    def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
-        """See :class:`Criterion`."""
-        total, by = 0.0, np.zeros_like(gram)
-        for weight, by_weight, at in self._terms(gram):
-            value, slope = Condition().smooth(gram[np.ix_(at, at)], power)
-            size = float(np.exp(value))
-            total += weight * size
-            by[np.ix_(at, at)] += weight * size * slope
-            by[np.diag_indices_from(by)] += size * by_weight
-        return float(np.log(total)), by / total
-
-    def _terms(self, gram: Array) -> list[tuple[float, Array, NDArray[np.intp]]]:
-        """Weight, its derivative by the diagonal of G, and columns of each term."""
-        terms = []
-        for block in (self.gravity, ~self.gravity):
-            at = np.flatnonzero(block)
-            weight, by = _variation(gram, at)
-            if len(at):
-                terms.append((weight, by, at))
-        whole = np.arange(len(gram))
-        by = np.asarray(sum(x[1] for x in terms))
-        return [(sum(x[0] for x in terms), by, whole), *terms]
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +157,7 @@ class Discrimination:
 
     def _squared(self, gram: Array, at: tuple[int, ...]) -> tuple[float, Array]:
         """Inverse of the lack of fit and its derivative by G."""
-        eigenvalues, vectors = _spectrum(gram)
+        eigenvalues, vectors = spectrum(gram)
         inverse = (vectors / eigenvalues) @ vectors.T
         rows = inverse[list(at)]
         gains = self.gains[list(at)]
@@ -213,9 +168,9 @@ class Discrimination:
         return 1.0 / lack, -np.outer(along, along) / lack**2
 
 
-def condition(gram: Array) -> float:
+def gram_condition(gram: Array) -> float:
     """Condition number of W from G = Wᵀ W."""
-    eigenvalues = _spectrum(gram)[0]
+    eigenvalues = spectrum(gram)[0]
     return float(np.sqrt(eigenvalues[-1] / eigenvalues[0]))
 
 
@@ -230,7 +185,8 @@ def _sizes(gram: Array) -> Array:
     return np.asarray(np.maximum(size, 1e-12 * size.max()))
 
 
-def _spectrum(gram: Array) -> tuple[Array, Array]:
+def spectrum(gram: Array) -> tuple[Array, Array]:
+    """Eigenvalues, none of them rounding, and eigenvectors."""
     eigenvalues, vectors = np.linalg.eigh(gram)
     return np.maximum(eigenvalues, _FLOOR * eigenvalues[-1]), vectors
 
@@ -244,20 +200,8 @@ def _log_mean(x: Array, power: float) -> tuple[float, Array]:
 
 
 def _inverse_mean(gram: Array, power: float) -> tuple[float, Array]:
-    eigenvalues, vectors = _spectrum(gram)
+    eigenvalues, vectors = spectrum(gram)
     value, by = _log_mean(1.0 / eigenvalues, power)
     value -= np.log(len(gram)) / power
     slope = -0.5 * (vectors * (by / eigenvalues)) @ vectors.T
     return 0.5 * float(value), np.asarray(slope)
-
-
-def _variation(gram: Array, at: NDArray[np.intp]) -> tuple[float, Array]:
-    """Coefficient of variation of columns' lengths, its derivative by diag G."""
-    by = np.zeros(len(gram))
-    if len(at) < 2:
-        return 0.0, by
-    size = np.sqrt(gram.diagonal()[at])
-    mean, spread = size.mean(), max(size.std(), 1e-12 * size.max())
-    slope = ((size - mean) / (spread * mean) - spread / mean**2) / len(at)
-    by[at] = slope / (2 * size)
-    return float(spread / mean), by

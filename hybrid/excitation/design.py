@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 
 from hybrid.errors import ExcitationError
+from hybrid.excitation.columns import rigid_conditions
 from hybrid.excitation.constraints import (
     Constraint,
     Limits,
     MotionLimits,
     TorqueLimits,
 )
-from hybrid.excitation.criteria import Criterion, DOptimal, condition, normalised
+from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition, normalised
+from hybrid.excitation.expected_error import ExpectedError
 from hybrid.excitation.observation import Observation
-from hybrid.excitation.path import Family, Trajectory, uniform
+from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import PENALTY, Solution, solve
 from hybrid.excitation.stack import StackProgram
@@ -45,6 +47,7 @@ class Design:
         trajectories: The motions.
         grams: Information of each on the design grid, shape (b, b).
         rate: Samples of the design grid per second, [Hz].
+        value: The criterion, of all motions.
         excess: Largest excess of each limit over all motions, in parts of the limit, on
             a grid ten times finer than the design grid; 0 or below.
     """
@@ -55,6 +58,7 @@ class Design:
     trajectories: tuple[Trajectory, ...]
     grams: tuple[Array, ...]
     rate: float
+    value: float
     excess: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
@@ -63,23 +67,25 @@ class Design:
         return np.asarray(sum(self.grams))
 
     @property
-    def value(self) -> float:
-        """The criterion, of all motions."""
-        return self.criterion.value(self.gram)
-
-    @property
     def condition(self) -> float:
-        """Condition number of the observation matrix as it is."""
-        return condition(self.gram)
+        """Condition number of the observation matrix as it is, whitened."""
+        return gram_condition(self.gram)
+
+    @cached_property
+    def rigid_conditions(self) -> dict[str, float]:
+        """Condition number of the rigid body alone, not whitened, by named columns."""
+        t = uniform(self.trajectories[0].family.duration, self.rate)
+        whole = Path.joined([x.path(t) for x in self.trajectories])
+        return rigid_conditions(self.robot.chain, whole)
 
     @property
     def normalised_condition(self) -> float:
         """Condition number with columns of unit length."""
-        return condition(normalised(self.gram))
+        return gram_condition(normalised(self.gram))
 
     @property
     def log_det(self) -> float:
-        """Natural logarithm of the determinant of the information."""
+        """Natural logarithm of the determinant of the whitened information."""
         return float(np.linalg.slogdet(self.gram)[1])
 
     @property
@@ -119,6 +125,7 @@ class Design:
             "criterion": type(self.criterion).__name__,
             "value": self.value,
             "condition": self.condition,
+            "rigid_conditions": dict(self.rigid_conditions),
             "condition_of_normalised_columns": self.normalised_condition,
             "log_det": self.log_det,
             "singular_values": self.singular_values.tolist(),
@@ -143,7 +150,6 @@ def design(
     trajectories: int = 1,
     starts: int = 4,
     rate: float = 20.0,
-    known: Array | None = None,
     together: bool = False,
 ) -> Design:
     """Design motions that reveal the parameters.
@@ -153,14 +159,13 @@ def design(
         observation: What is to be identified, see :func:`observe`.
         family: Motions to choose from.
         rng: Source of the starts.
-        criterion: What makes a motion good; by default the volume of the confidence
-            ellipsoid, which depends on no units and rewards large motions too.
+        criterion: What makes a motion good; by default the expected torque error on
+            random motions of the family within the limits.
         limits: Limits of the joints; 80 % of the robot file's by default.
         constraints: What is to be kept besides, e.g. a distance between links.
         trajectories: Number of motions.
         starts: Random starts, for each motion or the set; the best one is followed.
         rate: Samples of the design grid per second, [Hz].
-        known: Information of recordings that are there already, shape (b, b).
         together: Choose the motions as a set; by default one after the other, each for
             what it adds. A set is better, and takes longer; its first motions are not.
 
@@ -176,20 +181,38 @@ def design(
         TorqueLimits(robot, bounds.torque),
         *constraints,
     )
-    b = observation.size
-    total = np.zeros((b, b)) if known is None else np.asarray(known, dtype=float)
     measure = DOptimal() if criterion is None else criterion
-    program = MotionProgram(
-        observation, measure, family, kept, bounds, total, rate, 1.0, _MARGIN
-    )
+    program = _program(observation, measure, family, kept, bounds, rate)
     if impossible := program.impossible():
         raise ExcitationError(
             f"no posture keeps the {', '.join(impossible[:4])}; valid are wider limits"
         )
+    if criterion is None:
+        measure = ExpectedError.of(robot, observation, program.usage(rng))
+    if isinstance(measure, ExpectedError):
+        program = _program(measure.observation, measure, family, kept, bounds, rate)
     choose = _together if together else _in_turn
     found, worst = choose(program, trajectories, starts, rng)
-    grams = tuple(_gram(program, x) for x in found)
-    return Design(robot, observation, measure, found, grams, rate, worst)
+    grams = tuple(_gram(observation, x, rate) for x in found)
+    seen = np.asarray(sum(_gram(program.observation, x, rate) for x in found))
+    return Design(
+        robot, observation, measure, found, grams, rate, measure.value(seen), worst
+    )
+
+
+def _program(
+    observation: Observation,
+    criterion: Criterion,
+    family: Family,
+    constraints: Sequence[Constraint],
+    limits: Limits,
+    rate: float,
+) -> MotionProgram:
+    """The best motion, with nothing known of other motions."""
+    nothing = np.zeros((observation.size, observation.size))
+    return MotionProgram(
+        observation, criterion, family, constraints, limits, nothing, rate, 1.0, _MARGIN
+    )
 
 
 def _in_turn(
@@ -211,7 +234,7 @@ def _in_turn(
             points.append(program.point(found[-1]))
         x, new_excess = best_point(program, points)
         trajectory = program.trajectory(x)
-        gram = _gram(program, trajectory)
+        gram = _gram(program.observation, trajectory, program.rate)
         if found and value(program.known + gram) > value(program.known + last):
             trajectory, gram, new_excess = found[-1], last, excess
         found.append(trajectory)
@@ -230,10 +253,10 @@ def _together(
     return stack.trajectories(x), excess
 
 
-def _gram(program: MotionProgram, trajectory: Trajectory) -> Array:
+def _gram(observation: Observation, trajectory: Trajectory, rate: float) -> Array:
     """Information of one motion on the design grid."""
-    t = uniform(program.family.duration, program.rate)
-    return program.observation.gram(trajectory.path(t), turning_speed=0.0)
+    t = uniform(trajectory.family.duration, rate)
+    return observation.gram(trajectory.path(t), turning_speed=0.0)
 
 
 def best_point(

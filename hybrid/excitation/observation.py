@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -115,6 +115,22 @@ class Observation:
             full += load[:, :, None] * self.chain.inertial.ravel()
         by = regressor_gradient(self.chain, path.q, path.v, path.a, full)
         return by[0] + own[0], by[1] + own[1], by[2] + own[2]
+
+    def with_structure(self, effects: Sequence[Effect], sizes: Array) -> Observation:
+        """The same columns, and behind them those of what a fit does not have.
+
+        Args:
+            effects: Effects that the arm may have; a gain that the columns can express
+                is left out.
+            sizes: Usual size of each of their gains, in which it is counted.
+        """
+        every = (*self.effects, *effects)
+        base = stacked_base(self.chain, every, effect_gains(every))
+        first = 10 * self.chain.size + len(self.gains)
+        more = sizes[[k - first for k in base.kept[self.size :]]]
+        return replace(
+            self, effects=every, base=base, scale=np.append(self.scale, more)
+        )
 
     @cached_property
     def _kept(self) -> tuple[list[int], list[int]]:

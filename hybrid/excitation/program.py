@@ -20,6 +20,7 @@ _NEAR = 0.5  # conditions within this part of their limit enter a step
 _CLOSE = 0.1  # ... and within this one with the samples beside them
 _NEARLY, _SHRINKS = 0.1, 8  # a start may exceed a limit by so much, or is made smaller
 _POSTURES = 300
+_USAGE = 20  # random motions that stand for all
 _REMEMBERED = 16  # points
 
 
@@ -124,6 +125,11 @@ class MotionProgram:
             if self.excess(start) < _NEARLY:
                 break
         return np.asarray(start)
+
+    def usage(self, rng: np.random.Generator) -> list[Path]:
+        """Random motions as an arm with these limits may run them."""
+        points = [self.random(child, fill=1.0) for child in rng.spawn(_USAGE)]
+        return [self.grid.path(self.coefficients(x)) for x in points]
 
     def _posture(self, rng: np.random.Generator) -> Array:
         """The arm standing still where nothing is in the way, (m, n)."""

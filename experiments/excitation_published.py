@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize as local_minimum
 
 from hybrid.excitation.constraints import Limits
-from hybrid.excitation.criteria import Criterion, condition
+from hybrid.excitation.criteria import Condition, Criterion, gram_condition
 from hybrid.excitation.observation import Observation
 from hybrid.excitation.path import Family, Grid, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
@@ -28,6 +28,99 @@ _TRIES = 15  # without gain
 _LOCAL_STEPS = 30
 _SHARP = 1e3  # so large a power is the condition number itself
 _PENALTY = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class BlockProgram(MotionProgram):
+    """A program whose criterion sees sums of the entries of each column besides.
+
+    The information WᵀW has one more row and column: of the sums of entries of each
+    column, and the number of rows in the corner.
+
+    Attributes:
+        signed: Whether sums are of entries as they are; else of their magnitudes.
+    """
+
+    signed: bool = False
+
+    def information(self, x: Array) -> Array:
+        """See :class:`MotionProgram`."""
+        W = self.observation.matrix(self.grid.path(self.coefficients(x)))
+        return self.known + self._bordered(W)
+
+    def objective(self, x: Array) -> tuple[float, Array]:
+        """See :class:`MotionProgram`."""
+        path = self.grid.path(self.coefficients(x))
+        W = self.observation.matrix(path)
+        gram = self.known + self._bordered(W)
+        value, slope = self.criterion.smooth(gram, self.power)
+        by = 2.0 * (W @ slope[:-1, :-1] + slope[-1, :-1] * self._signs(W))
+        parts = self.observation.gradient(path, by)
+        return value, np.asarray((self.grid.gradient(*parts) * self.scale).ravel())
+
+    def _signs(self, W: Array) -> Array:
+        return np.ones_like(W) if self.signed else np.sign(W)
+
+    def _bordered(self, W: Array) -> Array:
+        sums = (W * self._signs(W)).sum(axis=(0, 1))
+        rows = W.reshape(-1, W.shape[2])
+        return np.block([[rows.T @ rows, sums[:, None]], [sums, len(rows)]])
+
+
+@dataclass(frozen=True, eq=False)
+class BlockCondition:
+    """Weighted sum of the conditions of W, of its gravity columns and of the others.
+
+    A column weighs std/mean of its entries, a block the mean of its columns, and the
+    whole the sum of both blocks; see :class:`BlockProgram`. As printed the mean is of
+    signed entries. Between two rests an acceleration has none, so that the weight of a
+    column like a base's inertia is a rounding error in a denominator; the mean of
+    magnitudes has a meaning for every column.
+
+    Attributes:
+        gravity: True for columns that move a torque at rest, shape (b,).
+    """
+
+    gravity: Array
+
+    def value(self, gram: Array) -> float:
+        """See :class:`Criterion`."""
+        terms = self._terms(gram)
+        return sum(w * gram_condition(gram[np.ix_(at, at)]) for w, _, at in terms)
+
+    def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
+        """See :class:`Criterion`."""
+        total, by = 0.0, np.zeros_like(gram)
+        for weight, by_weight, at in self._terms(gram):
+            value, slope = Condition().smooth(gram[np.ix_(at, at)], power)
+            size = float(np.exp(value))
+            total += weight * size
+            by[np.ix_(at, at)] += weight * size * slope
+            by += size * by_weight
+        return float(np.log(total)), by / total
+
+    def _terms(self, gram: Array) -> list[tuple[float, Array, Array]]:
+        """Weight, its derivative by the information, and columns of each term."""
+        weight, by = _variations(gram)
+        terms = []
+        for at in (np.flatnonzero(self.gravity), np.flatnonzero(~self.gravity)):
+            if len(at):
+                slope = np.zeros_like(gram)
+                slope[at, at] = by[0, at] / len(at)
+                slope[at, -1] = slope[-1, at] = 0.5 * by[1, at] / len(at)
+                terms.append((float(weight[at].mean()), slope, at))
+        whole = sum(w for w, _, _ in terms), sum(s for _, s, _ in terms)
+        return [(*whole, np.arange(len(self.gravity))), *terms]
+
+
+def _variations(gram: Array) -> tuple[Array, Array]:
+    """std/mean of each column's entries, its derivatives by squares and by sums."""
+    rows = gram[-1, -1]
+    mean, square = gram[:-1, -1] / rows, gram.diagonal()[:-1] / rows
+    spread = np.sqrt(np.maximum(square - mean**2, 1e-12 * square))
+    by_square = 1.0 / (2 * spread * np.abs(mean))
+    by_mean = -np.sign(mean) * (1.0 / spread + spread / mean**2)
+    return spread / np.abs(mean), np.stack([by_square, by_mean]) / rows
 
 
 def iterated_design(
@@ -188,4 +281,4 @@ def set_condition(
     grams = [
         observation.gram(x.path(uniform(x.family.duration, rate))) for x in trajectories
     ]
-    return condition(np.asarray(sum(grams)))
+    return gram_condition(np.asarray(sum(grams)))

@@ -1,0 +1,45 @@
+"""Table of designed motions against random ones."""
+
+import numpy as np
+
+from hybrid.files import atomic_path
+from hybrid.report import Table, markdown_table, provenance, write_results
+
+FITS = ("plain least squares", "weighted", "with friction")
+
+
+def write(folder, seeds, arms, runs):
+    """The table and JSON.
+
+    Args:
+        folder: Where to write.
+        seeds: Number of seeds that the command names.
+        arms: Arms that it names.
+        runs: By arm and seed, error of all fits [N·m] and CPU seconds of the random
+            and of the designed motion, shape (2, 4).
+    """
+    rows = []
+    for name, found in runs.items():
+        x = np.array(found)  # (S, 2, 4)
+        for k, fit in enumerate(FITS):
+            random, ours = x[:, 0, k], x[:, 1, k]
+            lower = 100 * (1 - ours / random)
+            gain = f"{np.median(lower):.0f} ({lower.min():.0f}…{lower.max():.0f})"
+            wins = f"{(ours < random).sum()} of {len(x)}"
+            seconds = f"{np.median(x[:, 1, -1]):.1f}"
+            rows.append((name, fit, spread(random), spread(ours), gain, wins, seconds))
+    header = ("arm", "fit", "random [N·m]", "designed [N·m]", "lower by [%]")
+    table = markdown_table(Table((*header, "designed wins", "design [CPU s]"), rows))
+    lead = "RMS torque error on eight random motions that neither knows, mean of the "
+    lead += "joints: median of the seeds (lowest–highest)."
+    command = f"python experiments/designed_against_random.py --seeds {seeds} --arms "
+    command += " ".join(arms)
+    with atomic_path(folder / "table.md") as path:
+        path.write_text(f"{lead}\n\n{table}\n\n`{command}`\n", encoding="utf-8")
+    content = {"provenance": provenance(command=command), "runs": runs}
+    write_results(folder / "results.json", content)
+
+
+def spread(x):
+    """Median, lowest and highest."""
+    return f"{np.median(x):.3f} ({x.min():.3f}–{x.max():.3f})"
