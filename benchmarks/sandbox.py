@@ -1,0 +1,131 @@
+"""A copy of the tree in which a changed module meets its tests."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mutation import ROOT, SETTINGS
+
+_COPIED = ("hybrid", "tests")
+# Loaded before the fork, as they take longer than most tests.
+_HEAVY = (
+    "matplotlib.figure", "mujoco", "pinocchio", "scipy.linalg",
+    "scipy.optimize", "scipy.signal", "scipy.spatial", "scipy.stats", "sklearn.cluster",
+    "torch", "yaml",
+)  # fmt: skip
+_PATIENCE = 4.0  # times the processor time of the unchanged code, ended as "timeout"
+_WALL = 5.0  # times that limit in wall-clock time, for a process that sleeps
+_BROKEN = 99
+_OUTCOMES = {0: "survived", 1: "killed", 2: "killed", 3: "killed", 4: "killed"}
+
+
+class Sandbox:
+    """Runs tests against changed modules; a context, at whose end the copy is gone."""
+
+    def __enter__(self) -> Sandbox:
+        for name in _HEAVY:
+            importlib.import_module(name)
+        self.root = Path(tempfile.mkdtemp(prefix="mutants_"))
+        for path in ROOT.iterdir():
+            if path.name in _COPIED:
+                ignored = shutil.ignore_patterns("__pycache__")
+                shutil.copytree(path, self.root / path.name, ignore=ignored)
+            elif not path.name.startswith("."):
+                (self.root / path.name).symlink_to(path)
+        self._baseline: dict[str, float] = {}
+        self._clock = 0
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        shutil.rmtree(self.root)
+
+    def tried(self, path: str, source: str) -> tuple[str, float]:
+        """What the tests say of a changed module, and the processor time, [s].
+
+        Args:
+            path: The module, from the root of the tree.
+            source: Its changed text.
+        """
+        tests = chosen_tests(path)
+        limit = _PATIENCE * self._unchanged(tests)
+        module = self.root / path
+        before = module.read_text()
+        self._write(module, source)
+        try:
+            return self._run(tests, limit)
+        finally:
+            self._write(module, before)
+
+    def _unchanged(self, tests: list[str]) -> float:
+        """Processor time of tests that must pass on the code as it is, [s]."""
+        key = " ".join(tests)
+        if key not in self._baseline:
+            outcome, seconds = self._run(tests, 600.0)
+            if outcome != "survived":
+                log = (self.root / "log").read_text()
+                raise SystemExit(f"{key} fails on the unchanged code:\n{log[-3000:]}")
+            self._baseline[key] = seconds + 2.0
+        return self._baseline[key]
+
+    def _write(self, module: Path, source: str) -> None:
+        """Write a module with a time of its own, or Python takes the old bytecode."""
+        module.write_text(source)
+        self._clock += 1
+        os.utime(module, (self._clock, self._clock))
+
+    def _run(self, tests: list[str], limit: float) -> tuple[str, float]:
+        child = os.fork()
+        if child == 0:
+            try:
+                os._exit(self._child(tests, limit))
+            finally:
+                traceback.print_exc()
+                os._exit(_BROKEN)
+        deadline = time.monotonic() + _WALL * limit
+        while True:
+            done, status, usage = os.wait4(child, os.WNOHANG)
+            if done:
+                break
+            if time.monotonic() > deadline:
+                os.killpg(child, signal.SIGKILL)
+            time.sleep(0.02)
+        seconds = usage.ru_utime + usage.ru_stime
+        if os.WIFSIGNALED(status):
+            by_time = os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL)
+            return "timeout" if by_time else "killed", seconds
+        return _OUTCOMES.get(os.waitstatus_to_exitcode(status), "broken"), seconds
+
+    def _child(self, tests: list[str], limit: float) -> int:
+        """What pytest says of the copy."""
+        os.setpgid(0, 0)
+        seconds = int(limit) + 1
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+        log = os.open(self.root / "log", os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
+        os.dup2(log, 1)
+        os.dup2(log, 2)
+        os.chdir(self.root)
+        for name in [x for x in sys.modules if x.split(".")[0] == "hybrid"]:
+            del sys.modules[name]
+        sys.path[:0] = [str(self.root), str(self.root / "tests")]
+        os.environ["PYTHONPATH"] = str(self.root)
+        options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+        slow = [f"--deselect={x}" for x in SETTINGS["slow"]]
+        return int(pytest.main([*options, *slow, "--hypothesis-seed=0", *tests]))
+
+
+def chosen_tests(path: str) -> list[str]:
+    """Test files of a module: those named for it, or else for its folder."""
+    names = [x for x in SETTINGS["tests"] if path.startswith(x)]
+    found = SETTINGS["tests"][max(names, key=len)]
+    return [f"tests/test_{x}.py" for x in found]
