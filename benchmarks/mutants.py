@@ -6,10 +6,10 @@ that `pyproject.toml` names for its module run there, in a process of their own 
 the heavy libraries loaded already. A change that no test notices has survived.
 
     python benchmarks/mutants.py --out reports/mutants
-    python benchmarks/mutants.py --out reports/mutants --seed 7 --count 50 --only hybrid/signals
+    python benchmarks/mutants.py --out here --seed 7 --count 50 --only hybrid/signals
 
-A campaign that was stopped goes on where it was. `--again` tries survivors anew, as after
-new tests. A survivor that no test could notice is named, with the reason, in
+A campaign that was stopped goes on where it was. `--again` tries survivors anew, as
+after new tests. A survivor that no test could notice is named, with the reason, in
 `equivalent.toml` beside the results; it is counted apart.
 """
 

@@ -25,9 +25,33 @@ _HEAVY = (
     "torch", "yaml",
 )  # fmt: skip
 _PATIENCE = 4.0  # times the processor time of the unchanged code, ended as "timeout"
+_GRACE = 5.0  # s more, as one module's tests differ from another's
 _WALL = 5.0  # times that limit in wall-clock time, for a process that sleeps
 _BROKEN = 99
 _OUTCOMES = {0: "survived", 1: "killed", 2: "killed", 3: "killed", 4: "killed"}
+
+
+class _OwnTests:
+    """Leaves out tests that are for another module of the folder by their parameter.
+
+    A test of every effect need not run for all when one of them was changed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.own = path.stem
+        self.names = {x.stem for x in path.parent.glob("*.py")}
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Keep what names no module, or the changed one."""
+        named = [self.names & set(_parameters(x).split("-")) for x in items]
+        if any(self.own in x for x in named):
+            both = zip(items, named, strict=True)
+            items[:] = [x for x, names in both if not names or self.own in names]
+
+
+def _parameters(item: pytest.Item) -> str:
+    """The text in brackets of a parametrised test's name."""
+    return item.name.partition("[")[2].rstrip("]")
 
 
 class Sandbox:
@@ -58,24 +82,24 @@ class Sandbox:
             source: Its changed text.
         """
         tests = chosen_tests(path)
-        limit = _PATIENCE * self._unchanged(tests)
+        limit = _PATIENCE * self._unchanged(path, tests)
         module = self.root / path
         before = module.read_text()
         self._write(module, source)
         try:
-            return self._run(tests, limit)
+            return self._run(path, tests, limit)
         finally:
             self._write(module, before)
 
-    def _unchanged(self, tests: list[str]) -> float:
+    def _unchanged(self, path: str, tests: list[str]) -> float:
         """Processor time of tests that must pass on the code as it is, [s]."""
         key = " ".join(tests)
         if key not in self._baseline:
-            outcome, seconds = self._run(tests, 600.0)
+            outcome, seconds = self._run(path, tests, 600.0)
             if outcome != "survived":
                 log = (self.root / "log").read_text()
                 raise SystemExit(f"{key} fails on the unchanged code:\n{log[-3000:]}")
-            self._baseline[key] = seconds + 2.0
+            self._baseline[key] = seconds + _GRACE
         return self._baseline[key]
 
     def _write(self, module: Path, source: str) -> None:
@@ -84,11 +108,11 @@ class Sandbox:
         self._clock += 1
         os.utime(module, (self._clock, self._clock))
 
-    def _run(self, tests: list[str], limit: float) -> tuple[str, float]:
+    def _run(self, path: str, tests: list[str], limit: float) -> tuple[str, float]:
         child = os.fork()
         if child == 0:
             try:
-                os._exit(self._child(tests, limit))
+                os._exit(self._child(path, tests, limit))
             finally:
                 traceback.print_exc()
                 os._exit(_BROKEN)
@@ -106,7 +130,7 @@ class Sandbox:
             return "timeout" if by_time else "killed", seconds
         return _OUTCOMES.get(os.waitstatus_to_exitcode(status), "broken"), seconds
 
-    def _child(self, tests: list[str], limit: float) -> int:
+    def _child(self, path: str, tests: list[str], limit: float) -> int:
         """What pytest says of the copy."""
         os.setpgid(0, 0)
         seconds = int(limit) + 1
@@ -121,7 +145,8 @@ class Sandbox:
         os.environ["PYTHONPATH"] = str(self.root)
         options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
         slow = [f"--deselect={x}" for x in SETTINGS["slow"]]
-        return int(pytest.main([*options, *slow, "--hypothesis-seed=0", *tests]))
+        options += [*slow, "--hypothesis-seed=0", *tests]
+        return int(pytest.main(options, plugins=[_OwnTests(self.root / path)]))
 
 
 def chosen_tests(path: str) -> list[str]:

@@ -324,7 +324,9 @@ def test_without_mutation_offspring_lie_between_their_parents(kind):
 
 
 def test_pairs_that_are_crossed_share_out_their_sum():
-    search = NicheGenetic(LOW, HIGH, rng=rng(), population=40, crossover=1.0, mutation=0)
+    search = NicheGenetic(
+        LOW, HIGH, rng=rng(), population=40, crossover=1.0, mutation=0
+    )
     search.tell(sphere(search.ask()))
     parents, children = search._x.copy(), search.ask()
     sums = children[:20] + children[20:]
