@@ -20,7 +20,7 @@ from mutation import ROOT, SETTINGS
 _COPIED = ("hybrid", "tests")
 # Loaded before the fork, as they take longer than most tests.
 _HEAVY = (
-    "matplotlib.figure", "mujoco", "pinocchio", "scipy.linalg",
+    "hypothesis", "matplotlib.figure", "mujoco", "pinocchio", "scipy.linalg",
     "scipy.optimize", "scipy.signal", "scipy.spatial", "scipy.stats", "sklearn.cluster",
     "torch", "yaml",
 )  # fmt: skip
@@ -144,6 +144,7 @@ class Sandbox:
         sys.path[:0] = [str(self.root), str(self.root / "tests")]
         os.environ["PYTHONPATH"] = str(self.root)
         options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+        options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # _HEAVY
         slow = [f"--deselect={x}" for x in SETTINGS["slow"]]
         options += [*slow, "--hypothesis-seed=0", *tests]
         return int(pytest.main(options, plugins=[_OwnTests(self.root / path)]))
