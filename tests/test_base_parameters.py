@@ -236,7 +236,7 @@ def test_two_ripples_of_one_joint_have_names_of_their_own():
 def test_a_column_counts_from_a_hundred_thousandth_of_its_length_of_its_own(
     own, kept, scale
 ):
-    """Whatever its unit; what is less would need data that much better than the rest."""
+    """Whatever its unit; what is less would need data that much better."""
     x = np.linalg.qr(np.random.default_rng(0).normal(size=(40, 3)))[0]
     nearly = (x[:, 0] + x[:, 1]) / np.sqrt(2) + own * x[:, 2]
     stacked = np.column_stack([x[:, 0], x[:, 1], scale * nearly])
