@@ -19,7 +19,8 @@ SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mutants
 
 # One other operator for each. Left out are a bit shift of a float, which fails at once;
 # < against ≤, which differ on single points of the real numbers only (whole numbers are
-# changed by one instead); and decorators, without which nothing loads.
+# changed by one instead); decorators, without which nothing loads; and the star before
+# arguments that must be named.
 _BINARY = {
     "Add": "Sub", "Sub": "Add", "Mul": "Div", "Div": "Mul", "FloorDiv": "Mul",
     "Mod": "Add", "Pow": "Mul", "BitOr": "BitAnd", "BitAnd": "BitOr",
@@ -104,12 +105,13 @@ def mutants(path: str) -> Iterator[Mutant]:
     nodes = list(ast_nodes(get_ast(text)))
     for name in OPERATORS:
         operator = get_operator(f"core/{name}")()
-        starts = [p for node in nodes for p, _ in operator.mutation_positions(node)]
+        places = [(x, p) for x in nodes for p, _ in operator.mutation_positions(x)]
         seen: dict[str, int] = {}
-        for occurrence, (row, column) in enumerate(starts):
+        for occurrence, (node, (row, column)) in enumerate(places):
             line = lines[row - 1].strip()
             seen[line] = seen.get(line, -1) + 1
-            if not any(a <= (row, column) < b for a, b in unused):
+            marker = node.parent is not None and node.parent.type == "parameters"
+            if not (marker or any(a <= (row, column) < b for a, b in unused)):
                 yield Mutant(path, name, occurrence, f"{line}\0{seen[line]}")
 
 
