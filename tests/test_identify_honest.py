@@ -85,7 +85,9 @@ def test_links_are_fitted_anew_around_what_was_learned(with_and_without):
     assert len(links) == 6
     errors = []
     for fit in (rigid, full):
-        values = dict(zip(fit.model.base.kept_labels, fit.model.base.values))
+        values = dict(
+            zip(fit.model.base.kept_labels, fit.model.base.values, strict=True)
+        )
         errors.append(
             np.linalg.norm([values[labels[k]] / truth[k] - 1.0 for k in links])
         )
