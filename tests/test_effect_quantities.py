@@ -11,7 +11,7 @@ from hybrid.effects import effect_class
 from hybrid.effects.quantity import Quantity, Scale
 
 # Effect, parameter, usual size, bounds, what these are multiples of (rated torque τ and
-# speed v of the joint), unit; "inner" is of the fit alone, "whole" a number of something.
+# speed v of the joint), unit; "inner" is of the fit alone, "whole" a number of things.
 TABLE = """
 actuator_lag          time              0.005    -0.05    0.05     1     s
 armature              inertia           0.02     0        0.5      τ/v   kg·m²
