@@ -220,6 +220,14 @@ def test_a_ratio_of_nothing_is_no_number():
     assert Ratio(3, 4).value == 0.75
 
 
+def test_ends_of_an_interval_are_shares_that_make_the_one_seen_just_likely():
+    for hits, total in ((3, 4), (40, 100), (1, 30)):
+        for end in Ratio(hits, total).interval:
+            deviation = np.sqrt(end * (1 - end) / total)
+            assert abs(hits / total - end) == pytest.approx(1.96 * deviation)
+    assert Ratio(0, 5).interval[0] == 0.0 and Ratio(5, 5).interval[1] == 1.0
+
+
 def test_coverage_sums_over_cases():
     rows = [{"covered": (1, 2)}, {"covered": (3, 3)}]
     assert coverage(rows) == Ratio(4, 5)
