@@ -52,7 +52,7 @@ def campaign(mutants: Iterable[Mutant], log: Path, *, again: bool) -> list[Row]:
     """Try every mutant that is not in the log yet; one line of the log each."""
     done, rows = read_rows(log), []
     log.parent.mkdir(parents=True, exist_ok=True)
-    with Sandbox() as sandbox, log.open("a") as out:
+    with Sandbox(log.with_name("baseline.json")) as sandbox, log.open("a") as out:
         for mutant in mutants:
             row = done.get(mutant.key)
             if row is None or (again and row["outcome"] not in DETECTED):
