@@ -8,9 +8,10 @@ the heavy libraries loaded already. A change that no test notices has survived.
     python benchmarks/mutants.py --out reports/mutants
     python benchmarks/mutants.py --out here --seed 7 --count 50 --only hybrid/signals
 
-A campaign that was stopped goes on where it was. `--again` tries survivors anew, as
-after new tests. A survivor that no test could notice is named, with the reason, in
-`equivalent.toml` beside the results; it is counted apart.
+A campaign that was stopped goes on where it was: what was killed stays so while its
+module is the same, what survived is tried anew when its tests have changed. A survivor
+that no test could notice is named, with the reason, in `equivalent.toml` beside the
+results; it is counted apart.
 """
 
 from __future__ import annotations
@@ -24,12 +25,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from mutation import ROOT, Mutant, drawn
-from sandbox import Sandbox
+from mutation import ROOT, Mutant, digest, drawn
+from sandbox import Sandbox, chosen_tests
 
 from hybrid.report import Table, markdown_table, provenance, write_results
 
 COMMAND = "python benchmarks/mutants.py --out reports/mutants"
+WORK = ROOT / "build" / "mutants"
 DETECTED = ("killed", "timeout")
 Row = dict[str, Any]
 
@@ -48,26 +50,34 @@ def read_rows(path: Path) -> dict[str, Row]:
     return {row["key"]: row for row in map(json.loads, path.read_text().splitlines())}
 
 
-def campaign(mutants: Iterable[Mutant], log: Path, *, again: bool) -> list[Row]:
-    """Try every mutant that is not in the log yet; one line of the log each."""
+def campaign(mutants: Iterable[Mutant]) -> list[Row]:
+    """Try every mutant of which the log has no valid outcome; one line of it each."""
+    WORK.mkdir(parents=True, exist_ok=True)
+    log = WORK / "mutants.jsonl"
     done, rows = read_rows(log), []
-    log.parent.mkdir(parents=True, exist_ok=True)
-    with Sandbox(log.with_name("baseline.json")) as sandbox, log.open("a") as out:
+    with Sandbox(WORK / "baseline.json") as sandbox, log.open("a") as out:
         for mutant in mutants:
-            row = done.get(mutant.key)
-            if row is None or (again and row["outcome"] not in DETECTED):
-                outcome, seconds = sandbox.tried(mutant.path, mutant.source())
+            row, source = done.get(mutant.key), mutant.source()
+            text, tests = digest(source), sandbox.digest(chosen_tests(mutant.path))
+            if not (row and row["source"] == text and _valid(row, tests)):
+                outcome, seconds = sandbox.tried(mutant.path, source)
                 row = {
                     "key": mutant.key,
                     "path": mutant.path,
                     "outcome": outcome,
                     "seconds": round(seconds, 2),
                     "diff": diff(mutant),
+                    "source": text,
+                    "tests": tests,
                 }
                 print(f"{outcome:9} {seconds:6.1f} s  {mutant.path}", flush=True)
                 print(json.dumps(row), file=out, flush=True)
             rows.append(row)
     return rows
+
+
+def _valid(row: Row, tests: str) -> bool:
+    return row["outcome"] in DETECTED or row["tests"] == tests
 
 
 def table(rows: list[Row], reasons: dict[str, str]) -> Table:
@@ -110,20 +120,19 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="which mutants are drawn")
     parser.add_argument("--count", type=int, default=300, help="how many")
     parser.add_argument("--only", nargs="*", default=(), help="modules or folders")
-    parser.add_argument("--again", action="store_true", help="try survivors anew")
     given = parser.parse_args()
     mutants = drawn(given.seed, given.count, tuple(given.only))
-    rows = campaign(mutants, given.out / "mutants.jsonl", again=given.again)
+    rows = campaign(mutants)
+    given.out.mkdir(parents=True, exist_ok=True)
     known = given.out / "equivalent.toml"
     reasons = tomllib.loads(known.read_text()) if known.exists() else {}
     command = f"{COMMAND} --seed {given.seed} --count {given.count}"
     command += " --only " + " ".join(given.only) if given.only else ""
     (given.out / "table.md").write_text(page(rows, reasons, command))
-    found = {x: dict(zip(("header", "rows"), (t.header, t.rows), strict=True))
-             for x, t in [("modules", table(rows, reasons))]}  # fmt: skip
-    record = {"provenance": provenance(command=command), **found}
-    write_results(given.out / "results.json", record)
-    print(markdown_table(table(rows, reasons)))
+    found = table(rows, reasons)
+    record = {"provenance": provenance(command=command), "header": found.header}
+    write_results(given.out / "results.json", {**record, "rows": found.rows})
+    print(markdown_table(found))
 
 
 if __name__ == "__main__":

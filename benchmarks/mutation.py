@@ -67,8 +67,7 @@ class Mutant:
     @cached_property
     def key(self) -> str:
         """Short name that does not depend on the rest of the module."""
-        text = "\0".join((self.path, self.operator, self.place))
-        return hashlib.sha256(text.encode()).hexdigest()[:12]
+        return digest("\0".join((self.path, self.operator, self.place)))
 
     def source(self) -> str:
         """The module's text with the change."""
@@ -77,6 +76,11 @@ class Mutant:
         found = MutationVisitor.mutate_code(text, operator, self.occurrence)
         assert found is not None, self
         return str(found)
+
+
+def digest(text: str) -> str:
+    """Short hash of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def drawn(seed: int, count: int, only: tuple[str, ...] = ()) -> list[Mutant]:

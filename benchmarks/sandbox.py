@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import json
 import os
@@ -16,16 +15,19 @@ import traceback
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
-from mutation import ROOT, SETTINGS
+from hypothesis import Phase
+from mutation import ROOT, SETTINGS, digest
 
 _COPIED = ("hybrid", "tests")
 # Loaded before the fork, as they take longer than most tests.
 _HEAVY = (
-    "hypothesis", "matplotlib.figure", "mujoco", "pinocchio", "scipy.linalg",
+    "matplotlib.figure", "mujoco", "pinocchio", "scipy.linalg",
     "scipy.optimize", "scipy.signal", "scipy.spatial", "scipy.stats", "sklearn.cluster",
     "torch", "yaml",
 )  # fmt: skip
+_LONG = 600.0  # s, for the unchanged code
 _PATIENCE = 4.0  # times the processor time of the unchanged code, ended as "timeout"
 _GRACE = 5.0  # s more, as one module's tests differ from another's
 _WALL = 5.0  # times that limit in wall-clock time, for a process that sleeps
@@ -66,6 +68,11 @@ class Sandbox:
     def __enter__(self) -> Sandbox:
         for name in _HEAVY:
             importlib.import_module(name)
+        # One example that fails is enough; a smaller one is of no interest.
+        phases = (Phase.explicit, Phase.generate)
+        hypothesis.settings.register_profile(
+            "mutants", deadline=None, database=None, phases=phases
+        )
         self.root = Path(tempfile.mkdtemp(prefix="mutants_"))
         for path in ROOT.iterdir():
             if path.name in _COPIED:
@@ -75,6 +82,8 @@ class Sandbox:
                 (self.root / path.name).symlink_to(path)
         known = self._file.read_text() if self._file.exists() else "{}"
         self._baseline: dict[str, float] = json.loads(known)
+        modules = sorted((self.root / "hybrid").rglob("*.py"))
+        self._package = digest("".join(x.read_text() for x in modules))
         self._clock = 0
         return self
 
@@ -94,15 +103,18 @@ class Sandbox:
         before = module.read_text()
         self._write(module, source)
         try:
-            return self._run(path, tests, limit)
+            outcome, seconds = self._run(path, tests, limit)
+            if outcome == "broken":
+                raise SystemExit((self.root / "log").read_text()[-3000:])
+            return outcome, seconds
         finally:
             self._write(module, before)
 
     def _unchanged(self, path: str, tests: list[str]) -> float:
         """Processor time of tests that must pass on the code as it is, [s]."""
-        key = self._digest(tests)
+        key = self._package + self.digest(tests)
         if key not in self._baseline:
-            outcome, seconds = self._run(path, tests, 600.0)
+            outcome, seconds = self._run(path, tests, _LONG)
             if outcome != "survived":
                 log = (self.root / "log").read_text()
                 raise SystemExit(f"{tests} fail on the unchanged code:\n{log[-3000:]}")
@@ -110,11 +122,10 @@ class Sandbox:
             self._file.write_text(json.dumps(self._baseline))
         return self._baseline[key]
 
-    def _digest(self, tests: list[str]) -> str:
-        """Hash of the package and of some tests."""
-        files = [*sorted((self.root / "hybrid").rglob("*.py"))]
-        files += [self.root / x for x in tests]
-        return hashlib.sha256(b"".join(x.read_bytes() for x in files)).hexdigest()[:16]
+    def digest(self, tests: list[str]) -> str:
+        """Short hash of some tests, and of what they share."""
+        files = [*sorted((self.root / "tests").glob("[!t]*.py")), *tests]
+        return digest("".join((self.root / x).read_text() for x in files))
 
     def _write(self, module: Path, source: str) -> None:
         """Write a module with a time of its own, or Python takes the old bytecode."""
@@ -158,9 +169,10 @@ class Sandbox:
         sys.path[:0] = [str(self.root), str(self.root / "tests")]
         os.environ["PYTHONPATH"] = str(self.root)
         options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
-        options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # _HEAVY
+        options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # loaded before
         slow = [f"--deselect={x}" for x in SETTINGS["slow"]]
-        options += [*slow, "--hypothesis-seed=0", *tests]
+        options += [*slow, "--hypothesis-profile=mutants", "--hypothesis-seed=0"]
+        options += ["--tb=no" if limit < _LONG else "--tb=short", *tests]
         return int(pytest.main(options, plugins=[_OwnTests(self.root / path)]))
 
 
