@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 from test_gmr import random_mixture, sample
 
 from hybrid.compensator import (
@@ -163,6 +164,30 @@ def test_numbers_of_inputs_that_do_not_match_are_refused():
         ArmRemainder.from_dict(2, [content[0] | {"speeds": []}], arm.arrays())
     with pytest.raises(ModelFileError, match="remainder 0 is damaged"):
         ArmRemainder.from_dict(2, [content[0] | {"kind": "none"}], arm.arrays())
+
+
+def test_by_itself_a_fit_tries_powers_of_two_and_finds_two_parts():
+    rng = np.random.default_rng(0)
+    side = np.where(rng.random(3000) < 0.5, -4.0, 4.0)[:, None]
+    x = side + rng.normal(size=(3000, 1))
+    y = np.where(side > 0, x, -2.0 * x) + 0.3 * rng.normal(size=x.shape)
+    held_out = slice(2000, None)
+    model = GaussianMixtureRegression.fit(
+        x[:2000], y[:2000], validation=(x[held_out], y[held_out])
+    )
+    assert model.components == 2
+
+
+def test_the_likelihood_is_the_sum_of_the_logs_of_the_density():
+    rng = np.random.default_rng(0)
+    joint, means = rng.normal(size=(50, 2)), np.array([[0.0, 1.0], [2.0, -1.0]])
+    covariances = np.array([[[2.0, 0.5], [0.5, 1.0]], [[1.0, 0.0], [0.0, 3.0]]])
+    mixture = Mixture(np.array([0.3, 0.7]), means, covariances)
+    density = sum(
+        w * multivariate_normal(m, S).pdf(joint)
+        for w, m, S in zip(mixture.weights, means, covariances, strict=True)
+    )
+    assert log_likelihood(joint, mixture) == pytest.approx(np.log(density).sum())
 
 
 def test_the_fewest_components_within_a_hundredth_of_a_nat_are_chosen():
