@@ -21,7 +21,7 @@ import difflib
 import json
 import tomllib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,34 +50,39 @@ def read_rows(path: Path) -> dict[str, Row]:
     return {row["key"]: row for row in map(json.loads, path.read_text().splitlines())}
 
 
-def campaign(mutants: Iterable[Mutant]) -> list[Row]:
+def campaign(mutants: Sequence[Mutant]) -> list[Row]:
     """Try every mutant of which the log has no valid outcome; one line of it each."""
     WORK.mkdir(parents=True, exist_ok=True)
     log = WORK / "mutants.jsonl"
-    done, rows = read_rows(log), []
+    done, rows, left = read_rows(log), [], []
     with Sandbox(WORK / "baseline.json") as sandbox, log.open("a") as out:
+        hashes = {m.path: sandbox.digest(chosen_tests(m.path)) for m in mutants}
         for mutant in mutants:
-            row, source = done.get(mutant.key), mutant.source()
-            text, tests = digest(source), sandbox.digest(chosen_tests(mutant.path))
-            if not (row and row["source"] == text and _valid(row, tests)):
-                outcome, seconds = sandbox.tried(mutant.path, source)
-                row = {
-                    "key": mutant.key,
-                    "path": mutant.path,
-                    "outcome": outcome,
-                    "seconds": round(seconds, 2),
-                    "diff": diff(mutant),
-                    "source": text,
-                    "tests": tests,
-                }
-                print(f"{outcome:9} {seconds:6.1f} s  {mutant.path}", flush=True)
-                print(json.dumps(row), file=out, flush=True)
+            row = done.get(mutant.key)
+            if row and _valid(row, digest(mutant.source()), hashes[mutant.path]):
+                rows.append(row)
+            else:
+                left.append(mutant)
+        for mutant, (outcome, seconds) in sandbox.outcomes(left):
+            row = {
+                "key": mutant.key,
+                "path": mutant.path,
+                "outcome": outcome,
+                "seconds": round(seconds, 2),
+                "diff": diff(mutant),
+                "source": digest(mutant.source()),
+                "tests": hashes[mutant.path],
+            }
             rows.append(row)
+            print(f"{outcome:9} {seconds:6.1f} s  {mutant.path}", flush=True)
+            print(json.dumps(row), file=out, flush=True)
     return rows
 
 
-def _valid(row: Row, tests: str) -> bool:
-    return row["outcome"] in DETECTED or row["tests"] == tests
+def _valid(row: Row, source: str, tests: str) -> bool:
+    """Whether an outcome still holds."""
+    known = row["outcome"] in DETECTED or row["tests"] == tests
+    return known and row["source"] == source and row["outcome"] != "broken"
 
 
 def table(rows: list[Row], reasons: dict[str, str]) -> Table:
