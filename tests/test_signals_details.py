@@ -275,3 +275,27 @@ def test_an_average_over_periods_keeps_what_repeats_and_measures_the_noise():
     average_periods(two, 0.5)
     with pytest.raises(RecordingError, match="1 whole periods"):
         average_periods(record(q[:399], 100.0), 0.5)
+
+
+def test_samples_just_off_a_period_are_taken_as_they_are():
+    """Interpolation would average their noise away."""
+    rng = np.random.default_rng(0)
+    q = rng.normal(size=(800, 1))
+    log = record(q, 100.0)
+    mean, _ = average_periods(log, 0.5 * (1 + 2e-6))
+    expected = q.reshape(4, 200, 1).mean(axis=0)
+    np.testing.assert_allclose(mean.q, expected, rtol=0, atol=1e-12)
+    between, _ = average_periods(log, 0.5 / 1.00125)  # half a step a period
+    assert np.abs(between.q - expected).max() > 0.1
+
+
+def test_a_log_without_noise_ends_where_its_motion_ends():
+    t = np.arange(5000) / 250
+    q = np.stack([np.sin(2 * np.pi * 3.0 * t), np.sin(2 * np.pi * 2.5 * t)], axis=1)
+    assert 5.0 <= choose_cutoff(record(q, 250.0)) < 12.0
+
+
+def test_nothing_filtered_is_nothing():
+    empty = butterworth(np.zeros((0, 2)), rate=100.0, cutoff=5.0)
+    assert empty.shape == (0, 2)
+    assert Sampler(100.0, 5.0, 3)(np.zeros((0, 2))).shape == (0, 2)
