@@ -4,7 +4,7 @@
 #   make test    all tests
 #   make check   lint, format and types
 #   make format  let ruff put the format right
-#   make mutants change the code in 300 places and see whether the tests notice
+#   make mutants change the code in 400 places and see whether the tests notice
 #   make clean   remove everything these targets made, except reports
 
 PYTHON ?= python3

@@ -122,8 +122,8 @@ def main() -> None:
     """Run a campaign and write its table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
-    parser.add_argument("--seed", type=int, default=0, help="which mutants are drawn")
-    parser.add_argument("--count", type=int, default=300, help="how many")
+    parser.add_argument("--seed", type=int, default=1, help="which mutants are drawn")
+    parser.add_argument("--count", type=int, default=400, help="how many")
     parser.add_argument("--only", nargs="*", default=(), help="modules or folders")
     given = parser.parse_args()
     mutants = drawn(given.seed, given.count, tuple(given.only))

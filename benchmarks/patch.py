@@ -42,7 +42,8 @@ class Patch:
 
 
 def patch_of(source: str, mutant: Mutant) -> Patch | None:
-    """The patch that makes a mutant of a module; None if more than a function changes.
+    """The patch that makes a mutant of a module; None if more than one function changes,
+    or one without a name, which has run when its module was loaded.
 
     Args:
         source: The module's text.
@@ -54,7 +55,7 @@ def patch_of(source: str, mutant: Mutant) -> Patch | None:
     if len(changed) != 1 or _shell(before) != _shell(after):
         return None
     names, old, new = changed[0]
-    if old.co_freevars != new.co_freevars:
+    if old.co_freevars != new.co_freevars or names[-1].startswith("<"):
         return None
     return Patch(mutant.path, names, new.co_firstlineno, new)
 

@@ -460,6 +460,25 @@ def test_a_flight_that_turns_back_lands_where_it_started():
     assert not landed and len(path) == 3
 
 
+def test_a_link_behind_play_lags_by_half_of_it_and_without_play_by_nothing():
+    robot = Robot.load(MODELS / "planar.xml")
+    motion = motion_of(robot, 400)
+    t = motion.t
+    q = np.stack([0.5 * np.sin(t), 0.4 * np.sin(1.7 * t)], axis=1)
+    v, a = (
+        np.gradient(q, t, axis=0),
+        np.gradient(np.gradient(q, t, axis=0), t, axis=0),
+    )
+    motion = replace(motion, q=q, v=v, a=a)
+    body = rigid(robot, motion)
+    assert effect("backlash", 1).observe(motion, body) is motion
+    lag = (effect("backlash", 1, half_width=0.003).observe(motion, body).q - q)[:, 1]
+    assert np.abs(lag).max() == pytest.approx(0.003)
+    pressed = np.abs(body.load[:, 1]) > 0.5 * np.abs(body.load[:, 1]).max()
+    at_stop = -0.003 * np.sign(body.load[:, 1])
+    assert np.mean(np.isclose(lag, at_stop)[pressed]) > 0.9
+
+
 @pytest.mark.parametrize("name", ["backlash", "elasticity"])
 def test_a_gear_has_a_second_joint_behind_the_motors_and_needs_a_rotor(name):
     robot = Robot.load(MODELS / "planar.xml")

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -377,6 +378,13 @@ def test_a_file_that_is_gone_is_noticed(tmp_path):
         read_manifest(tmp_path)
     with pytest.raises(ModelFileError, match="cannot be read"):
         read_manifest(tmp_path / "none")
+
+
+def test_without_its_package_onnx_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(HybridError, match=r"pip install 'hybrid-arm\[export\]'"):
+        export(model_of(planar()), tmp_path / "out", format="onnx")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_shape_that_does_not_fit_the_arm_is_refused():
