@@ -42,8 +42,9 @@ class Patch:
 
 
 def patch_of(source: str, mutant: Mutant) -> Patch | None:
-    """The patch that makes a mutant of a module; None if more than one function changes,
-    or one without a name, which has run when its module was loaded.
+    """The patch that makes a mutant of a module; None if it is not just a function.
+
+    A function without a name does not count: it ran when its module was loaded.
 
     Args:
         source: The module's text.
