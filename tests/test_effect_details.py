@@ -9,9 +9,10 @@ from arms import MODELS, random_arm
 from test_effect_laws import effect, motion_of
 
 from hybrid.dynamics import RigidBody
-from hybrid.effects import JointState, effect_class
+from hybrid.effects import JointState, effect_class, effect_classes
 from hybrid.effects.backlash import _fall, _flight
 from hybrid.effects.elasticity import _swing
+from hybrid.effects.gravity_tilt import level_axes
 from hybrid.effects.loop import Loop, commanded_torque
 from hybrid.errors import EffectError
 from hybrid.robot import Robot
@@ -327,6 +328,10 @@ def test_a_push_lasts_from_its_start_for_its_duration_in_its_recording():
         np.testing.assert_array_equal(seen, touching & there)
 
 
+def test_without_gravity_an_arm_tilts_as_if_it_stood_on_the_floor():
+    np.testing.assert_array_equal(level_axes(np.zeros(3)), np.eye(3)[:2])
+
+
 def test_a_counterbalance_is_reported_within_half_a_turn_of_zero():
     near = effect("counterbalance", dead_centre=3.0)
     assert near.as_reported() is near
@@ -416,6 +421,27 @@ def test_a_soft_joint_has_the_frequency_of_its_link_on_its_spring():
     expected = np.sqrt(1.0 / (0.002 * inertia)) / (2 * np.pi)
     assert law.frequency(body) == pytest.approx(expected)
     assert effect("elasticity", 1).frequency(body) == np.inf
+
+
+def test_a_soft_link_rings_at_its_frequency_after_its_motor_has_stopped():
+    robot = Robot.load(MODELS / "planar.xml")
+    chain = replace(robot.chain, gravity=np.zeros(3))
+    t = np.arange(0, 6, 0.001)
+    phase = np.clip((t - 1.0) / 0.2, 0, 1)
+    elbow = 0.3 * phase**3 * (10 - 15 * phase + 6 * phase**2)
+    q = np.stack([0 * t, elbow], axis=1)
+    v = np.gradient(q, t, axis=0)
+    motion = Motion(t, q, v, np.gradient(v, t, axis=0), 0 * q, np.ones(len(t), bool))
+    body = RigidBody(chain, motion)
+    law = effect("elasticity", 1, compliance=0.02, damping=0.0)
+    swing = (law.observe(motion, body).q - q)[t > 1.5, 1]
+    crossings = np.flatnonzero(np.diff(np.sign(swing)))
+    found = (len(crossings) - 1) / (2 * 0.001 * (crossings[-1] - crossings[0]))
+    assert found == pytest.approx(law.frequency(body), rel=0.02)
+    # No gear rings for longer than a twentieth of the critical damping lets it.
+    tops = np.abs(swing[crossings[:-1] + np.diff(crossings) // 2])
+    decay = np.log(tops[1:6] / tops[:5]).mean() / np.pi
+    assert -0.075 < decay < -0.045
 
 
 def test_a_stiff_spring_gives_way_by_load_over_stiffness():
@@ -513,6 +539,12 @@ def test_flags_tell_a_fit_how_to_treat_an_effect():
         classes = ("elasticity", "backlash", "delay", "actuator_lag", "coulomb")
         return {name for name in classes if getattr(effect_class(name), flag)}
 
+    dry = {name for name, cls in effect_classes().items() if getattr(cls, "dry", False)}
+    assert dry >= {
+        "coulomb", "stribeck", "improved_stribeck", "asymmetric_friction",
+        "load_friction", "threshold_friction",
+    }  # fmt: skip
+    assert not dry & {"viscous", "nonlinear_viscous", "thermal_friction", "spring"}
     assert flagged("steep") == {"elasticity", "backlash"}
     assert flagged("echoes") == {"elasticity"}
     assert flagged("differentiates") == {"delay", "actuator_lag"}
