@@ -195,6 +195,7 @@ def test_most_that_is_allowed_bounds_faults_and_least_that_is_wanted_merits():
             assert m.wanted == ""
         else:
             assert m.most is fault and (m.target <= 0.05) is fault
+            assert 0 < m.target < 1
             assert m.wanted == f"{'≤' if fault else '≥'} {100 * m.target:.0f} %"
 
 
