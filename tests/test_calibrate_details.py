@@ -10,7 +10,7 @@ from test_calibrate import coman, disturbed, flange, measured
 from hybrid.calibrate import calibrate
 from hybrid.calibrate.align import _linear, _nearest_rotation, _stations, align
 from hybrid.calibrate.calibrate import _group, _load, _rank, _unit
-from hybrid.calibrate.geometry import geometry_from_chain
+from hybrid.calibrate.geometry import geometry_from_chain, steps_from_dh
 from hybrid.calibrate.measurements import Measurements
 from hybrid.calibrate.poses import (
     _gain,
@@ -202,3 +202,40 @@ def test_noise_of_each_kind_is_found_beside_the_estimates():
     middle = (low + high) / 2
     np.testing.assert_allclose(middle, found.solution.x, atol=1e-12)
     np.testing.assert_allclose((high - low) / 2, 1.965 * found.solution.std, rtol=2e-3)
+
+
+def test_noise_is_what_is_left_over_the_freedom_that_is_left():
+    q = random_poses(coman(), 30, np.random.default_rng(3))
+    data = measured(disturbed(coman().chain), q, "position", noise=1e-3)
+    found = calibrate(coman(), data, robust=False)
+    left = found.errors(data)["position"]
+    solution = found.solution
+    assert solution.degrees == 90 - len(solution.x)
+    expected = np.sqrt((left**2).sum() / solution.degrees)
+    assert solution.noise["position"] == pytest.approx(expected, rel=1e-6)
+    np.testing.assert_allclose(
+        solution.covariance, np.linalg.inv(solution.jacobian.T @ solution.jacobian)
+    )
+
+
+@pytest.mark.parametrize("bends", [True, False])
+def test_errors_count_the_bending_where_it_was_fitted(bends):
+    q = random_poses(coman(), 50, np.random.default_rng(3))
+    chain, still = coman().chain, np.zeros((50, 6))
+    held = inverse_dynamics(chain, chain.inertial, q, still, still)
+    seen = measured(chain, q - bends * 3e-5 * held, "pose")
+    free = ("base", "tool", "geometry", *(("compliance",) if bends else ()))
+    found = calibrate(coman(), replace(seen, q=q), free=free)
+    assert max(x.max() for x in found.errors(replace(seen, q=q)).values()) < 1e-9
+
+
+def test_rows_of_a_table_are_counted_from_one():
+    row = {"theta": 0.1, "d": 0.2, "a": 0.3, "alpha": 0.4}
+    steps = steps_from_dh([row, {"theta": 0.0, "a": 0.5, "alpha": 0.0, "beta": 0.6}])
+    found = [(s.parameter, s.axis, s.turns, s.nominal, s.joint) for s in steps]
+    assert found == [
+        ("theta_1", 2, True, 0.1, 0), ("d_1", 2, False, 0.2, None),
+        ("a_1", 0, False, 0.3, None), ("alpha_1", 0, True, 0.4, None),
+        ("theta_2", 2, True, 0.0, 1), ("a_2", 0, False, 0.5, None),
+        ("alpha_2", 0, True, 0.0, None), ("beta_2", 1, True, 0.6, None),
+    ]  # fmt: skip
