@@ -1,17 +1,16 @@
 """Whether the tests can fail: one change at a time to the code, and who notices.
 
 Cosmic Ray makes the changes (an operator, a number, a condition, a loop). A seed draws
-some of all that are possible. Each is written into a copy of the tree, and the tests
-that `pyproject.toml` names for its module run there, in a process of their own that has
-the heavy libraries loaded already. A change that no test notices has survived.
+some of all that are possible. Each meets, in a process of its own, the tests that
+`pyproject.toml` names for its module. A change that no test notices has survived.
 
     python benchmarks/mutants.py --out reports/mutants
     python benchmarks/mutants.py --out here --seed 7 --count 50 --only hybrid/signals
 
-A campaign that was stopped goes on where it was: what was killed stays so while its
-module is the same, what survived is tried anew when its tests have changed. A survivor
-that no test could notice is named, with the reason, in `equivalent.toml` beside the
-results; it is counted apart.
+A campaign that was stopped, or ended after `--minutes`, goes on where it was: what was
+killed stays so while its module is the same, what survived is tried anew when its tests
+have changed. A survivor that no test could notice is named, with the reason, in
+`equivalent.toml` beside the results; it is counted apart.
 """
 
 from __future__ import annotations
@@ -19,14 +18,16 @@ from __future__ import annotations
 import argparse
 import difflib
 import json
+import time
 import tomllib
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mutation import ROOT, Mutant, digest, drawn
-from sandbox import Sandbox, chosen_tests
+from sandbox import Sandbox, chosen_tests, tests_digest
 
 from hybrid.report import Table, markdown_table, provenance, write_results
 
@@ -50,19 +51,22 @@ def read_rows(path: Path) -> dict[str, Row]:
     return {row["key"]: row for row in map(json.loads, path.read_text().splitlines())}
 
 
-def campaign(mutants: Sequence[Mutant]) -> list[Row]:
-    """Try every mutant of which the log has no valid outcome; one line of it each."""
+def campaign(mutants: Sequence[Mutant], minutes: float) -> list[Row]:
+    """Outcomes that the log has, and those of as many others as time allows."""
     WORK.mkdir(parents=True, exist_ok=True)
     log = WORK / "mutants.jsonl"
     done, rows, left = read_rows(log), [], []
+    hashes = {m.path: tests_digest(chosen_tests(m.path)) for m in mutants}
+    for mutant in mutants:
+        row = done.get(mutant.key)
+        if row and _valid(row, digest(mutant.source()), hashes[mutant.path]):
+            rows.append(row)
+        else:
+            left.append(mutant)
+    if not left or minutes <= 0:
+        return rows
+    end = time.monotonic() + 60 * minutes
     with Sandbox(WORK / "baseline.json") as sandbox, log.open("a") as out:
-        hashes = {m.path: sandbox.digest(chosen_tests(m.path)) for m in mutants}
-        for mutant in mutants:
-            row = done.get(mutant.key)
-            if row and _valid(row, digest(mutant.source()), hashes[mutant.path]):
-                rows.append(row)
-            else:
-                left.append(mutant)
         for mutant, (outcome, seconds) in sandbox.outcomes(left):
             row = {
                 "key": mutant.key,
@@ -76,6 +80,8 @@ def campaign(mutants: Sequence[Mutant]) -> list[Row]:
             rows.append(row)
             print(f"{outcome:9} {seconds:6.1f} s  {mutant.path}", flush=True)
             print(json.dumps(row), file=out, flush=True)
+            if time.monotonic() > end:
+                break
     return rows
 
 
@@ -104,9 +110,13 @@ def _line(name: str, rows: list[Row], reasons: dict[str, str]) -> tuple[str, ...
     return (name, *map(str, numbers), share)
 
 
-def page(rows: list[Row], reasons: dict[str, str], command: str) -> str:
+def page(rows: list[Row], reasons: dict[str, str], command: str, drawn: int) -> str:
     """The table, and every survivor as a patch."""
     parts = ["# Mutants\n", markdown_table(table(rows, reasons)), f"`{command}`\n"]
+    if len(rows) < drawn:
+        parts.append(
+            f"{drawn - len(rows)} of {drawn} that were drawn are still open.\n"
+        )
     left = [row for row in rows if row["outcome"] not in DETECTED]
     for title, wanted in (("Survivors", False), ("Equivalent", True)):
         chosen = [row for row in left if (row["key"] in reasons) is wanted]
@@ -125,15 +135,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="which mutants are drawn")
     parser.add_argument("--count", type=int, default=400, help="how many")
     parser.add_argument("--only", nargs="*", default=(), help="modules or folders")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="then stop")
     given = parser.parse_args()
     mutants = drawn(given.seed, given.count, tuple(given.only))
-    rows = campaign(mutants)
+    rows = campaign(mutants, given.minutes)
     given.out.mkdir(parents=True, exist_ok=True)
     known = given.out / "equivalent.toml"
     reasons = tomllib.loads(known.read_text()) if known.exists() else {}
     command = f"{COMMAND} --seed {given.seed} --count {given.count}"
     command += " --only " + " ".join(given.only) if given.only else ""
-    (given.out / "table.md").write_text(page(rows, reasons, command))
+    (given.out / "table.md").write_text(page(rows, reasons, command, len(mutants)))
     found = table(rows, reasons)
     record = {"provenance": provenance(command=command), "header": found.header}
     write_results(given.out / "results.json", {**record, "rows": found.rows})

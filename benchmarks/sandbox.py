@@ -93,14 +93,9 @@ class Sandbox:
                 if patches[mutant] is None:
                     yield mutant, self._written(mutant, list(tests), limit)
 
-    def digest(self, tests: list[str]) -> str:
-        """Short hash of some tests, and of what they share."""
-        files = [*sorted((self.root / "tests").glob("[!t]*.py")), *tests]
-        return digest("".join((self.root / x).read_text() for x in files))
-
     def _unchanged(self, tests: list[str]) -> float:
         """Processor time of tests that must pass on the code as it is, [s]."""
-        key = self._package + self.digest(tests)
+        key = self._package + tests_digest(tests)
         if key not in self._baseline:
             ((_, (outcome, seconds)),) = self._forked(tests, [None], _LONG)
             if outcome != "survived":
@@ -219,6 +214,12 @@ def chosen_tests(path: str) -> list[str]:
     names = [x for x in SETTINGS["tests"] if path.startswith(x)]
     found = SETTINGS["tests"][max(names, key=len)]
     return [f"tests/test_{x}.py" for x in found]
+
+
+def tests_digest(tests: list[str]) -> str:
+    """Short hash of some tests, and of what they share."""
+    files = [*sorted((ROOT / "tests").glob("[!t]*.py")), *(ROOT / x for x in tests)]
+    return digest("".join(x.read_text() for x in files))
 
 
 def _parameters(item: pytest.Item) -> str:
