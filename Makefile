@@ -4,6 +4,7 @@
 #   make test    all tests
 #   make check   lint, format and types
 #   make format  let ruff put the format right
+#   make mutants change the code in 400 places and see whether the tests notice
 #   make clean   remove everything these targets made, except reports
 
 PYTHON ?= python3
@@ -14,7 +15,7 @@ INSTALLED := .venv/.installed
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test check format clean
+.PHONY: demo test check format mutants clean
 .DEFAULT_GOAL := demo
 
 demo: $(INSTALLED)
@@ -31,6 +32,11 @@ check: $(INSTALLED)
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+mutants: $(INSTALLED)
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet \
+		-c constraints.txt -e ".[mutation]"
+	nice $(BIN)/python benchmarks/mutants.py --out reports/mutants
 
 clean:
 	rm -rf .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -227,3 +227,56 @@ def test_two_ripples_of_one_joint_have_names_of_their_own():
     base = build_problem(robot.chain, ripples).base
     assert len(set(base.labels)) == len(base.labels)
     assert "torque_ripple.sine[shoulder, periods 11.5]" in base.labels
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-4, 1e5])
+@pytest.mark.parametrize(
+    ("own", "kept"), [(1e-2, 3), (1e-3, 3), (1e-4, 3), (3e-6, 2), (1e-7, 2)]
+)
+def test_a_column_counts_from_a_hundred_thousandth_of_its_length_of_its_own(
+    own, kept, scale
+):
+    """Whatever its unit; what is less would need data that much better."""
+    x = np.linalg.qr(np.random.default_rng(0).normal(size=(40, 3)))[0]
+    nearly = (x[:, 0] + x[:, 1]) / np.sqrt(2) + own * x[:, 2]
+    stacked = np.column_stack([x[:, 0], x[:, 1], scale * nearly])
+    base = base_parameters(stacked, ("a", "b", "c"), ("1",) * 3)
+    assert base.kept == tuple(range(kept))
+    if kept == 2:
+        expected = scale * np.array([1.0, 1.0]) / np.sqrt(2)
+        np.testing.assert_allclose(base.mapping[:, 2], expected, rtol=1e-5)
+        assert base.dropped == {"c": "a, b"}
+
+
+def test_an_axis_bent_by_a_thousandth_has_the_rotor_apart():
+    """Two rotors on nearly one axis: the data can tell them where the columns do."""
+    rng = np.random.default_rng(1)
+    a = rng.normal(size=200)
+    for bend, size in ((1e-3, 2), (1e-7, 1)):
+        stacked = np.column_stack([a, a + bend * rng.normal(size=200)])
+        base = base_parameters(stacked, ("I_1", "I_2"), ("kg·m²",) * 2)
+        assert base.size == size
+
+
+def test_a_combination_is_named_with_sign_and_factor_and_dropped_with_its_partners():
+    x = np.eye(5)[:, :2]
+    columns = [x[:, 0], x[:, 1], 2 * x[:, 0] - x[:, 1], 0 * x[:, 0], 1e-6 * x[:, 1]]
+    base = base_parameters(np.column_stack(columns), tuple("abcde"), ("1",) * 5)
+    assert base.kept == (0, 1) and base.kept_labels == ("a", "b")
+    assert base.names == ("a + 2·c", "b − c")
+    np.testing.assert_allclose(base.mapping[:, 4], [0.0, 1e-6])
+    assert base.dropped == {"c": "a, b", "d": "", "e": "b"}
+    values = base.with_values([3.0, 4.0])
+    np.testing.assert_array_equal(values.standard(), [3.0, 4.0, 0.0, 0.0, 0.0])
+    assert values.size == 2
+
+
+def test_coefficients_of_rounding_are_none():
+    """Columns that share nothing but the last bits are not said to be combined."""
+    x = np.linalg.qr(np.random.default_rng(2).normal(size=(60, 4)))[0]
+    mixed = x[:, 0] + 1e-12 * x[:, 1] + 1e-8 * x[:, 2]
+    base = base_parameters(
+        np.column_stack([x[:, 0], x[:, 1], x[:, 2], mixed]), tuple("abcd"), ("1",) * 4
+    )
+    column = base.mapping[:, 3]
+    assert column[1] == 0.0 and column[2] == pytest.approx(1e-8, rel=1e-3)

@@ -1,0 +1,241 @@
+"""Poses, first guesses and weights of the kinematic calibration, in detail."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import MODELS
+from test_calibrate import coman, disturbed, flange, measured
+
+from hybrid.calibrate import calibrate
+from hybrid.calibrate.align import _linear, _nearest_rotation, _stations, align
+from hybrid.calibrate.calibrate import _group, _load, _rank, _unit
+from hybrid.calibrate.geometry import geometry_from_chain, steps_from_dh
+from hybrid.calibrate.measurements import Measurements
+from hybrid.calibrate.poses import (
+    _gain,
+    choose_poses,
+    observability_index,
+    random_poses,
+)
+from hybrid.calibrate.steps import Frame
+from hybrid.dynamics import inverse_dynamics
+from hybrid.errors import CalibrationError
+from hybrid.robot import Robot
+from hybrid.robot.spatial import rotation_from_axis_angle
+
+
+def turned(angle, axis=2):
+    return rotation_from_axis_angle(np.eye(3)[axis], angle)
+
+
+# --- poses ----------------------------------------------------------------------------
+
+
+def test_as_many_poses_are_needed_as_tell_the_parameters_and_one_more():
+    q = random_poses(coman(), 30, np.random.default_rng(0))
+    # A position tells three numbers of 27 parameters.
+    assert len(choose_poses(coman(), q, 10)) == 10
+    with pytest.raises(CalibrationError, match="9 poses; valid are 10, .* 27 .* to 30"):
+        choose_poses(coman(), q, 9)
+    with pytest.raises(CalibrationError, match="31 poses"):
+        choose_poses(coman(), q, 31)
+    with pytest.raises(CalibrationError, match="valid are position and pose"):
+        choose_poses(coman(), q, 10, kind="distance")
+    assert list(choose_poses(coman(), q, 30)) == list(range(30))
+
+
+def test_random_poses_are_spread_over_the_limits_and_over_a_turn_without_any():
+    robot = coman()
+    free = np.full(robot.size, np.inf)
+    open_ = replace(robot, q_max=np.where(np.arange(6) == 2, np.inf, robot.q_max))
+    q = random_poses(open_, 4000, np.random.default_rng(0))
+    low, high = robot.q_min.copy(), robot.q_max.copy()
+    low[2], high[2] = -np.pi, np.pi
+    assert (q >= low).all() and (q <= high).all()
+    np.testing.assert_allclose(q.min(axis=0), low, atol=0.01 * np.ptp(q))
+    np.testing.assert_allclose(q.max(axis=0), high, atol=0.01 * np.ptp(q))
+    chain = replace(robot.chain, revolute=np.arange(6) != 1)
+    slides = replace(robot, chain=chain, q_min=-free)
+    with pytest.raises(CalibrationError, match="linear joint 'shoulder' has no limits"):
+        random_poses(slides, 5, np.random.default_rng(0))
+
+
+def test_the_gain_of_a_pose_is_the_growth_of_the_determinant():
+    rng = np.random.default_rng(0)
+    J = rng.normal(size=(6, 3, 4))
+    information = np.eye(4) + J[0].T @ J[0]
+    expected = [
+        np.linalg.slogdet(information + x.T @ x)[1] - np.linalg.slogdet(information)[1]
+        for x in J
+    ]
+    np.testing.assert_allclose(_gain(information, J), expected)
+
+
+def test_observability_is_the_mean_axis_of_the_information_over_root_poses():
+    J = np.diag([2.0, 8.0, 4.0])
+    found = observability_index(J, 9)
+    assert found == pytest.approx((2 * 8 * 4) ** (1 / 3) / 3)
+
+
+# --- first guesses --------------------------------------------------------------------
+
+
+def test_the_nearest_rotation_is_a_rotation_and_leaves_one_alone():
+    R = turned(0.7) @ turned(-0.3, 0)
+    np.testing.assert_allclose(_nearest_rotation(R), R, atol=1e-12)
+    np.testing.assert_allclose(_nearest_rotation(5 * R), R, atol=1e-12)
+    mirrored = _nearest_rotation(np.diag([1.0, 1.0, -0.1]))
+    assert np.linalg.det(mirrored) == pytest.approx(1.0)
+
+
+def test_stations_are_found_from_points_in_space_and_in_a_plane():
+    rng = np.random.default_rng(0)
+    station = np.array([[1.0, -2.0, 1.5], [0.3, 2.0, 2.5]])
+    points = rng.normal(size=(30, 3))
+    d = np.linalg.norm(points[:, None] - station, axis=2)
+    d[3, 0] = np.nan
+    np.testing.assert_allclose(_stations(points, d), station, atol=1e-9)
+    flat = points * [1, 1, 0] + [0, 0, 0.4]
+    d = np.linalg.norm(flat[:, None] - station, axis=2)
+    found = _stations(flat, d)
+    np.testing.assert_allclose(found[:, :2], station[:, :2], atol=1e-9)
+    np.testing.assert_allclose(
+        np.abs(found[:, 2] - 0.4), station[:, 2] - 0.4, atol=1e-9
+    )
+
+
+def frames(count=20):
+    q = random_poses(coman(), count, np.random.default_rng(3))
+    R, p = flange(coman().chain, q)
+    return q, R, p, Frame(R, p)
+
+
+@pytest.mark.parametrize(("base", "tool"), [(True, True), (True, False), (False, True)])
+def test_frames_of_an_exact_arm_are_guessed_exactly(base, tool):
+    q, R, p, frame = frames()
+    B, b = (turned(0.8) @ turned(0.5, 1), np.array([1.0, -2.0, 0.5]))
+    X, x = (turned(-0.6, 0), np.array([0.1, 0.05, 0.2]))
+    if not base:
+        B, b = np.eye(3), np.zeros(3)
+    if not tool:
+        X, x = np.eye(3), np.zeros(3)
+    seen, turn = (p + R @ x) @ B.T + b, B @ R @ X
+    found = align(frame, Measurements(q, seen[:, None], turn), base=base, tool=tool)
+    np.testing.assert_allclose(found.base.rotation, B, atol=1e-9)
+    np.testing.assert_allclose(found.base.translation, b, atol=1e-9)
+    np.testing.assert_allclose(found.tools[0].rotation, X, atol=1e-9)
+    np.testing.assert_allclose(found.tools[0].translation, x, atol=1e-9)
+    assert found.stations.shape == (0, 3)
+
+
+def test_nothing_unknown_is_guessed():
+    _, _, p, frame = frames()
+    M, offsets = _linear(frame, p[:, None], base=False, tool=False)
+    np.testing.assert_array_equal(M, np.eye(3))
+    assert not offsets.any() and offsets.shape == (1, 3)
+
+
+# --- parameters -----------------------------------------------------------------------
+
+
+def test_parameters_have_their_group_unit_and_place():
+    robot = coman()
+    units = {
+        "base_x": "m", "base_rx": "rad", "tool_rz": "rad", "tool_z": "m",
+        "reflector_2_y": "m", "station_1_x": "m", "theta_elbow": "rad", "a_elbow": "m",
+        "alpha_elbow": "rad", "d_elbow": "m", "beta_elbow": "rad", "scale": "",
+        "compliance_elbow": "rad/(N·m)",
+    }  # fmt: skip
+    assert {x: _unit(x, robot) for x in units} == units
+    groups = {
+        "base_x": "base", "tool_rz": "tool", "reflector_2_y": "tool",
+        "station_1_x": "base", "theta_elbow": "geometry", "a_elbow": "geometry",
+        "scale": "scale", "compliance_elbow": "compliance",
+    }  # fmt: skip
+    assert {x: _group(x) for x in groups} == groups
+    ranks = [_rank(x) for x in ("base_x", "tool_x", "theta_1", "a_1", "alpha_1", "d_1")]
+    assert ranks == sorted(ranks)
+    chain = replace(robot.chain, revolute=np.zeros(6, dtype=bool))
+    assert _unit("compliance_elbow", replace(robot, chain=chain)) == "m/N"
+
+
+def test_the_load_is_the_torque_of_gravity():
+    q = random_poses(coman(), 5, np.random.default_rng(0))
+    chain, still = coman().chain, np.zeros((5, 6))
+    held = inverse_dynamics(chain, chain.inertial, q, still, still)
+    np.testing.assert_array_equal(_load(coman(), q, True), -held)
+    assert _load(coman(), q, False) is None
+
+
+def test_parallel_axes_have_a_second_angle_in_place_of_a_shift():
+    geometry = geometry_from_chain(coman().chain)
+    assert geometry.parallel == (False, True, True, False, False, False)
+    names = [s.parameter for s in geometry.steps if getattr(s, "parameter", "")]
+    assert "beta_elbow" in names and "d_shoulder" not in names
+    assert "beta_shoulder" not in names and "d_base" in names
+    planar = geometry_from_chain(Robot.load(MODELS / "planar.xml").chain)
+    assert planar.parallel == (True, False)
+
+
+# --- weights --------------------------------------------------------------------------
+
+
+def test_noise_of_each_kind_is_found_beside_the_estimates():
+    q = random_poses(coman(), 80, np.random.default_rng(3))
+    data = measured(disturbed(coman().chain), q, "pose")
+    rng = np.random.default_rng(5)
+    noisy = replace(data, position=data.position + 2e-4 * rng.normal(size=(80, 1, 3)))
+    turns = np.stack(
+        [
+            rotation_from_axis_angle(w / np.linalg.norm(w), np.linalg.norm(w))
+            for w in 1e-3 * rng.normal(size=(80, 3))
+        ]
+    )
+    noisy = replace(noisy, rotation=turns @ data.rotation)
+    found = calibrate(coman(), noisy)
+    assert found.solution.noise["position"] == pytest.approx(2e-4, rel=0.15)
+    assert found.solution.noise["orientation"] == pytest.approx(1e-3, rel=0.15)
+    assert found.solution.degrees == 80 * 6 - 30 - 3 * len(found.rejected)
+    assert len(found.rejected) <= 2
+    low, high = found.interval()
+    middle = (low + high) / 2
+    np.testing.assert_allclose(middle, found.solution.x, atol=1e-12)
+    np.testing.assert_allclose((high - low) / 2, 1.965 * found.solution.std, rtol=2e-3)
+
+
+def test_noise_is_what_is_left_over_the_freedom_that_is_left():
+    q = random_poses(coman(), 30, np.random.default_rng(3))
+    data = measured(disturbed(coman().chain), q, "position", noise=1e-3)
+    found = calibrate(coman(), data, robust=False)
+    left = found.errors(data)["position"]
+    solution = found.solution
+    assert solution.degrees == 90 - len(solution.x)
+    expected = np.sqrt((left**2).sum() / solution.degrees)
+    assert solution.noise["position"] == pytest.approx(expected, rel=1e-6)
+    np.testing.assert_allclose(
+        solution.covariance, np.linalg.inv(solution.jacobian.T @ solution.jacobian)
+    )
+
+
+@pytest.mark.parametrize("bends", [True, False])
+def test_errors_count_the_bending_where_it_was_fitted(bends):
+    q = random_poses(coman(), 50, np.random.default_rng(3))
+    chain, still = coman().chain, np.zeros((50, 6))
+    held = inverse_dynamics(chain, chain.inertial, q, still, still)
+    seen = measured(chain, q - bends * 3e-5 * held, "pose")
+    free = ("base", "tool", "geometry", *(("compliance",) if bends else ()))
+    found = calibrate(coman(), replace(seen, q=q), free=free)
+    assert max(x.max() for x in found.errors(replace(seen, q=q)).values()) < 1e-9
+
+
+def test_rows_of_a_table_are_counted_from_one():
+    row = {"theta": 0.1, "d": 0.2, "a": 0.3, "alpha": 0.4}
+    steps = steps_from_dh([row, {"theta": 0.0, "a": 0.5, "alpha": 0.0, "beta": 0.6}])
+    found = [(s.parameter, s.axis, s.turns, s.nominal, s.joint) for s in steps]
+    assert found == [
+        ("theta_1", 2, True, 0.1, 0), ("d_1", 2, False, 0.2, None),
+        ("a_1", 0, False, 0.3, None), ("alpha_1", 0, True, 0.4, None),
+        ("theta_2", 2, True, 0.0, 1), ("a_2", 0, False, 0.5, None),
+        ("alpha_2", 0, True, 0.0, None), ("beta_2", 1, True, 0.6, None),
+    ]  # fmt: skip

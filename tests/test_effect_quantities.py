@@ -1,0 +1,125 @@
+"""Unit, usual size and bounds of every parameter: what saved models and users rely on.
+
+Bounds decide what a fit may find and what a file may hold; the usual size is what the
+plant gets where nothing is said, and the prior of a fit. A change here is one of the
+format, and belongs into the changelog.
+"""
+
+import pytest
+
+from hybrid.effects import effect_class
+from hybrid.effects.quantity import Quantity, Scale
+
+# Effect, parameter, usual size, bounds, what these are multiples of (rated torque τ and
+# speed v of the joint), unit; "inner" is of the fit alone, "whole" a number of things.
+TABLE = """
+actuator_lag          time              0.005    -0.05    0.05     1     s
+armature              inertia           0.02     0        0.5      τ/v   kg·m²
+asymmetric_friction   level             0.015    -0.2     0.2      τ     N·m
+backlash              half_width        0.001    0        0.01     1     rad
+command_latency       time              0.01     0        0.2      1     s
+contact               force_x           10       -500     500      1     N
+contact               force_y           10       -500     500      1     N
+contact               force_z           10       -500     500      1     N
+contact               moment_x          1        -100     100      1     N·m
+contact               moment_y          1        -100     100      1     N·m
+contact               moment_z          1        -100     100      1     N·m
+contact               start             1        0        1e+09    1     s
+contact               duration          0.5      0.01     1e+09    1     s
+contact               recording         -1       -1       1e+06    1     - whole
+controller_gain       stiffness         -0.2     -0.9     5        1     -
+controller_gain       damping           -0.2     -0.9     5        1     -
+coulomb               level             0.04     0        0.3      τ     N·m
+counterbalance        spring            0.05     0        5        τ     N·m
+counterbalance        preload           0.1      -5       5        τ     N·m
+counterbalance        dead_centre       0        -4       4        1     rad
+counterbalance        crank_ratio       0.3      0.01     0.95     1     -
+deadzone              width             0.02     0        0.3      τ     N·m
+deadzone              onset             0.005    0.0005   0.3      τ     N·m inner
+deadzone              total             0        0        1        1     - inner whole
+delay                 time              0.005    -0.05    0.05     1     s
+elasticity            compliance        0.01     0        0.2      1/τ   rad/(N·m)
+elasticity            damping           0.02     0        1        τ/v   N·m·s/rad
+encoder_eccentricity  sine              0.004    -0.05    0.05     1     rad
+encoder_eccentricity  cosine            0.002    -0.05    0.05     1     rad
+encoder_offset        offset            0.01     -0.2     0.2      1     rad
+gravity_tilt          roll              0.02     -0.2     0.2      1     rad
+gravity_tilt          pitch             0.01     -0.2     0.2      1     rad
+improved_stribeck     coulomb           0.04     0        0.5      τ     N·m
+improved_stribeck     static            0.06     0        0.8      τ     N·m
+improved_stribeck     viscous           0.05     0        1        τ/v   N·m·s/rad
+improved_stribeck     velocity          0.05     0.001    1        1     rad/s
+improved_stribeck     width             0.002    0        0.1      1     rad/s
+load_friction         coefficient       0.1      0        0.6      1     -
+nonlinear_viscous     quadratic         0.02     -0.5     0.5      τ/v²  N·m·s²/rad²
+nonlinear_viscous     cubic             0.005    -0.5     0.5      τ/v³  N·m·s³/rad³
+payload               mass              2        0        50       1     kg
+payload               mx                0        -20      20       1     kg·m
+payload               my                0        -20      20       1     kg·m
+payload               mz                0.2      -20      20       1     kg·m
+payload               Ixx               0.022    0        20       1     kg·m²
+payload               Ixy               0        -10      10       1     kg·m²
+payload               Iyy               0.022    0        20       1     kg·m²
+payload               Ixz               0        -10      10       1     kg·m²
+payload               Iyz               0        -10      10       1     kg·m²
+payload               Izz               0.002    0        20       1     kg·m²
+presliding            level             0.04     0        0.3      τ     N·m
+presliding            distance          0.005    1e-05    0.2      1     rad
+saturation            loss              0.5      0        1        1     -
+saturation            limit             0.3      0.02     2        τ     N·m
+saturation            total             0        0        1        1     - inner whole
+spring                stiffness         0.05     -2       2        τ     N·m/rad
+spring                preload           0        -2       2        τ     N·m
+stribeck              level             0.03     0        0.3      τ     N·m
+stribeck              velocity          0.05     0.001    1        1     rad/s
+stribeck              exponent          2        0.5      3        1     -
+thermal_friction      cold              0.04     0        1        τ/v   N·m·s/rad
+thermal_friction      time_constant     300      5        10000    1     s
+thermal_friction      temperature_scale 20       5        100      1     K
+threshold_friction    coulomb_positive  0.04     0        0.5      τ     N·m
+threshold_friction    coulomb_negative  0.04     0        0.5      τ     N·m
+threshold_friction    falling           0.01     0        0.5      τ     N·m
+threshold_friction    falling_steep     0.01     0        0.5      τ     N·m
+threshold_friction    rising            0        0        0.5      τ     N·m
+threshold_friction    viscous           0.05     0        1        τ/v   N·m·s/rad
+threshold_friction    quadratic         0        0        1        τ/v²  N·m·s²/rad²
+threshold_friction    cubic             0        0        1        τ/v³  N·m·s³/rad³
+threshold_friction    threshold         0.2      0.0001   100      1     rad/s
+threshold_friction    width             0.002    0        10       1     rad/s
+torque_gain           gain              0.1      -0.5     0.5      1     -
+torque_offset         level             0.02     -0.3     0.3      τ     N·m
+torque_ripple         sine              0.02     -0.15    0.15     τ     N·m
+torque_ripple         cosine            0        -0.15    0.15     τ     N·m
+torque_ripple         periods           20       1        1000     1     1/turn
+transmission_coupling inertia           0.01     0        0.5      τ/v   kg·m²
+transmission_coupling viscous           0.02     0        1        τ/v   N·m·s/rad
+transmission_coupling coulomb           0.02     0        0.3      τ     N·m
+viscous               coefficient       0.05     0        1        τ/v   N·m·s/rad
+"""
+PER = {
+    "1": (0, 0), "τ": (1, 0), "1/τ": (-1, 0), "τ/v": (1, -1), "τ/v²": (1, -2),
+    "τ/v³": (1, -3),
+}  # fmt: skip
+ROWS = [line.split() for line in TABLE.strip().splitlines()]
+
+
+@pytest.mark.parametrize("row", ROWS, ids=[f"{r[0]}-{r[1]}" for r in ROWS])
+def test_a_parameter_has_its_documented_unit_size_and_bounds(row):
+    name, parameter, typical, lower, upper, per, unit, *flags = row
+    cls = effect_class(name)
+    (found,) = [q for q in (*cls.gains, *cls.shapes) if q.name == parameter]
+    assert found.unit == ("" if unit == "-" else unit)
+    numbers = (found.typical, found.lower, found.upper)
+    assert numbers == (float(typical), float(lower), float(upper))
+    assert found.per == PER[per]
+    assert (found.inner, found.whole) == ("inner" in flags, "whole" in flags)
+
+
+def test_sizes_scale_with_torque_and_speed_of_the_joint():
+    plain = Quantity("x", "", 0.5, -2.0, 3.0, spread=4.0)
+    assert plain.scaled(Scale(10.0, 2.0)) == plain
+    scaled = Quantity("x", "", 0.5, -2.0, 3.0, per=(1, -2), spread=4.0).scaled(
+        Scale(10.0, 2.0)
+    )
+    assert scaled == Quantity("x", "", 1.25, -5.0, 7.5, spread=10.0)
+    assert effect_class("saturation").gains[0].spread == 5.0

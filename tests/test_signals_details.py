@@ -1,0 +1,301 @@
+"""Filters and derivatives at their edges: first samples, margins, what is valid."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfreqz
+
+from hybrid.errors import RecordingError
+from hybrid.recording import Recording
+from hybrid.signals import Sampler, motion_from_recording
+from hybrid.signals.cutoff import choose_cutoff
+from hybrid.signals.filters import butterworth, central_difference, filter_reach
+from hybrid.signals.periodic import average_periods, fourier_fit
+from hybrid.signals.streaming import StreamingDerivative, StreamingLowPass
+
+
+def record(q, rate, tau=None):
+    t = np.arange(len(q)) / rate
+    tau = 0 * q if tau is None else tau
+    return Recording(t=t, q=q, tau=tau, joints=("a", "b")[: q.shape[1]])
+
+
+# --- sample by sample -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate, cutoff", [(1000.0, 20.0), (250.0, 30.0)])
+def test_derivatives_of_a_quartic_are_exact_from_the_first_full_window_on(rate, cutoff):
+    stream = StreamingDerivative(rate, cutoff, 2)
+    length, delay = 2 * stream.delay + 1, stream.delay
+    t = np.arange(3 * length) / rate
+    c = np.array([[1.0, -2.0], [0.5, 3.0], [2.0, 1.0], [-4.0, 0.3], [1.5, -1.0]])
+    powers = t[:, None] ** np.arange(5)
+    q, k = powers @ c, np.arange(1, 5)
+    v = powers[:, :4] @ (k[:, None] * c[1:])
+    a = powers[:, :3] @ ((k[1:] * k[:-1])[:, None] * c[2:])
+    out = [stream.push(q[i], 10 * q[i]) for i in range(len(t))]
+    assert [x is None for x in out] == [i < length - 1 for i in range(len(t))]
+    for i in range(length - 1, len(t)):
+        position, speed, acceleration, other = out[i]
+        at = i - delay
+        np.testing.assert_allclose(position, q[at], rtol=1e-9)
+        np.testing.assert_allclose(speed, v[at], rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(acceleration, a[at], rtol=1e-5, atol=1e-5)
+        np.testing.assert_array_equal(other, 10 * q[at])
+
+
+def test_what_is_passed_on_is_a_copy():
+    stream = StreamingDerivative(250.0, 30.0, 1)
+    length = 2 * stream.delay + 1
+    out = None
+    for i in range(length):
+        out = stream.push(np.full(1, i), np.full(1, i))
+    kept = out[3].copy()
+    for _ in range(2 * length):
+        stream.push(np.full(1, 99.0), np.full(1, 99.0))
+    np.testing.assert_array_equal(out[3], kept)
+
+
+def test_the_window_is_as_long_as_the_cutoff_asks_and_the_pass_band_reaches_it():
+    delays = [StreamingDerivative(1000.0, f, 1).delay for f in (5.0, 10.0, 20.0, 40.0)]
+    assert delays == sorted(delays, reverse=True) and delays[-1] >= 3
+    for cutoff in (10.0, 20.0):
+        stream = StreamingDerivative(1000.0, cutoff, 1)
+        angle = 2 * np.pi * cutoff / 1000 * np.arange(-stream.delay, stream.delay + 1)
+        gain = stream._weights[0] @ np.cos(angle)
+        assert 0.95 < gain < 1.02
+        high = stream._weights[0] @ np.cos(5 * angle)
+        assert abs(high) < 0.3
+
+
+@pytest.mark.parametrize("rate, cutoff", [(99.0, 20.0), (100.0, 20.0), (0.0, 1.0)])
+def test_a_rate_below_five_cutoffs_is_too_low(rate, cutoff):
+    with pytest.raises(RecordingError, match="is a rate above"):
+        StreamingDerivative(rate, cutoff, 1)
+    StreamingDerivative(101.0, 20.0, 1)
+
+
+def test_a_low_pass_is_settled_on_its_first_sample_and_filters_as_butterworth():
+    low = StreamingLowPass(1000.0, 20.0)
+    for _ in range(5):
+        np.testing.assert_allclose(low(np.array([3.0, -2.0])), [3.0, -2.0], rtol=1e-12)
+    low = StreamingLowPass(1000.0, 20.0)
+    t = np.arange(2000) / 1000
+    for frequency in (5.0, 20.0, 60.0):
+        low = StreamingLowPass(1000.0, 20.0)
+        y = np.array([low(x) for x in np.sin(2 * np.pi * frequency * t)])[1000:]
+        sos = butter(2, 20.0, fs=1000.0, output="sos")
+        expected = np.abs(sosfreqz(sos, [frequency], fs=1000.0)[1][0])
+        assert np.sqrt(2 * np.mean(y**2)) == pytest.approx(expected, rel=1e-3)
+
+
+# --- whole signals --------------------------------------------------------------------
+
+
+def test_the_gain_is_the_squared_one_of_its_order():
+    rate, cutoff = 500.0, 10.0
+    t = np.arange(5000) / rate
+    for order in (2, 5):
+        for frequency in (4.0, 10.0, 14.0):
+            x = np.sin(2 * np.pi * frequency * t)
+            y = butterworth(x, rate=rate, cutoff=cutoff, order=order)[1000:-1000]
+            ratio = np.tan(np.pi * frequency / rate) / np.tan(np.pi * cutoff / rate)
+            gain = 1 / (1 + ratio ** (2 * order))
+            basis = x[1000:-1000]
+            assert y @ basis / (basis @ basis) == pytest.approx(gain, rel=2e-4)
+
+
+def test_a_sampler_gives_every_so_manieth_sample_of_the_filter():
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(1003, 7, 2)).cumsum(axis=0)
+    for cutoff in (3.0, 11.0, 30.0):
+        sampler = Sampler.for_rate(300.0, cutoff)
+        assert sampler.factor == int(300.0 / (5 * cutoff))
+        whole = butterworth(x, rate=300.0, cutoff=cutoff)
+        # Dropping samples folds what is left above the new Nyquist frequency: 1e-4.
+        found = sampler(x)
+        scale = np.abs(whole).max()
+        np.testing.assert_allclose(found, whole[:: sampler.factor], atol=1e-9 * scale)
+        assert found.flags.c_contiguous
+
+
+def test_a_short_event_is_filtered_as_in_the_whole():
+    x = np.zeros((20_000, 2))
+    x[9000:9100, 0] = 1.0
+    for factor in (1, 5, 8):
+        sampler = Sampler(1000.0, 20.0, factor)
+        lasting = np.ones((20_000, 2))
+        together = sampler(np.concatenate([x, lasting], axis=1))[:, :2]
+        np.testing.assert_allclose(sampler(x), together, atol=1e-8)
+    assert not Sampler(1000.0, 20.0, 4)(np.zeros((1000, 3))).any()
+
+
+def test_signals_shorter_than_the_filter_keep_their_line():
+    for samples in (2, 5, 30):
+        x = np.linspace(1.0, 4.0, samples)
+        np.testing.assert_allclose(
+            butterworth(x, rate=100.0, cutoff=2.0), x, rtol=0, atol=1e-8
+        )
+
+
+@pytest.mark.parametrize(
+    "values", [(0.0, 1.0, 1), (1.0, 0.0, 1), (1.0, 1.0, 0), (-1.0, 1.0, 1)]
+)
+def test_a_sampler_without_rate_cutoff_or_factor_is_refused(values):
+    with pytest.raises(ValueError, match="valid are positive"):
+        Sampler(*values)
+
+
+def test_reach_and_margin_are_where_the_weights_have_decayed():
+    impulse = np.zeros(8001)
+    impulse[4000] = 1.0
+    weights = np.abs(butterworth(impulse, rate=1000.0, cutoff=20.0))
+    for tolerance in (1e-3, 1e-6):
+        reach = filter_reach(0.02, tolerance=tolerance)
+        outside = weights[: 4001 - reach].sum() + weights[4000 + reach :].sum()
+        nearer = weights[: 4002 - reach].sum() + weights[3999 + reach :].sum()
+        assert outside < tolerance / 4 * 1.01 <= nearer * 1.05
+    assert Sampler(1000.0, 20.0, 2).margin == filter_reach(0.02, tolerance=1e-6)
+    assert Sampler(1000.0, np.inf, 1).margin == 0
+
+
+def test_nothing_is_filtered_just_below_the_nyquist_frequency():
+    x = np.random.default_rng(0).normal(size=500)
+    np.testing.assert_array_equal(butterworth(x, rate=100.0, cutoff=49.0), x)
+    assert np.any(butterworth(x, rate=100.0, cutoff=48.9) != x)
+
+
+def test_central_differences_at_the_edges_and_inside():
+    x = np.array([0.0, 1.0, 8.0, 27.0, 64.0, 125.0, 216.0])  # cubes
+    fine = central_difference(x, rate=2.0, accuracy=4)
+    np.testing.assert_allclose(fine[2:-2], 2 * 3 * np.array([4.0, 9.0, 16.0]))
+    coarse = central_difference(x, rate=2.0)
+    np.testing.assert_allclose(coarse[1:-1], (x[2:] - x[:-2]) / 2 * 2.0)
+    np.testing.assert_allclose(fine[[0, 1, -2, -1]], coarse[[0, 1, -2, -1]])
+    np.testing.assert_allclose(coarse[0], (-3 * x[0] + 4 * x[1] - x[2]) / 2 * 2.0)
+    short = central_difference(x[:4], rate=2.0, accuracy=4)
+    np.testing.assert_allclose(short, central_difference(x[:4], rate=2.0))
+    np.testing.assert_allclose(
+        central_difference(x[:5], rate=2.0, accuracy=4)[2], 2 * 3 * 4.0
+    )
+    both = np.stack([x, 2 * x])
+    np.testing.assert_allclose(
+        central_difference(both, rate=2.0, axis=1), np.stack([coarse, 2 * coarse])
+    )
+    with pytest.raises(ValueError, match="valid are 2 and 4"):
+        central_difference(x, rate=1.0, accuracy=3)
+
+
+# --- motions --------------------------------------------------------------------------
+
+
+def test_a_mask_leaves_out_both_edges_for_as_long_as_the_filter_weighs_a_hundredth():
+    t = np.arange(3000) / 500
+    log = record(np.sin(t)[:, None], 500.0)
+    motion = motion_from_recording(log, cutoff=20.0)
+    edge = 4 + filter_reach(20.0 / 500.0, tolerance=0.04)
+    inside = np.zeros(3000, dtype=bool)
+    inside[edge:-edge] = True
+    np.testing.assert_array_equal(motion.mask, inside)
+    free = motion_from_recording(log, cutoff=np.inf)
+    assert free.mask.sum() == 3000 - 8 and free.mask[4] and not free.mask[3]
+    assert motion.rate == pytest.approx(500.0)
+
+
+@pytest.mark.parametrize("end", [6.0, 12.0])
+def test_the_cutoff_is_one_and_a_half_times_where_motion_ends(end):
+    rng = np.random.default_rng(0)
+    rate, n = 250.0, 15_000
+    f = np.fft.rfftfreq(n, 1 / rate)
+    spectrum = np.where(f < end, 1.0, 0.0) * np.exp(2j * np.pi * rng.random(len(f)))
+    q = np.fft.irfft(spectrum, n)
+    q = np.stack([q, np.roll(q, 3000)], axis=1) / np.std(q)
+    noisy = q + 1e-3 * rng.normal(size=q.shape)
+    # A majority over 2 Hz decides, which adds half of that.
+    expected = pytest.approx(1.5 * (end + 1.0), rel=0.08)
+    assert choose_cutoff(record(noisy, rate)) == expected
+    still = np.column_stack([noisy[:, 0], np.zeros(n)])
+    assert choose_cutoff(record(still, rate)) == expected
+
+
+def test_a_cutoff_stays_between_five_hertz_and_two_fifths_of_the_rate():
+    rng = np.random.default_rng(0)
+    white = record(rng.normal(size=(5000, 2)), 100.0)
+    assert 5.0 <= choose_cutoff(white) <= 40.0
+    slow = np.sin(0.5 * np.arange(20_000) / 200)[:, None]
+    quiet = record(slow + 1e-2 * rng.normal(size=slow.shape), 200.0)
+    assert choose_cutoff(quiet) == 5.0
+    for few in (np.zeros((500, 2)), rng.normal(size=(15, 2))):
+        assert choose_cutoff(record(few, 100.0)) == pytest.approx(40.0)
+    assert choose_cutoff(record(rng.normal(size=(500, 2)), 12.0)) == pytest.approx(4.8)
+
+
+# --- periods --------------------------------------------------------------------------
+
+
+def test_a_fourier_series_has_the_amplitudes_of_its_harmonics():
+    t = np.arange(400) / 100
+    w = 2 * np.pi * 0.5
+    q = 0.3 + 2.0 * np.sin(w * t) - 0.5 * np.cos(2 * w * t)
+    found = fourier_fit(t, q[:, None], fundamental=0.5, order=2)
+    np.testing.assert_allclose(found.offset, [0.3], atol=1e-12)
+    np.testing.assert_allclose(found.sine[:, 0], [2.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(found.cosine[:, 0], [0.0, -0.5], atol=1e-12)
+    assert found.order == 2 and found.fundamental == 0.5
+    v = 2 * w * np.cos(w * t) + w * np.sin(2 * w * t)
+    a = -2 * w**2 * np.sin(w * t) + 2 * w**2 * np.cos(2 * w * t)
+    np.testing.assert_allclose(found.velocity(t)[:, 0], v, atol=1e-10)
+    np.testing.assert_allclose(found.acceleration(t)[:, 0], a, atol=1e-9)
+
+
+def test_a_fourier_series_needs_no_more_than_it_says():
+    q = np.zeros((5, 1))
+    fourier_fit(np.arange(5) / 5, q, fundamental=1.25, order=1)
+    fourier_fit(np.arange(5) * 0.25, q, fundamental=0.99, order=2)  # just 2·2 + 1
+    with pytest.raises(RecordingError, match="needs 5 and a whole period"):
+        fourier_fit(np.arange(4) * 0.33, q[:4], fundamental=1.0, order=2)
+    with pytest.raises(RecordingError, match="a whole period"):
+        fourier_fit(np.arange(5) * 0.24, q, fundamental=1.0, order=1)
+    with pytest.raises(RecordingError, match="above the Nyquist frequency 2 Hz"):
+        fourier_fit(np.arange(9) * 0.25, np.zeros((9, 1)), fundamental=1.0, order=2)
+
+
+def test_an_average_over_periods_keeps_what_repeats_and_measures_the_noise():
+    rng = np.random.default_rng(0)
+    t = np.arange(2000) / 100
+    q = np.sin(2 * np.pi * 0.5 * t)[:, None] * [1.0, 2.0]
+    noise = rng.normal(size=q.shape) * [0.3, 0.1]
+    mean, sigma = average_periods(record(q, 100.0, 3 * q + noise), 0.5)
+    assert len(mean.t) == 200 and mean.t[-1] == pytest.approx(1.99)
+    np.testing.assert_allclose(mean.q, q[:200], atol=1e-9)
+    np.testing.assert_allclose(sigma, [0.3, 0.1], rtol=0.05)
+    assert np.std(mean.tau - 3 * q[:200], axis=0) == pytest.approx(
+        np.array([0.3, 0.1]) / np.sqrt(10), rel=0.15
+    )
+    two = record(q[:400], 100.0)
+    average_periods(two, 0.5)
+    with pytest.raises(RecordingError, match="1 whole periods"):
+        average_periods(record(q[:399], 100.0), 0.5)
+
+
+def test_samples_just_off_a_period_are_taken_as_they_are():
+    """Interpolation would average their noise away."""
+    rng = np.random.default_rng(0)
+    q = rng.normal(size=(800, 1))
+    log = record(q, 100.0)
+    mean, _ = average_periods(log, 0.5 * (1 + 2e-6))
+    expected = q.reshape(4, 200, 1).mean(axis=0)
+    np.testing.assert_allclose(mean.q, expected, rtol=0, atol=1e-12)
+    between, _ = average_periods(log, 0.5 / 1.00125)  # half a step a period
+    assert np.abs(between.q - expected).max() > 0.1
+
+
+def test_a_log_without_noise_ends_where_its_motion_ends():
+    t = np.arange(5000) / 250
+    q = np.stack([np.sin(2 * np.pi * 3.0 * t), np.sin(2 * np.pi * 2.5 * t)], axis=1)
+    assert 5.0 <= choose_cutoff(record(q, 250.0)) < 12.0
+
+
+def test_nothing_filtered_is_nothing():
+    empty = butterworth(np.zeros((0, 2)), rate=100.0, cutoff=5.0)
+    assert empty.shape == (0, 2)
+    assert Sampler(100.0, 5.0, 3)(np.zeros((0, 2))).shape == (0, 2)
