@@ -21,7 +21,7 @@ from hybrid.dynamics import inverse_dynamics
 from hybrid.dynamics.sample import SampleRegressor
 from hybrid.effects import effects_from_text
 from hybrid.files import atomic_path
-from hybrid.identify.online import OnlineIdentifier, Sample
+from hybrid.online import OnlineIdentifier, Sample
 from hybrid.plant import Noise, load_truth, random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.report import numbers_table, provenance, write_results

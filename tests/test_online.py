@@ -16,13 +16,12 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.errors import IdentificationError, RecordingError
 from hybrid.identify import DynamicModel
-from hybrid.identify.online import OnlineIdentifier, Sample
-from hybrid.identify.sample_columns import SampleColumns
-from hybrid.identify.square_root import SquareRootFilter
+from hybrid.online import OnlineIdentifier, Sample
+from hybrid.online.square_root import SquareRootFilter
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
-from hybrid.signals.streaming import StreamingDerivative, StreamingLowPass
+from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 RATE = 250.0
 

@@ -10,7 +10,7 @@ from hybrid.cli import main
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import effects_from_text
 from hybrid.identify import DynamicModel
-from hybrid.identify.online import OnlineIdentifier
+from hybrid.online import OnlineIdentifier
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording, write

@@ -62,7 +62,7 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.identify import DynamicModel
-    from hybrid.identify.online import OnlineIdentifier, Sample
+    from hybrid.online import OnlineIdentifier, Sample
     from hybrid.recording import check_recording, read
     from hybrid.report.columns import write_columns, writer_of
 

@@ -74,7 +74,7 @@ class PayloadChange:
         self._score = np.zeros((len(memories), _PARAMETERS))
         self._quiet_until: float | None = None
 
-    def update(self, t: float, J: Array, error: Array, repeats: float) -> Change | None:
+    def update(self, t: float, J: Array, error: Array, repeats: float) -> float | None:
         """Take in one sample.
 
         Args:
@@ -85,7 +85,7 @@ class PayloadChange:
             repeats: Successive errors that tell as much as one independent one.
 
         Returns:
-            The change, when one is noticed.
+            The statistic of a change, when one is noticed.
         """
         J = J[:, :_PARAMETERS]
         fade = self._fade[:, None]
@@ -105,4 +105,4 @@ class PayloadChange:
             return None
         self._information[:], self._score[:] = 0.0, 0.0
         self._quiet_until = t + _HOLD
-        return Change(t, float(statistic[k]))
+        return float(statistic[k])

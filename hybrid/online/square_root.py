@@ -9,6 +9,7 @@ doi 10.1109/7.993234 (projection on bounds).
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import blas
 
 from hybrid.robot.chain import Array
 
@@ -29,7 +30,7 @@ class SquareRootFilter:
 
     def __init__(self, mean: Array, root: Array) -> None:
         self.mean = np.array(mean, dtype=float)
-        self.root = np.array(root, dtype=float)
+        self.root = np.array(root, dtype=float, order="F")  # as BLAS has it, in place
 
     @property
     def covariance(self) -> Array:
@@ -41,35 +42,40 @@ class SquareRootFilter:
         """Standard deviation of each unknown, shape (d,)."""
         return np.asarray(np.sqrt(np.einsum("ij,ij->i", self.root, self.root)))
 
-    def leverage(self, H: Array) -> Array:
-        """Variance that the unknowns give to what ``H`` (m, d) observes, shape (m,)."""
-        seen = H @ self.root
-        return np.asarray(np.einsum("ij,ij->i", seen, seen))
+    def seen(self, H: Array) -> Array:
+        """H·S, shape (m, d): what the unknowns' spread gives to observations.
 
-    def update(self, H: Array, error: Array, forgetting: float = 1.0) -> None:
+        Args:
+            H: Derivative of the observations by the unknowns, over their noise, (m, d).
+        """
+        return np.asarray(H @ self.root)
+
+    def update(self, seen: Array, error: Array, forgetting: float = 1.0) -> None:
         """Take in one sample of unit noise.
 
         Args:
-            H: Derivative of the observation by the unknowns over its noise, (m, d).
+            seen: See :meth:`seen`.
             error: Observation less its prediction over the noise, shape (m,).
             forgetting: λ, at most 1.
         """
-        seen = self.root.T @ H.T  # (d, m)
-        power, turn = np.linalg.eigh(seen.T @ seen)
+        power, turn = np.linalg.eigh(seen @ seen.T)
         power = np.maximum(power, 0.0)
         total = np.maximum(forgetting + power, 1.0)
-        moved = self.root @ seen
-        self.mean += moved @ (turn @ ((turn.T @ error) / total))
+        turned = turn.T @ seen  # (m, d)
+        moved = self.root @ turned.T
+        self.mean += moved @ ((turn.T @ error) / total)
         shrink = np.divide(
             1.0 / np.sqrt(total) - 1.0, power, out=np.zeros_like(power), where=total > 1
         )
-        self.root += (moved @ (turn * shrink)) @ (turn.T @ seen.T)
+        self.root = blas.dgemm(
+            1.0, moved * shrink, turned, beta=1.0, c=self.root, overwrite_c=True
+        )
 
     def widen(self, directions: Array) -> None:
         """Add the covariance D·Dᵀ of ``directions`` D (d, r)."""
         stacked = np.concatenate([self.root, directions], axis=1)
         upper: Array = np.asarray(np.linalg.qr(stacked.T, mode="r"))
-        self.root = upper.T
+        self.root = np.asfortranarray(upper.T)
 
     def keep_within(self, lower: Array, upper: Array) -> None:
         """Move the estimate to the nearest point, in its own metric, within bounds."""

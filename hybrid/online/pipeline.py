@@ -1,0 +1,89 @@
+"""From a block of samples to one row of a regression, in small tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hybrid.online.columns import Columns
+from hybrid.online.layout import Layout
+from hybrid.robot.chain import Array
+from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
+
+
+class Pipeline:
+    """States, columns and torque of a block, filtered to one flat row.
+
+    Samples are taken in groups: a group has the mean of its samples' torque, and one
+    row. A block of B groups gives one filtered row.
+
+    Args:
+        columns: Columns of an arm and its effects at B instants.
+        layout: What is where in a row.
+        group: Samples in a group g.
+        derive: Differentiates positions; None if samples bring speed and acceleration.
+        smooth: Low-pass of rows; None to take the last of each block.
+        standing: Speed below which a joint stands, shape (n,), [rad/s].
+    """
+
+    def __init__(
+        self,
+        columns: Columns,
+        layout: Layout,
+        *,
+        group: int,
+        derive: LocalPolynomial | None,
+        smooth: BlockLowPass | None,
+        standing: Array,
+    ) -> None:
+        self._columns, self._layout, self._group = columns, layout, group
+        self._derive, self._smooth, self._standing = derive, smooth, standing
+        self.row = np.zeros(len(layout.joints))
+        self.tasks: list[Callable[[], None]] = [
+            *([self._find_windows] if derive else []),
+            self._find_states,
+            *columns.tasks,
+            self._filter,
+        ]
+
+    def begin(self, samples: Array, theta: Array) -> None:
+        """Start with a block and the margins that it needs.
+
+        Args:
+            samples: Time, position and torque, and speed and acceleration if samples
+                bring them, shape (N, width).
+            theta: Unknowns, shape (d,).
+        """
+        self._samples, self._theta = samples, theta
+
+    @property
+    def time(self) -> float:
+        """Time of the newest sample in it, [s]."""
+        return float(self._samples[-1, 0])
+
+    def _find_windows(self) -> None:
+        if self._derive is not None:
+            self._windows = self._derive.windows(self._samples[:, 0])
+
+    def _find_states(self) -> None:
+        margin, n = self._derive.margin if self._derive else 0, len(self._standing)
+        middle = self._samples[margin : len(self._samples) - margin]
+        mean = middle.reshape(-1, self._group, middle.shape[1]).mean(axis=1)
+        t, signals = mean[:, 0], mean[:, 1:]
+        self._tau = signals[:, n : 2 * n]
+        if self._derive is None:
+            q, v, a = signals[:, :n], signals[:, 2 * n : 3 * n], signals[:, 3 * n :]
+            self._moving = np.abs(v) > self._standing
+        else:
+            powers, whole = self._windows
+            q, v, a = self._derive.fit(powers, self._samples[:, 1 : 1 + n])
+            self._moving = (np.abs(v) > self._standing) & whole[:, None]
+        self._columns.begin((t, q, v, a), self._theta)
+
+    def _filter(self) -> None:
+        """Rows and torque through the same filter; of joints that stand they are 0."""
+        rows, layout = self._columns.rows, self._layout
+        rows[:, layout.torque], rows[:, layout.moving] = self._tau, 1.0
+        rows *= self._moving[:, layout.joints]
+        self.row = rows[-1] if self._smooth is None else self._smooth(rows)
