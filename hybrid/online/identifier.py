@@ -256,8 +256,8 @@ class OnlineIdentifier:
             self.robot.size,
             rate=self.rate,
             window=derive.span if derive else 0.0,
-            speed=_ABSURD * max(s.speed for s in scales),
-            torque=_ABSURD * max(s.torque for s in scales),
+            speed=_ABSURD * sum(s.speed for s in scales),
+            torque=_ABSURD * sum(s.torque for s in scales),
             before=2 * derive.margin if derive else 0,
             block=self._block,
         )
@@ -270,14 +270,22 @@ class OnlineIdentifier:
             standing=self._standing,
         )
         estimate = self._estimate
-        tasks = [*self._pipeline.tasks, self._judge, estimate.learn, estimate.settle]
+        tasks = [
+            *self._pipeline.tasks,
+            self._judge,
+            estimate.foresee,
+            self._look,
+            *estimate.tasks,
+        ]
         ends = [k * len(tasks) // self._block for k in range(self._block + 1)]
         self._shares = [tasks[start:end] for start, end in pairwise(ends)]
         self._opened = True
 
     def _judge(self) -> None:
-        pipeline = self._pipeline
-        found = self._estimate.judge(pipeline.row, self._layout, pipeline.time)
+        self._estimate.judge(self._pipeline.row, self._layout)
+
+    def _look(self) -> None:
+        found = self._estimate.look(self._pipeline.time)
         if found is not None:
             self._change = Change(self._intake.now, found)
             self.changes.append(self._change)

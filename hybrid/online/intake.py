@@ -53,8 +53,8 @@ class Intake:
         rate: Samples per second, [Hz].
         window: Time over which samples are differentiated, [s]; 0 if they bring speed
             and acceleration.
-        speed: Speed beyond which a position is wrong, [rad/s].
-        torque: Torque beyond which it is wrong, [N·m].
+        speed: Speed of all joints together beyond which a position is wrong, [rad/s].
+        torque: Torque of all joints together beyond which it is wrong, [N·m].
         before: Samples of the past that a block brings along.
         block: New samples in a block.
     """
@@ -73,8 +73,7 @@ class Intake:
         self._n, self._rate, self._brings = size, rate, 2 if window else 4
         self._reach = (STRETCH - 1.0) * window if window else math.inf
         self._gap = max(STRETCH * window, 1.0 / rate)
-        self._fastest = np.repeat([speed if window else math.inf, 0.0], size)
-        self._largest = np.repeat([0.0, torque], size)
+        self._speed, self._torque = speed if window else math.inf, torque
         self._rows = np.zeros((before + block, 1 + self._brings * size))
         self._before, self._filled, self._clock = before, 0, 0.0
         self._last: Array | None = None
@@ -152,11 +151,7 @@ class Intake:
             return "not_finite"
         self._measure_rate(float(row[0]))
         if self._last is None:
-            torque, largest = (
-                row[1 + self._n : 1 + 2 * self._n],
-                self._largest[self._n :],
-            )
-            return "used" if (np.abs(torque) <= largest).all() else "implausible"
+            return "used" if self._is_torque(row) else "implausible"
         fate = self._follows(self._last, row)
         if fate in ("used", "repeated"):
             return fate
@@ -170,14 +165,20 @@ class Intake:
         step = float(row[0] - before[0])
         if step < 0.0:
             return "late"
-        if step < _CLOSEST / self._rate or row[1:].tobytes() == before[1:].tobytes():
+        way = row[1 : 1 + self._n] - before[1 : 1 + self._n]
+        square = float(way @ way)
+        if step < _CLOSEST / self._rate or (
+            square == 0.0 and np.array_equal(row[1:], before[1:])
+        ):
             return "repeated"
         if step > self._reach:
             return "jumped"
-        signals = row[1 : 1 + 2 * self._n].copy()
-        signals[: self._n] -= before[1 : 1 + self._n]
-        plausible = np.abs(signals) <= self._fastest * step + self._largest
-        return "used" if plausible.all() else "implausible"
+        plausible = square <= (self._speed * step) ** 2 and self._is_torque(row)
+        return "used" if plausible else "implausible"
+
+    def _is_torque(self, row: Array) -> bool:
+        tau = row[1 + self._n : 1 + 2 * self._n]
+        return float(tau @ tau) <= self._torque**2
 
     def _go_on(self, row: Array) -> None:
         """The stream's clock goes on with a sample."""

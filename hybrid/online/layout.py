@@ -10,7 +10,8 @@ from hybrid.robot.chain import Array
 
 Indices = NDArray[np.intp]
 
-PAYLOAD = 4  # mass and first moments of the last link
+# Mass and first moments of the last link: what gravity and slow motion show at once.
+PAYLOAD = 4
 _EXTRA = PAYLOAD + 2
 
 

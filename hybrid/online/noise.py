@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.robot.chain import Array
 
 _MEMORY = 5.0  # s
 _FIRST = 20  # updates over which the first guess counts
+_CUT = 9.0  # of the variance: most that one square, or one product, counts
 _MOST_CORRELATED = 0.98
 
 
@@ -21,10 +23,10 @@ class TorqueNoise:
     """
 
     def __init__(self, std: Array, rate: float) -> None:
-        self._first = np.array(std, dtype=float) ** 2
-        self._variance = self._first.copy()
-        self._last = np.zeros_like(self._first)
-        self._count = np.zeros_like(self._first)
+        self._variance = [float(x) ** 2 for x in std]
+        self._least = [1e-12 * x for x in self._variance]
+        self._last = [0.0] * len(self._variance)
+        self._count = [0] * len(self._variance)
         self._lagged = 0.0
         self._slowest = 1.0 / (_MEMORY * rate)
 
@@ -42,17 +44,20 @@ class TorqueNoise:
         rho = min(max(self._lagged, 0.0), _MOST_CORRELATED)
         return (1.0 + rho) / (1.0 - rho)
 
-    def update(self, used: NDArray[np.bool_], error: Array) -> None:
+    def update(self, joints: Sequence[int], error: Sequence[float]) -> None:
         """Take in errors of the joints that are used, at unit leverage, [N·m]."""
-        self._count[used] += 1
-        share = np.maximum(self._slowest, 1.0 / (_FIRST + self._count[used]))
-        variance, last = self._variance[used], self._last[used]
-        # Cut, so that a change or a blow does not pass for noise.
-        square = np.minimum(error**2, 9.0 * variance)
-        self._variance[used] = (1.0 - share) * variance + share * square
-        self._variance = np.maximum(self._variance, 1e-12 * self._first)
-        both = np.clip(error * last / variance, -9.0, 9.0)
-        mean = float(both[last != 0].mean()) if np.any(last != 0) else 0.0
-        self._lagged += float(share.min()) * (mean - self._lagged)
-        self._last[:] = 0.0
-        self._last[used] = error
+        # Plain numbers: for a handful of joints they are faster than arrays.
+        last, self._last = self._last, [0.0] * len(self._last)
+        products, least = [], 1.0
+        for j, e in zip(joints, error, strict=True):
+            self._count[j] += 1
+            share = max(self._slowest, 1.0 / (_FIRST + self._count[j]))
+            least, variance = min(least, share), self._variance[j]
+            if last[j]:
+                products.append(min(max(e * last[j] / variance, -_CUT), _CUT))
+            # Cut, so that a change or a blow does not pass for noise.
+            news = share * (min(e * e, _CUT * variance) - variance)
+            self._variance[j] = max(variance + news, self._least[j])
+            self._last[j] = e
+        mean = sum(products) / len(products) if products else 0.0
+        self._lagged += least * (mean - self._lagged)

@@ -37,11 +37,12 @@ class Pipeline:
         smooth: BlockLowPass | None,
         standing: Array,
     ) -> None:
-        self._columns, self._layout, self._group = columns, layout, group
+        self._columns, self._layout = columns, layout
+        self._mean = np.kron(np.eye(len(columns.rows)), np.full(group, 1.0 / group))
         self._derive, self._smooth, self._standing = derive, smooth, standing
         self.row = np.zeros(len(layout.joints))
         self.tasks: list[Callable[[], None]] = [
-            *([self._find_windows] if derive else []),
+            *([self._find_windows, self._find_moments] if derive else []),
             self._find_states,
             *columns.tasks,
             self._filter,
@@ -64,21 +65,24 @@ class Pipeline:
 
     def _find_windows(self) -> None:
         if self._derive is not None:
-            self._windows = self._derive.windows(self._samples[:, 0])
+            self._powers, self._whole = self._derive.windows(self._samples[:, 0])
+
+    def _find_moments(self) -> None:
+        if self._derive is not None:
+            q = self._samples[:, 1 : 1 + len(self._standing)]
+            self._moments = self._derive.moments(self._powers, q)
 
     def _find_states(self) -> None:
         margin, n = self._derive.margin if self._derive else 0, len(self._standing)
-        middle = self._samples[margin : len(self._samples) - margin]
-        mean = middle.reshape(-1, self._group, middle.shape[1]).mean(axis=1)
+        mean = self._mean @ self._samples[margin : len(self._samples) - margin]
         t, signals = mean[:, 0], mean[:, 1:]
         self._tau = signals[:, n : 2 * n]
         if self._derive is None:
             q, v, a = signals[:, :n], signals[:, 2 * n : 3 * n], signals[:, 3 * n :]
             self._moving = np.abs(v) > self._standing
         else:
-            powers, whole = self._windows
-            q, v, a = self._derive.fit(powers, self._samples[:, 1 : 1 + n])
-            self._moving = (np.abs(v) > self._standing) & whole[:, None]
+            q, v, a = self._derive.states(self._moments)
+            self._moving = (np.abs(v) > self._standing) & self._whole[:, None]
         self._columns.begin((t, q, v, a), self._theta)
 
     def _filter(self) -> None:

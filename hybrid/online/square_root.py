@@ -9,9 +9,11 @@ doi 10.1109/7.993234 (projection on bounds).
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import blas
+from scipy.linalg import blas, lapack
 
 from hybrid.robot.chain import Array
+
+_ROUNDING = 1e-12  # information, or share of a variance, below which there is none
 
 
 class SquareRootFilter:
@@ -50,25 +52,38 @@ class SquareRootFilter:
         """
         return np.asarray(H @ self.root)
 
-    def update(self, seen: Array, error: Array, forgetting: float = 1.0) -> None:
+    def update(self, H: Array, error: Array, forgetting: float = 1.0) -> None:
         """Take in one sample of unit noise.
 
         Args:
-            seen: See :meth:`seen`.
+            H: Derivative of the observation by the unknowns over its noise, (m, d).
             error: Observation less its prediction over the noise, shape (m,).
             forgetting: λ, at most 1.
         """
-        power, turn = np.linalg.eigh(seen @ seen.T)
-        power = np.maximum(power, 0.0)
+        self.weigh(self.seen(H), error, forgetting)
+        self.narrow()
+
+    def weigh(self, seen: Array, error: Array, forgetting: float) -> None:
+        """First half of :meth:`update`: in which directions the sample tells how much.
+
+        Args:
+            seen: See :meth:`seen`.
+            error: See :meth:`update`.
+            forgetting: λ, at most 1.
+        """
+        power, turn, _ = lapack.dsyevd(seen @ seen.T)
+        power = np.maximum(power, _ROUNDING)
         total = np.maximum(forgetting + power, 1.0)
-        turned = turn.T @ seen  # (m, d)
-        moved = self.root @ turned.T
-        self.mean += moved @ ((turn.T @ error) / total)
-        shrink = np.divide(
-            1.0 / np.sqrt(total) - 1.0, power, out=np.zeros_like(power), where=total > 1
-        )
+        shrink = (1.0 / np.sqrt(total) - 1.0) / power
+        self._due = turn.T @ seen, shrink, (error @ turn) / total
+
+    def narrow(self) -> None:
+        """Second half of :meth:`update`: the mean moves and the root narrows."""
+        turned, shrink, gain = self._due
+        moved = self.root @ turned.T  # (d, m)
+        self.mean += moved @ gain
         self.root = blas.dgemm(
-            1.0, moved * shrink, turned, beta=1.0, c=self.root, overwrite_c=True
+            1.0, moved * shrink, turned, 1.0, self.root, overwrite_c=True
         )
 
     def widen(self, directions: Array) -> None:
@@ -78,10 +93,20 @@ class SquareRootFilter:
         self.root = np.asfortranarray(upper.T)
 
     def keep_within(self, lower: Array, upper: Array) -> None:
-        """Move the estimate to the nearest point, in its own metric, within bounds."""
-        for k in np.flatnonzero((self.mean < lower) | (self.mean > upper)):
-            target = min(max(self.mean[k], lower[k]), upper[k])
-            gain = self.root @ self.root[k]
-            if gain[k] > 0:
-                self.mean += gain * ((target - self.mean[k]) / gain[k])
-        np.clip(self.mean, lower, upper, out=self.mean)
+        """Move the estimate to the nearest point, in its own metric, on bounds passed.
+
+        Args:
+            lower: Lowest values, shape (d,).
+            upper: Highest values, shape (d,).
+        """
+        (passed,) = np.nonzero((self.mean < lower) | (self.mean > upper))
+        if not passed.size:
+            return
+        inside = np.minimum(np.maximum(self.mean, lower), upper)
+        rows = self.root[passed]
+        variance = rows @ rows.T
+        variance.flat[:: len(passed) + 1] *= 1.0 + _ROUNDING
+        variance.flat[:: len(passed) + 1] += np.finfo(float).tiny
+        force = np.linalg.solve(variance, inside[passed] - self.mean[passed])
+        self.mean += self.root @ (rows.T @ force)
+        np.minimum(np.maximum(self.mean, lower), upper, out=self.mean)

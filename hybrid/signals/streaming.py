@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.signal import butter
 
@@ -52,6 +49,9 @@ class LocalPolynomial:
         self._group, self._length = group, 2 * self.margin + group
         self.span = (self._length - 1) / rate
         self._even = np.linspace(-1.0, 1.0, self._length)
+        self._middle = np.zeros(self._length)
+        self._middle[self.margin : self.margin + group] = 1.0 / group
+        self._known = np.zeros((0, 0), dtype=np.intp)
 
     def windows(self, t: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Powers of time in the window around every group.
@@ -64,34 +64,43 @@ class LocalPolynomial:
             and whether the window is as long as it should be, shape (B,). One that is
             not is filled as if it were.
         """
-        margin, group = self.margin, self._group
-        around = sliding_window_view(t, self._length)[::group]
-        middle = around[:, margin : margin + group].mean(axis=1)
-        s = (around - middle[:, None]) * (2.0 / self.span)
+        around = t[self._index(len(t))]
+        s = around - (around @ self._middle)[:, None]
+        s *= 2.0 / self.span
         stretch = 0.5 * (s[:, -1] - s[:, 0])
         whole = (stretch < STRETCH) & (stretch > 1.0 / STRETCH)
         s[~whole] = self._even
         powers = np.empty((len(s), _ORDER + 1, self._length))
         powers[:, 0] = 1.0
-        for low, high in pairwise(range(_ORDER + 1)):
-            np.multiply(powers[:, low], s, out=powers[:, high])
+        powers[:, 1] = s
+        for k in range(2, _ORDER + 1):
+            np.multiply(powers[:, k - 1], s, out=powers[:, k])
         return powers, whole
 
-    def fit(self, powers: Array, q: Array) -> tuple[Array, Array, Array]:
-        """Position, speed and acceleration at the mean time of every group.
+    def moments(self, powers: Array, q: Array) -> tuple[Array, Array]:
+        """Products of the powers with each other and with the positions.
 
         Args:
             powers: See :meth:`windows`.
             q: Position, of as many samples as there were time stamps, shape (N, n).
 
         Returns:
-            Three arrays of shape (B, n).
+            Arrays of shape (B, 5, 5) and (B, 5, n).
         """
-        around = sliding_window_view(q, self._length, axis=0)[:: self._group]
-        gram = powers @ powers.transpose(0, 2, 1)
-        found = np.linalg.solve(gram, powers @ around.transpose(0, 2, 1))
+        return powers @ powers.transpose(0, 2, 1), powers @ q[self._index(len(q))]
+
+    def states(self, moments: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        """Position, speed and acceleration at the mean time of every group, (B, n)."""
+        found: Array = np.asarray(np.linalg.solve(*moments))
         per_second = 2.0 / self.span
         return found[:, 0], found[:, 1] * per_second, found[:, 2] * (2 * per_second**2)
+
+    def _index(self, samples: int) -> NDArray[np.intp]:
+        """Samples of every window, shape (B, W)."""
+        if self._known.size == 0 or self._known[-1, -1] != samples - 1:
+            first = np.arange(0, samples - self._length + 1, self._group)
+            self._known = first[:, None] + np.arange(self._length)
+        return self._known
 
 
 class BlockLowPass:
