@@ -11,8 +11,8 @@ from space_robot_arm import SharedFriction, arm
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect, Scale
 from hybrid.identify.effect_shapes import Log, fit_effects
-from hybrid.online import OnlineIdentifier, Sample
 from hybrid.identify.problem import build_problem
+from hybrid.online import OnlineIdentifier, Sample
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion

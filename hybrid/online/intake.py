@@ -79,7 +79,8 @@ class Intake:
         self._last: Array | None = None
         self._rival: Array | None = None
         self._followers = self._between = 0
-        self._stamp, self._period, self._lost = math.nan, 1.0 / rate, 0.0
+        self._stamp, self._period = math.nan, 1.0 / rate
+        self._lost, self._news = 0.0, 1.0 / (1.0 + rate * _MEMORY)
         self._count = dict.fromkeys((*_FATES, "missing", "restarts"), 0)
 
     @property
@@ -109,7 +110,7 @@ class Intake:
         row = self._row(sample)
         fate = self._fate(row)
         self._count[fate] += 1
-        self._lose(fate != "used", 1)
+        self._lost += (float(fate != "used") - self._lost) * self._news
         if fate != "used":
             self._between += fate not in ("late", "repeated")
             return None
@@ -185,8 +186,11 @@ class Intake:
         step = 1.0 / self._rate if self._last is None else float(row[0]) - self.now
         if step > 0:
             missing = max(0, round(step * self._rate) - 1 - self._between)
-            self._count["missing"] += missing
-            self._lose(True, missing)
+            if missing:
+                self._count["missing"] += missing
+                self._lost = 1 - (1 - self._lost) * (1 - self._news) ** min(
+                    missing, 1e9
+                )
         restart = self._followers > _BELIEVED
         self._count["restarts"] += restart
         self._clock += self._gap if restart else step
@@ -199,7 +203,3 @@ class Intake:
         if step > 0:
             most = _STEP * self._period
             self._period += _GAIN * min(max(step - self._period, -most), most)
-
-    def _lose(self, lost: bool, count: int) -> None:
-        kept = (1.0 - 1.0 / (1.0 + self._rate * _MEMORY)) ** min(count, 10**9)
-        self._lost = kept * self._lost + (1.0 - kept) * lost

@@ -42,7 +42,7 @@ class Pipeline:
         self._derive, self._smooth, self._standing = derive, smooth, standing
         self.row = np.zeros(len(layout.joints))
         self.tasks: list[Callable[[], None]] = [
-            *([self._find_windows, self._find_moments] if derive else []),
+            *(self._derivative_tasks(derive) if derive else ()),
             self._find_states,
             *columns.tasks,
             self._filter,
@@ -63,14 +63,26 @@ class Pipeline:
         """Time of the newest sample in it, [s]."""
         return float(self._samples[-1, 0])
 
-    def _find_windows(self) -> None:
-        if self._derive is not None:
-            self._powers, self._whole = self._derive.windows(self._samples[:, 0])
+    def _derivative_tasks(self, derive: LocalPolynomial) -> list[Callable[[], None]]:
+        """What brings positions to ``_fitted``, and says which to trust."""
 
-    def _find_moments(self) -> None:
-        if self._derive is not None:
-            q = self._samples[:, 1 : 1 + len(self._standing)]
-            self._moments = self._derive.moments(self._powers, q)
+        def windows() -> None:
+            self._powers, self._trusted = derive.windows(self._samples[:, 0])
+            self._q = self._samples[:, 1 : 1 + len(self._standing)]
+
+        def moments() -> None:
+            self._moments = derive.moments(self._powers, self._q)
+
+        def fit() -> None:
+            self._fitted = derive.fit(self._moments)
+
+        def left() -> None:
+            self._left = derive.left(self._powers, self._q, self._fitted)
+
+        def trust() -> None:
+            self._trusted &= derive.is_spread(self._left)
+
+        return [windows, moments, fit, left, trust]
 
     def _find_states(self) -> None:
         margin, n = self._derive.margin if self._derive else 0, len(self._standing)
@@ -81,8 +93,8 @@ class Pipeline:
             q, v, a = signals[:, :n], signals[:, 2 * n : 3 * n], signals[:, 3 * n :]
             self._moving = np.abs(v) > self._standing
         else:
-            q, v, a = self._derive.states(self._moments)
-            self._moving = (np.abs(v) > self._standing) & self._whole[:, None]
+            q, v, a = self._derive.states(self._fitted)
+            self._moving = (np.abs(v) > self._standing) & self._trusted[:, None]
         self._columns.begin((t, q, v, a), self._theta)
 
     def _filter(self) -> None:

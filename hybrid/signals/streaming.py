@@ -11,6 +11,8 @@ from hybrid.robot.chain import Array
 
 _ORDER = 4  # of the local polynomial
 _WIDER = 2.5  # bandwidth of the derivatives in cut-offs
+# Samples of a window that hold all that is left of it, at least, and of how many one.
+_HOLDERS, _ONE_OF = 2.5, 8
 STRETCH = 1.25  # of a window, at most: its bandwidth is still two cut-offs
 
 
@@ -89,11 +91,41 @@ class LocalPolynomial:
         """
         return powers @ powers.transpose(0, 2, 1), powers @ q[self._index(len(q))]
 
-    def states(self, moments: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+    def fit(self, moments: tuple[Array, Array]) -> Array:
+        """Coefficients of the polynomials in half spans, shape (B, 5, n)."""
+        return np.asarray(np.linalg.solve(*moments))
+
+    def states(self, fitted: Array) -> tuple[Array, Array, Array]:
         """Position, speed and acceleration at the mean time of every group, (B, n)."""
-        found: Array = np.asarray(np.linalg.solve(*moments))
         per_second = 2.0 / self.span
-        return found[:, 0], found[:, 1] * per_second, found[:, 2] * (2 * per_second**2)
+        return (
+            fitted[:, 0],
+            fitted[:, 1] * per_second,
+            fitted[:, 2] * (2.0 * per_second**2),
+        )
+
+    def left(self, powers: Array, q: Array, fitted: Array) -> Array:
+        """What the polynomials leave of the positions, shape (B, W, n), [rad].
+
+        Args:
+            powers: See :meth:`windows`.
+            q: Position, shape (N, n), [rad].
+            fitted: See :meth:`fit`.
+        """
+        found: Array = q[self._index(len(q))] - powers.transpose(0, 2, 1) @ fitted
+        return found
+
+    def is_spread(self, left: Array) -> NDArray[np.bool_]:
+        """Whether what is left is spread over the window of every joint, shape (B,).
+
+        If one or two samples hold it, they are wrong, or have the stamps of others. The
+        number that do is (Σ r²)²/Σ r⁴; of white noise it is a third of all.
+        """
+        square = left * left
+        total = square.sum(axis=1)
+        square *= square
+        holders = min(_HOLDERS, self._length / _ONE_OF)
+        return np.asarray((total**2 >= holders * square.sum(axis=1)).all(axis=1))
 
     def _index(self, samples: int) -> NDArray[np.intp]:
         """Samples of every window, shape (B, W)."""
