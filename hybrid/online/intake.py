@@ -17,6 +17,7 @@ _FATES = ("used", "not_finite", "implausible", "repeated", "late", "jumped")
 
 _BELIEVED = 10  # samples that follow each other, before a new clock is believed
 _CLOSEST = 0.1  # period between two samples, else the second repeats the first
+_LARGEST, _LATEST = 1e6, 1e15  # in SI units: of what an arm does, and of a stamp
 _MEMORY = 1.0  # s, of the share that is lost
 _GAIN, _STEP = 0.05, 0.1  # of the period's mean: share of news, and at most of itself
 
@@ -148,11 +149,14 @@ class Intake:
 
     def _fate(self, row: Array) -> str:
         """What becomes of a sample."""
-        if not math.isfinite(row @ row):
+        stamp, largest = float(row[0]), float(np.abs(row[1:]).max())
+        if not (math.isfinite(stamp) and math.isfinite(largest)):
             return "not_finite"
-        self._measure_rate(float(row[0]))
+        if largest > _LARGEST or abs(stamp) > _LATEST or not self._is_torque(row):
+            return "implausible"
+        self._measure_rate(stamp)
         if self._last is None:
-            return "used" if self._is_torque(row) else "implausible"
+            return "used"
         fate = self._follows(self._last, row)
         if fate in ("used", "repeated"):
             return fate
@@ -167,19 +171,18 @@ class Intake:
         if step < 0.0:
             return "late"
         way = row[1 : 1 + self._n] - before[1 : 1 + self._n]
-        square = float(way @ way)
+        square = float(way.dot(way))
         if step < _CLOSEST / self._rate or (
             square == 0.0 and np.array_equal(row[1:], before[1:])
         ):
             return "repeated"
         if step > self._reach:
             return "jumped"
-        plausible = square <= (self._speed * step) ** 2 and self._is_torque(row)
-        return "used" if plausible else "implausible"
+        return "used" if square <= (self._speed * step) ** 2 else "implausible"
 
     def _is_torque(self, row: Array) -> bool:
         tau = row[1 + self._n : 1 + 2 * self._n]
-        return float(tau @ tau) <= self._torque**2
+        return float(tau.dot(tau)) <= self._torque**2
 
     def _go_on(self, row: Array) -> None:
         """The stream's clock goes on with a sample."""
@@ -188,9 +191,8 @@ class Intake:
             missing = max(0, round(step * self._rate) - 1 - self._between)
             if missing:
                 self._count["missing"] += missing
-                self._lost = 1 - (1 - self._lost) * (1 - self._news) ** min(
-                    missing, 1e9
-                )
+                kept = (1.0 - self._news) ** min(missing, 1e9)
+                self._lost = 1.0 - (1.0 - self._lost) * kept
         restart = self._followers > _BELIEVED
         self._count["restarts"] += restart
         self._clock += self._gap if restart else step

@@ -102,4 +102,6 @@ class Pipeline:
         rows, layout = self._columns.rows, self._layout
         rows[:, layout.torque], rows[:, layout.moving] = self._tau, 1.0
         rows *= self._moving[:, layout.joints]
+        if not np.isfinite(rows.sum()):  # a law has no value there; 0 tells nothing
+            rows[~np.isfinite(rows).all(axis=1)] = 0.0
         self.row = rows[-1] if self._smooth is None else self._smooth(rows)
