@@ -55,6 +55,17 @@ class Health:
         return self.lost <= _LOST and self.rate_is_right
 
     @property
+    def summary(self) -> str:
+        """The counts in one line; those that are 0 are left out."""
+        names = (
+            "not_finite", "implausible", "repeated", "late", "jumped", "missing",
+            "restarts",
+        )  # fmt: skip
+        counts = ((name.replace("_", " "), getattr(self, name)) for name in names)
+        found = [f"{count:,} {name}" for name, count in counts if count]
+        return ", ".join([f"{self.used:,} of {self.received:,} samples used", *found])
+
+    @property
     def problems(self) -> tuple[str, ...]:
         """What is wrong, in words; empty if all is well."""
         found = []
