@@ -1,11 +1,11 @@
 """Online identification of a six-axis arm: time per sample, payloads, false alarms.
 
 A table appears: processor time of each of 60,000 updates at 1 kHz, with a model that
-was identified and with every kind of friction; time to notice a payload grasped or dropped
-and to know its mass; false alarms per hour on an arm with exactly the tracked effects
-and on a MuJoCo plant with effects that nobody tracks; what an hour of standstill does.
-The same updates are timed three times: what else is at work only adds time, so that the
-least of an update's three times is nearest to its own.
+was identified and with every kind of friction; time to notice a payload grasped or
+dropped and to know its mass; false alarms per hour on an arm with exactly the tracked
+effects and on a MuJoCo plant with others; what an hour of standstill does. The same
+updates are timed three times: what else is at work only adds time, so that the least of
+an update's three times is nearest to its own.
 
     python benchmarks/online.py --hours 1
 """
@@ -93,7 +93,7 @@ def time_per_sample(make: Callable[[], OnlineIdentifier], log: Recording) -> Arr
 
 def times(seconds: float) -> list[tuple[str, str]]:
     """Rows of the table: percentiles of the time of an update."""
-    model = identify(logs(20.0, 4, 0), ARM).model
+    model = identify(ARM, logs(20.0, 4, 0)).model
     every = "threshold_friction,load_friction,torque_offset,armature,torque_ripple"
     some = effects_from_text(every, ARM.joints, joint_scales(ARM))
     (log,) = logs(seconds, 1, 9)

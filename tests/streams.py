@@ -24,7 +24,6 @@ def damaged(t, q, tau, *, share=0.05, seed=0, faults=FAULTS) -> Iterator[Sample]
                 yield sample
             last = _spoilt(sample, fault, rng) if fault else sample
             yield last
-            last = sample
         for due, old in waiting:
             if due == k:
                 yield old

@@ -41,6 +41,7 @@ class Pipeline:
         self._mean = np.kron(np.eye(len(columns.rows)), np.full(group, 1.0 / group))
         self._derive, self._smooth, self._standing = derive, smooth, standing
         self.row = np.zeros(len(layout.joints))
+        self._spread = np.ones(1, dtype=bool)
         self.tasks: list[Callable[[], None]] = [
             *(self._derivative_tasks(derive) if derive else ()),
             self._find_states,
@@ -80,7 +81,12 @@ class Pipeline:
             self._left = derive.left(self._powers, self._q, self._fitted)
 
         def trust() -> None:
-            self._trusted &= derive.is_spread(self._left)
+            # A wrong sample at its very end bends a window and leaves no trace in it,
+            # but in the one beside.
+            spread = np.append(self._spread[-1], derive.is_spread(self._left))
+            self._trusted &= spread[1:] & spread[:-1]
+            self._trusted[:-1] &= spread[2:]
+            self._spread = spread
 
         return [windows, moments, fit, left, trust]
 
