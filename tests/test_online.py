@@ -212,6 +212,14 @@ def test_a_bound_moves_what_is_correlated_along():
     np.testing.assert_allclose(square.covariance, [[1, 0.8], [0.8, 5]])
 
 
+def test_bounds_hold_where_unknowns_depend_on_each_other_or_are_held():
+    root = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    for mean in ([-1.0, -2.0, 0.5], [-1.0, 0.5, -3.0]):
+        square = SquareRootFilter(np.array(mean), root)
+        square.keep_within(np.zeros(3), np.ones(3))
+        assert np.all((square.mean >= 0) & (square.mean <= 1))
+
+
 @pytest.mark.parametrize("branches", [False, True])
 def test_columns_of_an_instant_are_the_slopes_of_the_torque(branches, monkeypatch):
     kinds = "stribeck,load_friction,threshold_friction,torque_offset"

@@ -61,7 +61,8 @@ class InstantLaws:
             except (HybridError, TypeError, ValueError):
                 self.others.append(own)
         self.places: Indices = np.array(list(found), dtype=int)
-        marks = sorted({u for own in effects for u in (*own.gains, *own.shapes)} - {-1})
+        inputs = {x.arguments[0] for x in tape.lines if x.name == "input"}
+        marks = [u for u in range(layout.size) if f"theta[{u}]" in inputs]
         self._unknowns = np.array(marks, dtype=int)
         names += [f"theta[{u}]" for u in marks]
         self._law = Law(tape, tuple(found.values()), tuple(names))

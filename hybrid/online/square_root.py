@@ -106,7 +106,7 @@ class SquareRootFilter:
         rows = self.root[passed]
         variance = rows @ rows.T
         variance.flat[:: len(passed) + 1] *= 1.0 + _ROUNDING
-        variance.flat[:: len(passed) + 1] += np.finfo(float).tiny
-        force = np.linalg.solve(variance, inside[passed] - self.mean[passed])
-        self.mean += self.root @ (rows.T @ force)
+        _, force, failed = lapack.dposv(variance, inside[passed] - self.mean[passed])
+        if not failed:  # else one has no variance at all, and moves alone
+            self.mean += self.root @ (rows.T @ force)
         np.minimum(np.maximum(self.mean, lower), upper, out=self.mean)
