@@ -93,8 +93,10 @@ def time_per_sample(make: Callable[[], OnlineIdentifier], log: Recording) -> Arr
 
 def times(seconds: float) -> list[tuple[str, str]]:
     """Rows of the table: percentiles of the time of an update."""
-    model = identify(ARM, logs(20.0, 4, 0)).model
-    every = "threshold_friction,load_friction,torque_offset,armature,torque_ripple"
+    model = identify(ARM, logs(10.0, 3, 0)).model
+    every = (
+        "threshold_friction,load_friction,torque_offset,armature,torque_ripple,stribeck"
+    )
     some = effects_from_text(every, ARM.joints, joint_scales(ARM))
     (log,) = logs(seconds, 1, 9)
     rows = []
