@@ -1,5 +1,6 @@
 """Online identification on streams as robots give them, on good days and bad."""
 
+import time
 from functools import cache
 
 import numpy as np
@@ -181,3 +182,19 @@ def test_a_sample_of_the_wrong_shape_is_one_clear_line():
     exact.update(Sample(0.0, *np.zeros((4, 6))))
     with pytest.raises(IdentificationError, match="every sample must"):
         exact.update(Sample(0.1, *np.zeros((2, 6))))
+
+
+def test_no_call_does_much_more_than_another():
+    t, q, tau, _ = log(seconds=10.0)
+    taken = np.empty((3, 2000))
+    for run in taken:
+        to = OnlineIdentifier(arm(), effects(), rate=1000.0)
+        for k in range(2200):
+            sample = Sample(k / 1000, q[k], tau[k])
+            start = time.process_time_ns()
+            to.update(sample)
+            if k >= 200:
+                run[k - 200] = time.process_time_ns() - start
+    least = taken.min(axis=0)  # what else is at work only adds time
+    assert np.percentile(least, 99.9) < 5 * np.median(least)
+    assert all(len(share) <= 1 for share in to._shares)
