@@ -129,6 +129,18 @@ def test_the_right_rate_is_no_problem():
     assert tracker().health == Health(stated_rate=RATE)
 
 
+def test_a_joint_that_stands_between_two_steps_of_its_encoder_hides_no_other():
+    t, q, tau, _ = log(seconds=10.0)
+    step, rng = 2 * np.pi / 2**13, np.random.default_rng(0)
+    ends = []
+    for flips in (np.zeros(len(t)), rng.random(len(t)) < 0.03):
+        stands = q.copy()
+        stands[:, 5] = q[0, 5] + step * flips
+        ends.append(tracked((t, stands, tau, None)))
+    first = [k for k, p in enumerate(ends[0].parameters) if "[base]" in p.name]
+    assert np.all(ends[1].std[first] < 1.1 * ends[0].std[first])
+
+
 def test_after_a_bad_first_sample_all_is_well():
     stream, clean = samples(seconds=10.0), tracked(log(seconds=10.0))
     first = Sample(1e9, stream[0].q + 500.0, stream[0].tau)

@@ -65,7 +65,7 @@ class Pipeline:
         return float(self._samples[-1, 0])
 
     def _derivative_tasks(self, derive: LocalPolynomial) -> list[Callable[[], None]]:
-        """What brings positions to ``_fitted``, and says which to trust."""
+        """What finds the states at all groups, and which of them to trust."""
 
         def windows() -> None:
             self._powers, self._trusted = derive.windows(self._samples[:, 0])
@@ -79,11 +79,15 @@ class Pipeline:
 
         def left() -> None:
             self._left = derive.left(self._powers, self._q, self._fitted)
+            self._states = derive.states(self._fitted)
 
         def trust() -> None:
+            # Of a joint that stands one step of the encoder is all there is.
+            stands = np.abs(self._states[1]) <= self._standing
+            here = (derive.is_spread(self._left) | stands).all(axis=1)
             # A wrong sample at its very end bends a window and leaves no trace in it,
             # but in the one beside.
-            spread = np.append(self._spread[-1], derive.is_spread(self._left))
+            spread = np.append(self._spread[-1], here)
             self._trusted &= spread[1:] & spread[:-1]
             self._trusted[:-1] &= spread[2:]
             self._spread = spread
@@ -99,7 +103,7 @@ class Pipeline:
             q, v, a = signals[:, :n], signals[:, 2 * n : 3 * n], signals[:, 3 * n :]
             self._moving = np.abs(v) > self._standing
         else:
-            q, v, a = self._derive.states(self._fitted)
+            q, v, a = self._states
             self._moving = (np.abs(v) > self._standing) & self._trusted[:, None]
         self._columns.begin((t, q, v, a), self._theta)
 

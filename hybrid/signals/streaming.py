@@ -116,7 +116,7 @@ class LocalPolynomial:
         return found
 
     def is_spread(self, left: Array) -> NDArray[np.bool_]:
-        """Whether what is left is spread over the window of every joint, shape (B,).
+        """Whether what is left is spread over the window, for every joint, (B, n).
 
         If one or two samples hold it, they are wrong, or have the stamps of others. The
         number that do is (Σ r²)²/Σ r⁴; of white noise it is a third of all.
@@ -125,7 +125,7 @@ class LocalPolynomial:
         total = square.sum(axis=1)
         square *= square
         holders = min(_HOLDERS, self._length / _ONE_OF)
-        return np.asarray((total**2 >= holders * square.sum(axis=1)).all(axis=1))
+        return np.asarray(total**2 >= holders * square.sum(axis=1))
 
     def _index(self, samples: int) -> NDArray[np.intp]:
         """Samples of every window, shape (B, W)."""
