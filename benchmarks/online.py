@@ -101,17 +101,17 @@ def times(seconds: float) -> list[tuple[str, str]]:
     (log,) = logs(seconds, 1, 9)
     rows = []
     for name, make in (
-        ("an identified model", partial(OnlineIdentifier.from_model, model, rate=1000)),
+        ("identified model", partial(OnlineIdentifier.from_model, model, rate=1000)),
         ("all friction", partial(OnlineIdentifier, ARM, some, rate=1000)),
     ):
-        taken = time_per_sample(make, log)
+        taken, count = time_per_sample(make, log), len(make().theta)
         best = taken[np.argmin(np.percentile(taken, 99.9, axis=1))]
         for kind, x in (("best run", best), ("least of three", taken.min(axis=0))):
-            figures = [*np.percentile(x, [50, 99, 99.9, 100]), x.mean()]
-            label = f"{name}, {len(make().theta)} unknowns, {kind}: 50 / 99 / 99.9 % / "
-            rows.append(
-                (f"{label}max / mean [µs]", " / ".join(f"{x:.0f}" for x in figures))
+            figures = " / ".join(
+                f"{y:.0f}" for y in np.percentile(x, [50, 99, 99.9, 100])
             )
+            rows.append((f"{name}, {kind}: 50 / 99 / 99.9 / 100 % [µs]", figures))
+        rows.append((f"{name}: unknowns, mean [µs]", f"{count}, {best.mean():.0f}"))
     return rows
 
 
