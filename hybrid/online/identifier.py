@@ -4,9 +4,10 @@ Source: Ljung and Söderström 1983, "Theory and Practice of Recursive Identific
 (extended least squares); see also ``square_root.py`` and ``payload_change.py``.
 
 Samples are worked on in blocks. While one fills, the one before is worked out, in tasks
-of some ten microseconds of which every call does its share: none takes long, but for the
-call that notices a payload (a few tenths of a millisecond). At low rates a block is a
-few samples, without a cut-off it is one; a call then does more, and has the time for it.
+of some ten microseconds of which every call does its share: none takes long, but for
+the call that notices a payload (a few tenths of a millisecond). At low rates a block is
+a few samples, without a cut-off it is one; a call then does more, and has the time for
+it.
 """
 
 from __future__ import annotations
