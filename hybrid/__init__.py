@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hybrid.excitation import design as excite
     from hybrid.export.export import export
     from hybrid.identify import DynamicModel, Fit, identify, predict, validate
-    from hybrid.identify.online import OnlineIdentifier, Sample
+    from hybrid.online import OnlineIdentifier, Sample
     from hybrid.plant import simulate
     from hybrid.recording import Recording
     from hybrid.recording import read_all as read_recordings
@@ -59,10 +59,10 @@ _HOME = {
     "Effect": "hybrid.effects",
     "Fit": "hybrid.identify",
     "Motion": "hybrid.signals",
-    "OnlineIdentifier": "hybrid.identify.online",
+    "OnlineIdentifier": "hybrid.online",
     "Recording": "hybrid.recording",
     "Robot": "hybrid.robot",
-    "Sample": "hybrid.identify.online",
+    "Sample": "hybrid.online",
     "calibrate": "hybrid.calibrate",
     "diagnose": "hybrid.diagnose.diagnose",
     "effects": "hybrid.effects:effect_classes",

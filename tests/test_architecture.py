@@ -20,6 +20,7 @@ FLOORS = (
     {"diagnose"},
     {"calibrate"},
     {"export"},
+    {"online"},
     {"identify"},
     {"excitation"},
     {"compensator"},

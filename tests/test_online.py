@@ -13,16 +13,18 @@ from hybrid.dynamics.sample import SampleRegressor
 from hybrid.effects import effects_from_text
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
+from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.errors import IdentificationError, RecordingError
 from hybrid.identify import DynamicModel
-from hybrid.identify.online import OnlineIdentifier, Sample
-from hybrid.identify.sample_columns import SampleColumns
-from hybrid.identify.square_root import SquareRootFilter
+from hybrid.online import OnlineIdentifier, Sample
+from hybrid.online.columns import Columns
+from hybrid.online.layout import Layout
+from hybrid.online.square_root import SquareRootFilter
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
-from hybrid.signals.streaming import StreamingDerivative, StreamingLowPass
+from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 RATE = 250.0
 
@@ -89,43 +91,72 @@ def test_the_regressor_of_one_sample_is_that_of_many():
 
 
 @settings(max_examples=40)
-@given(order=st.integers(0, 4), seed=st.integers(0, 99))
-def test_streaming_derivatives_are_exact_for_polynomials_and_late_by_their_delay(
-    order, seed
+@given(
+    order=st.integers(0, 4), group=st.integers(1, 4), seed=st.integers(0, 99),
+    jitter=st.floats(0, 0.3),
+)  # fmt: skip
+def test_derivatives_by_time_stamp_are_exact_for_polynomials_whatever_is_missing(
+    order, group, seed, jitter
 ):
-    c = np.polynomial.Polynomial(np.random.default_rng(seed).normal(size=order + 1))
-    t = np.arange(200) / 100
-    stream, found = StreamingDerivative(100.0, 8.0, 1), []
-    for k in range(200):
-        found.append(stream.push(c(t[k : k + 1]), t[k : k + 1]))
-    late = 2 * stream.delay
-    assert all(x is None for x in found[:late])
-    for k in range(late, 200):
-        q, v, a, other = found[k]
-        at = t[k - stream.delay]
-        assert other[0] == at
-        size = 1 + np.abs(c.coef).sum()
-        assert q[0] == pytest.approx(c(at), abs=1e-9 * size)
-        assert v[0] == pytest.approx(c.deriv(1)(at), abs=1e-7 * size)
-        assert a[0] == pytest.approx(c.deriv(2)(at), abs=1e-5 * size)
+    rng = np.random.default_rng(seed)
+    c = np.polynomial.Polynomial(rng.normal(size=order + 1))
+    derive = LocalPolynomial(200.0, 8.0, group)
+    t = (np.arange(120) + rng.uniform(-jitter, jitter, 120)) / 200
+    t = np.delete(t, rng.choice(120, 4, replace=False))
+    t = t[: 2 * derive.margin + 15 * group]
+    powers, whole = derive.windows(t)
+    q, v, a = derive.states(derive.fit(derive.moments(powers, c(t)[:, None])))
+    middle = t[derive.margin : derive.margin + 15 * group].reshape(15, group).mean(1)
+    assert whole.any()
+    size = 1 + np.abs(c.coef).sum()
+    for found, right, error in (
+        (q, c, 1e-9),
+        (v, c.deriv(1), 1e-7),
+        (a, c.deriv(2), 1e-5),
+    ):
+        off = np.abs(found[:, 0] - right(middle))[whole]
+        assert off.max() < error * size
 
 
-def test_the_streaming_low_pass_is_the_filter_of_scipy_and_starts_settled():
+def test_a_window_that_is_too_long_or_holds_one_odd_sample_is_not_trusted():
+    derive = LocalPolynomial(250.0, 10.0)
+    length = 2 * derive.margin + 1
+    t, rng = np.arange(length + 39) / 250, np.random.default_rng(0)
+    q = np.sin(3 * t)[:, None] + 1e-6 * rng.standard_normal((len(t), 1))
+    powers, whole = derive.windows(t)
+
+    def is_spread():
+        fitted = derive.fit(derive.moments(powers, q))
+        return derive.is_spread(derive.left(powers, q, fitted))[:, 0]
+
+    assert whole.all() and is_spread().mean() > 0.95
+    q[30] = q[29]
+    assert not is_spread()[31 - length + 2 : 29].any() and is_spread()[31:].mean() > 0.9
+    gap = np.where(np.arange(len(t)) < 30, t, t + 0.3 * length / 250)
+    assert not derive.windows(gap)[1][30 - length + 1 : 30].any()
+    assert derive.windows(gap)[1][30:].all()
+    for rate in (0.5, 2.0):
+        assert not derive.windows(t / rate)[1].any()
+
+
+def test_the_block_low_pass_is_the_filter_of_scipy_and_starts_settled():
     from scipy.signal import butter, lfilter, lfilter_zi
 
-    x = np.random.default_rng(0).normal(size=(300, 2, 3)) + 5
+    x = np.random.default_rng(0).normal(size=(300, 6)) + 5
     b, a = butter(2, 9.0, fs=200.0)
-    start = lfilter_zi(b, a)[:, None, None] * x[0]
-    smooth = StreamingLowPass(200.0, 9.0)
-    found = np.array([smooth(y) for y in x])
-    np.testing.assert_allclose(found, lfilter(b, a, x, axis=0, zi=start)[0], atol=1e-12)
-    settled = StreamingLowPass(200.0, 9.0)
-    assert all(settled(np.full(2, 3.0)) == pytest.approx(3.0) for _ in range(50))
+    start = lfilter_zi(b, a)[:, None] * x[0]
+    smooth = BlockLowPass(200.0, 9.0, 4)
+    found = np.array([smooth(y) for y in x.reshape(75, 4, 6)])
+    right = lfilter(b, a, x, axis=0, zi=start)[0][3::4]
+    np.testing.assert_allclose(found, right, atol=1e-12)
+    settled = BlockLowPass(200.0, 9.0, 3)
+    for _ in range(20):
+        assert settled(np.full((3, 2), 3.0)) == pytest.approx(3.0)
 
 
 def test_too_low_a_rate_is_refused():
     with pytest.raises(RecordingError, match="above 50 Hz"):
-        StreamingDerivative(45.0, 10.0, 2)
+        LocalPolynomial(45.0, 10.0)
 
 
 def test_without_forgetting_the_filter_is_least_squares():
@@ -176,31 +207,55 @@ def test_a_bound_moves_what_is_correlated_along():
     root = np.array([[1.0, 0.0], [0.8, 0.6]])
     square = SquareRootFilter(np.array([-1.0, 0.0]), root)
     square.keep_within(np.array([0.0, -np.inf]), np.full(2, np.inf))
-    np.testing.assert_allclose(square.mean, [0.0, 0.8])
+    np.testing.assert_allclose(square.mean, [0.0, 0.8], atol=1e-9)
     square.widen(np.array([[0.0], [2.0]]))
     np.testing.assert_allclose(square.covariance, [[1, 0.8], [0.8, 5]])
 
 
-def test_columns_of_a_sample_are_the_slopes_of_the_torque():
+def test_bounds_hold_where_unknowns_depend_on_each_other_or_are_held():
+    root = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    for mean in ([-1.0, -2.0, 0.5], [-1.0, 0.5, -3.0]):
+        square = SquareRootFilter(np.array(mean), root)
+        square.keep_within(np.zeros(3), np.ones(3))
+        assert np.all((square.mean >= 0) & (square.mean <= 1))
+
+
+@pytest.mark.parametrize("branches", [False, True])
+def test_columns_of_an_instant_are_the_slopes_of_the_torque(branches, monkeypatch):
     kinds = "stribeck,load_friction,threshold_friction,torque_offset"
     some = effects_from_text(kinds, arm().joints, joint_scales(arm()))
     some.append(TransmissionCoupling.typical((4, 5), joint_scales(arm())))
+    if branches:  # a law that cannot be written down is asked as a whole
+        law = Stribeck.law
+
+        def whole_motion(state, **shapes):
+            return law(state, **shapes) if np.all(state.v < np.inf) else ()
+
+        monkeypatch.setattr(Stribeck, "law", staticmethod(whole_motion))
     tracker = OnlineIdentifier(arm(), some, rate=RATE)
     problem, theta = tracker.problem, tracker.theta
-    columns = SampleColumns(arm(), problem)
-    q, v, a = (x[0] for x in random_states(6, 1, 3))
+    layout = Layout(problem, shapes=True)
+    columns = Columns(arm(), problem, layout, 1)
+    q, v, a = (x[:1] for x in random_states(6, 1, 3))
     v *= 0.02
 
-    def torque(x):
-        J, _ = columns(q, v, a, x, 0.0)
-        return J[:, : problem.size] @ x[: problem.size]
+    def derivative(x):
+        columns.begin((np.zeros(1), q, v, a), x)
+        for task in columns.tasks:
+            task()
+        return layout.derivative(columns.rows[0])
 
-    J, last = columns(q, v, a, theta, 0.0)
-    whole = regressor(arm().chain, q[None], v[None], a[None])[0]
-    np.testing.assert_allclose(last, whole[:, -10:], atol=1e-9)
-    for k in range(problem.size, len(theta)):
+    J = derivative(theta)
+    whole = regressor(arm().chain, q, v, a)[0]
+    last = columns.rows[0, layout.payload]
+    np.testing.assert_allclose(last, whole[:, -10:-6], atol=1e-9)
+    rigid = whole[:, np.array(problem.base.kept)[problem.rigid]]
+    np.testing.assert_allclose(J[:, problem.rigid], rigid, atol=1e-9)
+    p = problem.size
+    for k in range(p, len(theta)):
         step = 1e-6 * theta[k] * np.eye(len(theta))[k]
-        slope = (torque(theta + step) - torque(theta - step)) / (2e-6 * theta[k])
+        up, down = (derivative(x)[:, :p] @ x[:p] for x in (theta + step, theta - step))
+        slope = (up - down) / (2e-6 * theta[k])
         np.testing.assert_allclose(
             J[:, k], slope, atol=2e-3 * np.abs(slope).max() + 1e-6
         )

@@ -10,7 +10,7 @@ from hybrid.cli import main
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import effects_from_text
 from hybrid.identify import DynamicModel
-from hybrid.identify.online import OnlineIdentifier
+from hybrid.online import OnlineIdentifier
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording, write
@@ -63,7 +63,24 @@ def test_it_writes_every_parameter_over_time_and_says_what_was_grasped(folder, c
     (change,) = content["changes"]
     assert 15 < change["t"] < 15.4
     assert change["mass"] > 0 and content["provenance"]["command"] == "track"
+    assert content["health"]["used"] == content["samples"] == 4001
+    assert "4,001 of 4,001 samples used" in out
     assert np.abs(rows[140, -2:]).max() < 0.5
+
+
+def test_it_says_what_became_of_the_samples(folder, capsys):
+    rows = (folder / "log.csv").read_text().splitlines()
+    held = rows[1001].split(",")[:1] + rows[1000].split(",")[1:]
+    kept = [*rows[:1001], ",".join(held), *rows[1002:2001], *rows[2101:]]
+    (folder / "worn.csv").write_text("\n".join(kept))
+    paths = [str(folder / x) for x in ("model.json", "worn.csv", "worn_track.csv")]
+    given = zip(("--model", "--recording", "--out"), paths, strict=True)
+    assert main(["track", *(x for pair in given for x in pair)]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert (
+        "3,890 of 3,901 samples used, 1 repeated, 10 jumped, 101 missing, 1 restarts"
+        in out
+    )
 
 
 def test_the_model_it_starts_from_is_read_back_as_it_is(folder):

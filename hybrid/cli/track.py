@@ -24,8 +24,11 @@ remainder is left out. Writes the columns time (s), one of each parameter, and
 error_JOINT (N·m), ten times a second; the suffix of --out, .csv, .parquet or .npz, says
 how.
 
---json: provenance, robot, joints, samples, changes (t, statistic, and mass, known a
-second later), parameters, noise, microseconds (median per sample).
+Samples that cannot be used are left out and counted, as in a controller.
+
+--json: provenance, robot, joints, samples, health (what became of the samples), changes
+(t, statistic, and mass, known a second later), parameters, noise, microseconds (median
+per sample).
 
 example:
   hybrid track --model model.json --recording logs/trajectory_1.csv --out track.csv"""
@@ -62,19 +65,21 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.identify import DynamicModel
-    from hybrid.identify.online import OnlineIdentifier, Sample
-    from hybrid.recording import check_recording, read
+    from hybrid.online import OnlineIdentifier, Sample
+    from hybrid.recording import check_recording, read, unbroken
     from hybrid.report.columns import write_columns, writer_of
 
     writer_of(args.out)
     model = DynamicModel.load(args.model)
     joints = model.robot.joints
-    recording = check_recording(read(args.recording, joints=joints), model.robot)
+    recording = read(args.recording, joints=joints).in_order(joints)
+    for piece in unbroken(recording):
+        check_recording(piece, model.robot)
     inputs = [args.model, args.model.with_suffix(".safetensors"), args.recording]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
-    rate = (len(recording.t) - 1) / recording.duration
-    tracker = OnlineIdentifier.from_model(model, rate=rate, prior=args.prior)
+    rate, prior = recording.rate, args.prior
+    tracker = OnlineIdentifier.from_model(model, rate=rate, prior=prior)
     every, rows, taken = max(1, round(rate / _PER_SECOND)), [], []
     changes: list[dict[str, float]] = []
     with screen.working(f"tracking {len(recording.t):,} samples"):
@@ -95,6 +100,7 @@ def run(args: Namespace, screen: Screen) -> None:
         "robot": model.robot.name,
         "joints": joints,
         "samples": len(recording.t),
+        "health": vars(tracker.health),
         "changes": changes,
         "parameters": [p.as_dict() for p in parameters],
         "noise": tracker.noise,
@@ -105,3 +111,5 @@ def run(args: Namespace, screen: Screen) -> None:
         word = "grasped" if found["mass"] > 0 else "dropped"
         screen.say(f"{found['t']:.2f} s: {abs(found['mass']):.3g} kg {word}")
     screen.say(f"{len(parameters)} parameters, {len(rows):,} rows in {args.out}")
+    for text in (tracker.health.summary, *tracker.health.problems):
+        screen.say(text)

@@ -1,23 +1,28 @@
-"""Filters that work sample by sample: derivatives of known delay, and a low-pass."""
+"""Filters of a stream, a block at a time: derivatives by time stamp, and a low-pass."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import butter, savgol_coeffs
+from numpy.typing import NDArray
+from scipy.signal import butter
 
 from hybrid.errors import RecordingError
 from hybrid.robot.chain import Array
 
 _ORDER = 4  # of the local polynomial
 _WIDER = 2.5  # bandwidth of the derivatives in cut-offs
+# Samples of a window that hold all that is left of it, at least, and of how many one.
+_HOLDERS, _ONE_OF = 2.5, 8
+STRETCH = 1.25  # of a window, at most: its bandwidth is still two cut-offs
 
 
-class StreamingDerivative:
-    """Position, speed and acceleration from a polynomial through the last samples.
+class LocalPolynomial:
+    """Position, speed and acceleration from a polynomial through the samples around.
 
-    All three are those of one polynomial at the middle of its window, so that they
-    belong to each other exactly, ``delay`` samples late. What shall be in time with
-    them goes through the same delay.
+    The samples count at their own time stamps: one that is missing, or comes early,
+    leaves no error behind. All three are those of one polynomial at the mean time of a
+    group of samples in the middle of its window, so that they belong to each other, and
+    to the mean torque of the group.
 
     Source: Savitzky and Golay 1964, doi 10.1021/ac60214a047; Schafer 2011,
     doi 10.1109/MSP.2011.941097 (their bandwidth).
@@ -25,76 +30,145 @@ class StreamingDerivative:
     Args:
         rate: Samples per second, [Hz].
         cutoff: Frequency up to which signals shall pass, [Hz].
-        size: Number of joints n.
+        group: Samples in a group g.
+
+    Attributes:
+        margin: Samples of a window before its group, and behind it.
+        span: Time from the first to the last sample of a window, [s].
 
     Raises:
         RecordingError: The rate is too low for the cut-off.
     """
 
-    def __init__(self, rate: float, cutoff: float, size: int) -> None:
-        half = ((_ORDER + 1) * rate / (2 * _WIDER * cutoff) + 4.6) / 3.2
-        self.delay = max(3, round(half))
+    def __init__(self, rate: float, cutoff: float, group: int = 1) -> None:
         if not (rate > 0 and cutoff > 0 and _WIDER * cutoff < rate / 2):
             raise RecordingError(
                 f"{rate:g} Hz; valid for a cut-off of {cutoff:g} Hz is a rate above "
                 f"{2 * _WIDER * cutoff:g} Hz"
             )
-        length = 2 * self.delay + 1
-        weights = [
-            savgol_coeffs(length, _ORDER, deriv=k, delta=1 / rate, use="dot")
-            for k in range(3)
-        ]
-        self._weights = np.array(weights)
-        # Written twice, so that the window is always one piece.
-        self._q = np.zeros((2 * length, size))
-        self._other = np.zeros((2 * length, size))
-        self._count = 0
+        half = ((_ORDER + 1) * rate / (2 * _WIDER * cutoff) + 4.6) / 3.2
+        self.margin = max(3, round(half - (group - 1) / 2))
+        self._group, self._length = group, 2 * self.margin + group
+        self.span = (self._length - 1) / rate
+        self._even = np.linspace(-1.0, 1.0, self._length)
+        self._middle = np.zeros(self._length)
+        self._middle[self.margin : self.margin + group] = 1.0 / group
+        self._known = np.zeros((0, 0), dtype=np.intp)
 
-    def push(self, q: Array, other: Array) -> tuple[Array, Array, Array, Array] | None:
-        """Take one sample in.
+    def windows(self, t: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Powers of time in the window around every group.
 
         Args:
-            q: Position, shape (n,), [rad].
-            other: A signal to be delayed alike, such as torque, shape (n,).
+            t: Time stamps, ascending, of B groups and the margins around, [s].
 
         Returns:
-            Position, speed, acceleration and the other signal, shape (n,) each,
-            ``delay`` samples ago; None until the window is full.
+            Powers 0 to 4 of the time from the middle in half spans, shape (B, 5, W);
+            and whether the window is as long as it should be, shape (B,). One that is
+            not is filled as if it were.
         """
-        length = self._weights.shape[1]
-        at = self._count % length
-        self._q[at] = self._q[at + length] = q
-        self._other[at] = self._other[at + length] = other
-        self._count += 1
-        if self._count < length:
-            return None
-        window = self._q[at + 1 : at + 1 + length]
-        position, speed, acceleration = self._weights @ window
-        late = self._other[at + 1 + self.delay].copy()
-        return position, speed, acceleration, late
+        around = t[self._index(len(t))]
+        s = around - (around @ self._middle)[:, None]
+        s *= 2.0 / self.span
+        stretch = 0.5 * (s[:, -1] - s[:, 0])
+        whole = (stretch < STRETCH) & (stretch > 1.0 / STRETCH)
+        s[~whole] = self._even
+        powers = np.empty((len(s), _ORDER + 1, self._length))
+        powers[:, 0] = 1.0
+        powers[:, 1] = s
+        for k in range(2, _ORDER + 1):
+            np.multiply(powers[:, k - 1], s, out=powers[:, k])
+        return powers, whole
+
+    def moments(self, powers: Array, q: Array) -> tuple[Array, Array]:
+        """Products of the powers with each other and with the positions.
+
+        Args:
+            powers: See :meth:`windows`.
+            q: Position, of as many samples as there were time stamps, shape (N, n).
+
+        Returns:
+            Arrays of shape (B, 5, 5) and (B, 5, n).
+        """
+        return powers @ powers.transpose(0, 2, 1), powers @ q[self._index(len(q))]
+
+    def fit(self, moments: tuple[Array, Array]) -> Array:
+        """Coefficients of the polynomials in half spans, shape (B, 5, n)."""
+        return np.asarray(np.linalg.solve(*moments))
+
+    def states(self, fitted: Array) -> tuple[Array, Array, Array]:
+        """Position, speed and acceleration at the mean time of every group, (B, n)."""
+        per_second = 2.0 / self.span
+        return (
+            fitted[:, 0],
+            fitted[:, 1] * per_second,
+            fitted[:, 2] * (2.0 * per_second**2),
+        )
+
+    def left(self, powers: Array, q: Array, fitted: Array) -> Array:
+        """What the polynomials leave of the positions, shape (B, W, n), [rad].
+
+        Args:
+            powers: See :meth:`windows`.
+            q: Position, shape (N, n), [rad].
+            fitted: See :meth:`fit`.
+        """
+        found: Array = q[self._index(len(q))] - powers.transpose(0, 2, 1) @ fitted
+        return found
+
+    def is_spread(self, left: Array) -> NDArray[np.bool_]:
+        """Whether what is left is spread over the window, for every joint, (B, n).
+
+        If one or two samples hold it, they are wrong, or have the stamps of others. The
+        number that do is (Σ r²)²/Σ r⁴; of white noise it is a third of all.
+        """
+        square = left * left
+        total = square.sum(axis=1)
+        square *= square
+        holders = min(_HOLDERS, self._length / _ONE_OF)
+        return np.asarray(total**2 >= holders * square.sum(axis=1))
+
+    def _index(self, samples: int) -> NDArray[np.intp]:
+        """Samples of every window, shape (B, W)."""
+        if self._known.size == 0 or self._known[-1, -1] != samples - 1:
+            first = np.arange(0, samples - self._length + 1, self._group)
+            self._known = first[:, None] + np.arange(self._length)
+        return self._known
 
 
-class StreamingLowPass:
-    """Second-order Butterworth filter of an array, one step at a time.
+class BlockLowPass:
+    """Second-order Butterworth filter of which every B-th output is wanted.
 
-    It starts settled on the first sample.
+    A block of B inputs, the state before it, the state after it and the last output are
+    linear in each other, so that one small product does the work of B steps. The filter
+    starts settled on the first sample.
 
     Args:
         rate: Samples per second, [Hz].
         cutoff: Frequency at which 71 % of the amplitude is left, [Hz].
+        block: Samples in a block B.
     """
 
-    def __init__(self, rate: float, cutoff: float) -> None:
-        self._b, self._a = butter(2, cutoff, fs=rate)
-        self._state: tuple[Array, Array] | None = None
+    def __init__(self, rate: float, cutoff: float, block: int) -> None:
+        (b0, b1, b2), (_, a1, a2) = butter(2, cutoff, fs=rate)
+        self._settled = (b1 - a1) + (b2 - a2), b2 - a2
+        first, second, *inputs = np.eye(2 + block)
+        for x in inputs:
+            y = b0 * x + first
+            first, second = b1 * x - a1 * y + second, b2 * x - a2 * y
+        self._step = np.array([first, second, y])  # (3, 2 + B)
+        self._state: Array | None = None
 
     def __call__(self, x: Array) -> Array:
-        """The filtered array, of the shape of ``x``."""
-        (b0, b1, b2), (_, a1, a2) = self._b, self._a
+        """The last output of a block.
+
+        Args:
+            x: Inputs, shape (B, P).
+
+        Returns:
+            Output, shape (P,).
+        """
         if self._state is None:
-            second = (b2 - a2) * x
-            self._state = (b1 - a1) * x + second, second
-        first, second = self._state
-        y = b0 * x + first
-        self._state = b1 * x - a1 * y + second, b2 * x - a2 * y
-        return np.asarray(y)
+            self._state = np.multiply.outer(np.array(self._settled), x[0])
+        out = self._step @ np.concatenate([self._state, x])
+        self._state = out[:2]
+        return np.asarray(out[2])

@@ -9,8 +9,11 @@ doi 10.1109/7.993234 (projection on bounds).
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import blas, lapack
 
 from hybrid.robot.chain import Array
+
+_ROUNDING = 1e-12  # information, or share of a variance, below which there is none
 
 
 class SquareRootFilter:
@@ -29,7 +32,7 @@ class SquareRootFilter:
 
     def __init__(self, mean: Array, root: Array) -> None:
         self.mean = np.array(mean, dtype=float)
-        self.root = np.array(root, dtype=float)
+        self.root = np.array(root, dtype=float, order="F")  # as BLAS has it, in place
 
     @property
     def covariance(self) -> Array:
@@ -41,10 +44,13 @@ class SquareRootFilter:
         """Standard deviation of each unknown, shape (d,)."""
         return np.asarray(np.sqrt(np.einsum("ij,ij->i", self.root, self.root)))
 
-    def leverage(self, H: Array) -> Array:
-        """Variance that the unknowns give to what ``H`` (m, d) observes, shape (m,)."""
-        seen = H @ self.root
-        return np.asarray(np.einsum("ij,ij->i", seen, seen))
+    def seen(self, H: Array) -> Array:
+        """H·S, shape (m, d): what the unknowns' spread gives to observations.
+
+        Args:
+            H: Derivative of the observations by the unknowns, over their noise, (m, d).
+        """
+        return np.asarray(H @ self.root)
 
     def update(self, H: Array, error: Array, forgetting: float = 1.0) -> None:
         """Take in one sample of unit noise.
@@ -54,28 +60,53 @@ class SquareRootFilter:
             error: Observation less its prediction over the noise, shape (m,).
             forgetting: λ, at most 1.
         """
-        seen = self.root.T @ H.T  # (d, m)
-        power, turn = np.linalg.eigh(seen.T @ seen)
-        power = np.maximum(power, 0.0)
+        self.weigh(self.seen(H), error, forgetting)
+        self.narrow()
+
+    def weigh(self, seen: Array, error: Array, forgetting: float) -> None:
+        """First half of :meth:`update`: in which directions the sample tells how much.
+
+        Args:
+            seen: See :meth:`seen`.
+            error: See :meth:`update`.
+            forgetting: λ, at most 1.
+        """
+        power, turn, _ = lapack.dsyevd(seen @ seen.T)
+        power = np.maximum(power, _ROUNDING)
         total = np.maximum(forgetting + power, 1.0)
-        moved = self.root @ seen
-        self.mean += moved @ (turn @ ((turn.T @ error) / total))
-        shrink = np.divide(
-            1.0 / np.sqrt(total) - 1.0, power, out=np.zeros_like(power), where=total > 1
+        shrink = (1.0 / np.sqrt(total) - 1.0) / power
+        self._due = turn.T @ seen, shrink, (error @ turn) / total
+
+    def narrow(self) -> None:
+        """Second half of :meth:`update`: the mean moves and the root narrows."""
+        turned, shrink, gain = self._due
+        moved = self.root @ turned.T  # (d, m)
+        self.mean += moved @ gain
+        self.root = blas.dgemm(
+            1.0, moved * shrink, turned, 1.0, self.root, overwrite_c=True
         )
-        self.root += (moved @ (turn * shrink)) @ (turn.T @ seen.T)
 
     def widen(self, directions: Array) -> None:
         """Add the covariance D·Dᵀ of ``directions`` D (d, r)."""
         stacked = np.concatenate([self.root, directions], axis=1)
         upper: Array = np.asarray(np.linalg.qr(stacked.T, mode="r"))
-        self.root = upper.T
+        self.root = np.asfortranarray(upper.T)
 
     def keep_within(self, lower: Array, upper: Array) -> None:
-        """Move the estimate to the nearest point, in its own metric, within bounds."""
-        for k in np.flatnonzero((self.mean < lower) | (self.mean > upper)):
-            target = min(max(self.mean[k], lower[k]), upper[k])
-            gain = self.root @ self.root[k]
-            if gain[k] > 0:
-                self.mean += gain * ((target - self.mean[k]) / gain[k])
-        np.clip(self.mean, lower, upper, out=self.mean)
+        """Move the estimate to the nearest point, in its own metric, on bounds passed.
+
+        Args:
+            lower: Lowest values, shape (d,).
+            upper: Highest values, shape (d,).
+        """
+        (passed,) = np.nonzero((self.mean < lower) | (self.mean > upper))
+        if not passed.size:
+            return
+        inside = np.minimum(np.maximum(self.mean, lower), upper)
+        rows = self.root[passed]
+        variance = rows @ rows.T
+        variance.flat[:: len(passed) + 1] *= 1.0 + _ROUNDING
+        _, force, failed = lapack.dposv(variance, inside[passed] - self.mean[passed])
+        if not failed:  # else one has no variance at all, and moves alone
+            self.mean += self.root @ (rows.T @ force)
+        np.minimum(np.maximum(self.mean, lower), upper, out=self.mean)

@@ -2,54 +2,47 @@
 
 Source: Ljung and Söderström 1983, "Theory and Practice of Recursive Identification"
 (extended least squares); see also ``square_root.py`` and ``payload_change.py``.
+
+Samples are worked on in blocks. While one fills, the one before is worked out, in tasks
+of some ten microseconds of which every call does its share: none takes long, but for
+the call that notices a payload (a few tenths of a millisecond). At low rates a block is
+a few samples, without a cut-off it is one; a call then does more, and has the time for
+it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
 from hybrid.identify.model import DynamicModel
-from hybrid.identify.online_noise import TorqueNoise
-from hybrid.identify.online_start import REACH, Start, payload_sizes
-from hybrid.identify.payload_change import Change, PayloadChange, likely_payload
 from hybrid.identify.problem import build_problem
-from hybrid.identify.sample_columns import SampleColumns
-from hybrid.identify.square_root import SquareRootFilter
+from hybrid.online.columns import Columns
+from hybrid.online.estimate import Estimate
+from hybrid.online.health import Health
+from hybrid.online.intake import Intake, Sample
+from hybrid.online.layout import Layout
+from hybrid.online.noise import TorqueNoise
+from hybrid.online.payload_change import Change, PayloadChange, likely_payload
+from hybrid.online.pipeline import Pipeline
+from hybrid.online.square_root import SquareRootFilter
+from hybrid.online.start import REACH, Start, payload_sizes
 from hybrid.parameters import Parameter
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
-from hybrid.signals.streaming import StreamingDerivative, StreamingLowPass
+from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 _STANDING = 0.01  # of a joint's rated speed
 _NOISE = 0.02  # of the rated torque, before the first sample
-_SURPRISE = 5.0  # standard deviations to which an error is cut
-_UPDATES = 5.0  # per period of the cut-off
+_ABSURD = 10.0  # largest rated speeds and torques that no sensor shows in earnest
+_UPDATES, _ROWS = 5.0, 25.0  # per period of the cut-off
 _SETTLING = 1.5  # periods of the cut-off for which rows mix what was with what is
-
-
-@dataclass(frozen=True)
-class Sample:
-    """What a controller knows at one instant.
-
-    Attributes:
-        t: Time, [s].
-        q: Joint position, shape (n,), [rad].
-        tau: Drive torque, shape (n,), [N·m].
-        v: Joint speed, shape (n,), [rad/s]; with ``a``, or None to differentiate q.
-        a: Joint acceleration, shape (n,), [rad/s²], or None.
-    """
-
-    t: float
-    q: Array
-    tau: Array
-    v: Array | None = None
-    a: Array | None = None
 
 
 class OnlineIdentifier:
@@ -60,6 +53,10 @@ class OnlineIdentifier:
     of the cut-off. Joints that stand do not count: their friction is not known.
     Gains and shapes stay within their physical bounds. A payload grasped or dropped is
     noticed, and the parameters it moves are then found anew.
+
+    A stream may hold what it likes: samples that are not finite, repeated, late or
+    absurd are left out, short gaps are bridged by the time stamps, long ones start the
+    derivatives anew. ``health`` says what came.
 
     Args:
         robot: The arm.
@@ -101,38 +98,40 @@ class OnlineIdentifier:
             raise IdentificationError(
                 "rate, cutoff, memory, prior and payload must be above 0"
             )
-        self.robot = robot
+        self.robot, self.rate = robot, rate
         own = robot.chain.inertial if inertial is None else inertial
         problem = build_problem(robot.chain, effects, inertial=own)
         start = Start(robot, problem, own, prior, shape_prior)
         self.problem = replace(problem, effects=start.effects)
-        self._columns = SampleColumns(robot, self.problem)
-        self._filter = SquareRootFilter(start.theta, start.root)
-        self._lower, self._upper = start.bounds()
-        self._payload_sizes = payload_sizes(payload)
-        self._payload = start.payload_directions(self._payload_sizes)
         scales = joint_scales(robot)
         usual = np.array([[_NOISE * s.torque, _STANDING * s.speed] for s in scales]).T
         self._standing = usual[1] if standing is None else standing
-        self._delay: StreamingDerivative | None = None
-        self._smooth: StreamingLowPass | None = None
-        self._every = 1
+        self._group = int(rate / (_ROWS * cutoff)) or 1
+        rows = int(rate / (_UPDATES * cutoff * self._group)) or 1
+        self._block = rows * self._group
+        self._derive, self._smooth = None, None
         if np.isfinite(cutoff):
-            self._delay = StreamingDerivative(rate, cutoff, robot.size)
-            self._smooth = StreamingLowPass(rate, cutoff)
-            self._every = max(1, int(rate / (_UPDATES * cutoff)))
-        self.rate = rate
-        updates = rate / self._every
-        unknown_per_row = len(start.theta) / robot.size
-        self._forgetting = 1.0 - min(0.5, unknown_per_row / (memory * updates))
-        self._noise = TorqueNoise(usual[0] if noise is None else noise, updates)
-        self._detector = PayloadChange(rate=updates, mass=payload, reach=REACH)
-        self._count = 0
-        self._before = self._filter.mean.copy(), self._filter.covariance
-        self._mixing = _SETTLING / cutoff
-        self._learn_from = -np.inf
+            self._derive = LocalPolynomial(rate, cutoff, self._group)
+            self._smooth = BlockLowPass(rate / self._group, cutoff, rows)
+        self._layout = Layout(self.problem, shape_prior > 0)
+        self._columns = Columns(robot, self.problem, self._layout, rows)
+        updates, size = rate / self._block, len(start.theta)
+        self._payload_sizes = payload_sizes(payload)
+        self._estimate = Estimate(
+            SquareRootFilter(start.theta, start.root),
+            bounds=start.bounds(),
+            gains=problem.size,
+            payload=start.payload_directions(self._payload_sizes),
+            noise=TorqueNoise(usual[0] if noise is None else noise, updates),
+            detector=PayloadChange(rate=updates, mass=payload, reach=REACH),
+            forgetting=1.0 - min(0.5, size / robot.size / (memory * updates)),
+            mixing=_SETTLING / cutoff,
+        )
+        self._opened, self._phase = False, self._block
+        self._intake: Intake
+        self._pipeline: Pipeline
+        self._change: Change | None = None
         self.changes: list[Change] = []
-        self.error = np.zeros(robot.size)
 
     @classmethod
     def from_model(
@@ -153,23 +152,34 @@ class OnlineIdentifier:
 
     @property
     def delay(self) -> float:
-        """How long ago the newest sample was that is in the estimate, [s]."""
-        return self._delay.delay / self.rate if self._delay else 0.0
+        """How long ago the newest sample was that is in a new estimate, [s]."""
+        margin = self._derive.margin if self._derive else 0
+        return (margin + self._block - 1) / self.rate
+
+    @property
+    def health(self) -> Health:
+        """What became of the samples: counts, their rate, and whether all is well."""
+        return self._intake.health if self._opened else Health(stated_rate=self.rate)
+
+    @property
+    def error(self) -> Array:
+        """Torque less what the newest estimate says, filtered, shape (n,), [N·m]."""
+        return self._estimate.error
 
     @property
     def theta(self) -> Array:
         """Unknowns: base parameters and gains, then the shapes; shape (d,)."""
-        return self._filter.mean.copy()
+        return self._estimate.filter.mean.copy()
 
     @property
     def std(self) -> Array:
         """Their standard deviations, shape (d,)."""
-        return self._filter.std
+        return self._estimate.filter.std
 
     @property
     def noise(self) -> Array:
         """Standard deviation of the torque error, shape (n,), [N·m]."""
-        return self._noise.std.copy()
+        return self._estimate.noise.std.copy()
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -182,7 +192,7 @@ class OnlineIdentifier:
             where = "arm" if effect.scope == "arm" else where
             names += [f"{effect.id}.{s.name}[{where}]" for s in effect.shapes]
             units += [s.unit for s in effect.shapes]
-        values = (self._filter.mean, self._lower, self._upper)
+        values = (self._estimate.filter.mean, *self._estimate.bounds)
         rows = zip(
             names, *(x.tolist() for x in values), units, self.std.tolist(), strict=True
         )
@@ -192,8 +202,8 @@ class OnlineIdentifier:
     def model(self) -> DynamicModel:
         """The model of this moment."""
         p = self.problem.size
-        base, effects = self.problem.fitted(self._filter.mean[:p])
-        shapes, changed = iter(self._filter.mean[p:].tolist()), []
+        base, effects = self.problem.fitted(self._estimate.filter.mean[:p])
+        shapes, changed = iter(self._estimate.filter.mean[p:].tolist()), []
         for effect in effects:
             changed.append(effect.at({s.name: next(shapes) for s in effect.shapes}))
         return DynamicModel(self.robot, base, tuple(changed), standing=self._standing)
@@ -205,66 +215,80 @@ class OnlineIdentifier:
         Mass, first moments and inertia about its frame origin; what the torque cannot
         tell of them is as small as it can be.
         """
-        mean, covariance = self._before
-        change = self._filter.mean - mean
-        spread = covariance + self._filter.covariance
-        return likely_payload(change, spread, self._payload, self._payload_sizes)
+        mean, covariance = self._estimate.before
+        change = self._estimate.filter.mean - mean
+        spread = covariance + self._estimate.filter.covariance
+        return likely_payload(
+            change, spread, self._estimate.payload, self._payload_sizes
+        )
 
     def update(self, sample: Sample) -> Change | None:
-        """Take in one sample.
+        """Take in one sample, or leave it out; see :attr:`health`.
 
         Returns:
             The payload change that was noticed with this sample, if any.
-        """
-        state = self._state(sample)
-        if state is None:
-            return None
-        q, v, a, tau = state
-        t = sample.t - self.delay
-        moving = (np.abs(v) > self._standing).astype(float)[:, None]
-        rows = np.zeros((len(q), len(self._filter.mean) + 12))
-        if moving.any():
-            J, last = self._columns(q, v, a, self._filter.mean, t)
-            columns = [J, last, tau[:, None], moving]
-            rows = np.concatenate(columns, axis=1) * moving
-        rows = self._smooth(rows) if self._smooth else rows
-        self._count += 1
-        if self._count % self._every:
-            return None
-        return self._learn(sample.t, rows)
 
-    def _state(self, sample: Sample) -> tuple[Array, Array, Array, Array] | None:
+        Raises:
+            IdentificationError: A sample has the wrong shape, or lacks the speed and
+                acceleration that it needs.
+        """
+        if not self._opened:
+            self._open(sample)
+        block = self._intake.take(sample)
+        if block is not None:
+            self._pipeline.begin(block, self._estimate.filter.mean)
+            self._phase = 0
+        self._change = None
+        if self._phase < self._block:
+            for task in self._shares[self._phase]:
+                task()
+            self._phase += 1
+        return self._change
+
+    def _open(self, sample: Sample) -> None:
+        """Make ready for what samples bring, as the first one shows."""
         if sample.v is not None and sample.a is not None:
-            return sample.q, sample.v, sample.a, sample.tau
-        if self._delay is None:
+            self._derive = None
+        elif self._derive is None:
             raise IdentificationError(
                 "without a cut-off every sample needs its speed and acceleration"
             )
-        return self._delay.push(sample.q, sample.tau)
-
-    def _learn(self, t: float, rows: Array) -> Change | None:
-        d, p = len(self._filter.mean), self.problem.size
-        J, last, tau, part = rows[:, :d], rows[:, d:-2], rows[:, -2], rows[:, -1]
-        self.error = tau - J[:, :p] @ self._filter.mean[:p]
-        used = part > 0.5
-        if t < self._learn_from or not used.any():
-            return None
-        repeats = self._noise.repeats
-        size = self._noise.std[used] * np.sqrt(repeats)
-        H, error = J[used] / size[:, None], self.error[used] / size
-        spread = np.sqrt(1.0 + self._filter.leverage(H))
-        one = self._noise.std[used] * spread
-        change = self._detector.update(
-            t, last[used] / one[:, None], self.error[used] / one, repeats
+        derive = self._derive
+        scales = joint_scales(self.robot)
+        self._intake = Intake(
+            self.robot.size,
+            rate=self.rate,
+            window=derive.span if derive else 0.0,
+            speed=_ABSURD * sum(s.speed for s in scales),
+            torque=_ABSURD * sum(s.torque for s in scales),
+            before=2 * derive.margin if derive else 0,
+            block=self._block,
         )
-        if change is not None:
-            self.changes.append(change)
-            self._before = self._filter.mean.copy(), self._filter.covariance
-            self._filter.widen(self._payload)
-            self._learn_from = t + self._mixing
-            return change
-        limit = _SURPRISE * spread
-        self._filter.update(H, np.clip(error, -limit, limit), self._forgetting)
-        self._filter.keep_within(self._lower, self._upper)
-        self._noise.update(used, self.error[used] / spread)
-        return None
+        self._pipeline = Pipeline(
+            self._columns,
+            self._layout,
+            group=self._group,
+            derive=derive,
+            smooth=self._smooth,
+            standing=self._standing,
+        )
+        estimate = self._estimate
+        tasks = [
+            *self._pipeline.tasks,
+            self._judge,
+            estimate.foresee,
+            self._look,
+            *estimate.tasks,
+        ]
+        ends = [k * len(tasks) // self._block for k in range(self._block + 1)]
+        self._shares = [tasks[start:end] for start, end in pairwise(ends)]
+        self._opened = True
+
+    def _judge(self) -> None:
+        self._estimate.judge(self._pipeline.row, self._layout)
+
+    def _look(self) -> None:
+        found = self._estimate.look(self._pipeline.time)
+        if found is not None:
+            self._change = Change(self._intake.now, found)
+            self.changes.append(self._change)

@@ -7,12 +7,14 @@ ratio of a jump, here with fading memory).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
+from scipy.linalg import lapack
 
+from hybrid.online.layout import PAYLOAD
 from hybrid.robot.chain import Array
 
-_PARAMETERS = 4  # mass and first moments: what gravity and slow motion show at once
 _THRESHOLD = 50.0
 _HOLD = 1.0  # s after a change in which none is looked for
 _LEARNING = 10.0  # s at first in which none is looked for
@@ -70,39 +72,40 @@ class PayloadChange:
         self._fade = np.exp(-1.0 / (rate * np.array(memories)))
         usual = np.array([mass, *3 * [mass * reach]])
         self._prior = np.diag(1.0 / usual**2)
-        self._information = np.zeros((len(memories), _PARAMETERS, _PARAMETERS))
-        self._score = np.zeros((len(memories), _PARAMETERS))
+        # Information of the derivatives, with their products with the errors behind.
+        self._sums = np.zeros((len(memories), PAYLOAD, PAYLOAD + 1))
         self._quiet_until: float | None = None
 
-    def update(self, t: float, J: Array, error: Array, repeats: float) -> Change | None:
+    def update(self, t: float, J: Array, error: Array, repeats: float) -> float | None:
         """Take in one sample.
 
         Args:
             t: Time, [s].
-            J: Torque per unit of the last link's parameters over its standard
-                deviation, shape (n, 10).
-            error: Torque less its prediction over that, shape (n,).
+            J: Torque per unit of the last link's mass and first moments, over its
+                standard deviation, shape (m, 4).
+            error: Torque less its prediction over that, shape (m,).
             repeats: Successive errors that tell as much as one independent one.
 
         Returns:
-            The change, when one is noticed.
+            The statistic of a change, when one is noticed.
         """
-        J = J[:, :_PARAMETERS]
-        fade = self._fade[:, None]
-        self._information = fade[:, :, None] * self._information + J.T @ J
-        self._score = fade * self._score + J.T @ error
-        # The variance of a sum with fading weights is 1/(1 + fade) of its information.
-        # What a sum holds counts as one independent error at least.
-        share = (1.0 / np.minimum(repeats, 1.0 / (1.0 - self._fade)))[:, None]
-        whole = share[:, :, None] * self._information + self._prior
-        score = share * self._score
-        jump = np.linalg.solve(whole, score[..., None])[..., 0]
-        statistic = (1.0 + self._fade) * np.einsum("ij,ij->i", jump, score)
+        self._sums *= self._fade[:, None, None]
+        self._sums[:, :, :PAYLOAD] += J.T @ J
+        self._sums[:, :, PAYLOAD] += J.T @ error
         if self._quiet_until is None:
             self._quiet_until = t + _LEARNING
-        k = int(np.argmax(statistic))
-        if statistic[k] < _THRESHOLD or t < self._quiet_until:
+        largest = max(map(self._statistic, self._sums, self._fade, repeat(repeats)))
+        if largest < _THRESHOLD or t < self._quiet_until:
             return None
-        self._information[:], self._score[:] = 0.0, 0.0
+        self._sums[:] = 0.0
         self._quiet_until = t + _HOLD
-        return Change(t, float(statistic[k]))
+        return largest
+
+    def _statistic(self, sums: Array, fade: float, repeats: float) -> float:
+        """Likelihood ratio of a jump, by the sums of one memory."""
+        # What a sum holds counts as one independent error at least.
+        share = 1.0 / min(repeats, 1.0 / (1.0 - fade))
+        score = share * sums[:, PAYLOAD]
+        _, jump, _ = lapack.dposv(share * sums[:, :PAYLOAD] + self._prior, score)
+        # The variance of a sum with fading weights is 1/(1 + fade) of its information.
+        return float((1.0 + fade) * (jump @ score))

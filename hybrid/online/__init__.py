@@ -1,0 +1,7 @@
+"""Dynamic parameters tracked while the arm works, from whatever stream it gives."""
+
+from hybrid.online.health import Health
+from hybrid.online.identifier import OnlineIdentifier
+from hybrid.online.intake import Sample
+
+__all__ = ["Health", "OnlineIdentifier", "Sample"]

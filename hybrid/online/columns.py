@@ -1,0 +1,126 @@
+"""Columns of rigid body and effects at some instants, each in a small task."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from hybrid.dynamics import RigidBody
+from hybrid.dynamics.sample import SampleRegressor
+from hybrid.effects import Effect
+from hybrid.errors import IdentificationError
+from hybrid.identify.problem import Problem
+from hybrid.online.laws import STEP, InstantLaws, Numbered
+from hybrid.online.layout import PAYLOAD, Layout
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+from hybrid.signals import Motion
+
+
+class Columns:
+    """Torque of B instants, linearised in all unknowns.
+
+    After :meth:`begin` each task writes its part of ``rows``, shape (B, P).
+
+    Args:
+        robot: The arm.
+        problem: Which parameters count.
+        layout: Where they stand in a row.
+        instants: Number of instants B.
+
+    Raises:
+        IdentificationError: An effect changes signals rather than adds torque.
+    """
+
+    def __init__(
+        self, robot: Robot, problem: Problem, layout: Layout, instants: int
+    ) -> None:
+        self._problem, self._layout = problem, layout
+        self._regressor = SampleRegressor(robot)
+        self.rows = np.zeros((instants, len(layout.joints)))
+        self._find_rigid(robot.size)
+        self._laws = InstantLaws(_numbered(problem), layout)
+        self.tasks: list[Callable[[], None]] = [
+            *(partial(self._fill, k) for k in range(instants)),
+            *([self._fill_others] if self._laws.others else []),
+        ]
+
+    def begin(self, states: tuple[Array, Array, Array, Array], theta: Array) -> None:
+        """Start with some instants.
+
+        Args:
+            states: Time (B,), [s], position (B, n), [rad], speed and acceleration.
+            theta: Unknowns at which shapes and load are taken, shape (d,).
+        """
+        self._states, self._theta = states, theta
+
+    def _find_rigid(self, n: int) -> None:
+        """Where the regressor's columns go."""
+        layout, kept = self._layout, np.array(self._problem.base.kept)
+        inertial = np.flatnonzero(np.isin(layout.unknowns, self._problem.rigid))
+        joints, self._base = layout.joints[inertial], layout.unknowns[inertial]
+        self._inertial, self._of_joint = inertial, np.eye(n)[joints]
+        last = 10 * n - 10 + np.arange(PAYLOAD)
+        columns = np.concatenate([kept[self._base], np.tile(last, n)])
+        rows = np.concatenate([joints, np.repeat(np.arange(n), PAYLOAD)])
+        self._sources = np.ravel_multi_index((rows, columns), (n, 10 * n))
+        self._targets = np.concatenate([inertial, layout.payload.ravel()])
+
+    def _fill(self, k: int) -> None:
+        """Rigid body and laws of joints' own states at one instant."""
+        (t, q, v, a), theta = (x[k] for x in self._states), self._theta
+        row, laws = self.rows[k], self._laws
+        row[self._targets] = self._regressor(q, v, a).ravel()[self._sources]
+        load = (row[self._inertial] * theta[self._base]) @ self._of_joint
+        row[laws.places] = laws(t, q, v, a, load, theta)
+
+    def _fill_others(self) -> None:
+        """Effects that look at more than one joint; slower."""
+        t, q, v, a = self._states
+        motion = Motion(t, q, v, a, 0 * q, np.ones(len(t), dtype=bool))
+        body = RigidBody(self._problem.chain, motion, self._problem.inertial)
+        for own in self._laws.others:
+            self._fill_other(own, motion, body)
+
+    def _fill_other(self, own: Numbered, motion: Motion, body: RigidBody) -> None:
+        theta, joints = self._theta, own.effect.reaches(motion.q.shape[1])
+        names = [s.name for s in own.effect.shapes]
+        values = theta[own.shapes].tolist()
+        here = own.effect.at(dict(zip(names, values, strict=True)))
+        columns = here.columns(motion, body)  # (B, r, p)
+        known = [g for g, unknown in enumerate(own.gains) if unknown >= 0]
+        gains = theta[[own.gains[g] for g in known]]
+
+        def write(unknown: int, torque: Array) -> None:
+            for joint, x in zip(joints, torque.T, strict=True):
+                place = self._layout.place(joint, unknown)
+                if place >= 0:
+                    self.rows[:, place] = x
+
+        for g in known:
+            write(own.gains[g], columns[:, :, g])
+        for unknown, x, s in zip(own.shapes, values, own.effect.shapes, strict=True):
+            if self._layout.place(joints[0], unknown) >= 0:
+                step = STEP * max(abs(x), STEP)
+                step = -step if x - step >= s.lower else step
+                moved = here.at({s.name: x + step}).columns(motion, body)
+                write(unknown, (moved - columns)[:, :, known] @ gains / step)
+
+
+def _numbered(problem: Problem) -> list[Numbered]:
+    """The effects with the unknowns of their gains and shapes."""
+    unknowns = {(e, g): u for u, e, g in problem.gains}
+    first, found = problem.size, []
+    for e, effect in enumerate(problem.effects):
+        if effect.reports or type(effect).observe is not Effect.observe:
+            raise IdentificationError(
+                f"{effect.id} changes signals and cannot be tracked sample by sample; "
+                "valid are effects that add torque"
+            )
+        gains = [unknowns.get((e, g), -1) for g in range(len(effect.gains))]
+        shapes = list(range(first, first + len(effect.shapes)))
+        first += len(effect.shapes)
+        found.append(Numbered(effect, gains, shapes))
+    return found

@@ -1,0 +1,64 @@
+"""Where the rows of all joints stand, side by side in one flat array."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.identify.problem import Problem
+from hybrid.robot.chain import Array
+
+Indices = NDArray[np.intp]
+
+# Mass and first moments of the last link: what gravity and slow motion show at once.
+PAYLOAD = 4
+_EXTRA = PAYLOAD + 2
+
+
+class Layout:
+    """Places of a flat row: joint after joint, the unknowns that ever move its torque.
+
+    Behind them stand the joint's derivatives by mass and first moments of the last
+    link, its torque, and whether it moves. The unknowns are those of the problem, then
+    the shapes of its effects in order.
+
+    Args:
+        problem: Which parameters count.
+        shapes: Whether shapes have places; they are held if not.
+    """
+
+    def __init__(self, problem: Problem, shapes: bool) -> None:
+        n = problem.chain.size
+        reached: list[list[int]] = [x.tolist() for x in problem.support]
+        first = problem.size
+        for effect in problem.effects:
+            own = range(first, first + len(effect.shapes))
+            first = own.stop
+            for joint in effect.reaches(n) if shapes else ():
+                reached[joint] += own
+        self.joint_count, self.size = n, first
+        extra = range(-_EXTRA, 0)
+        flat = [(i, u) for i, own in enumerate(reached) for u in (*own, *extra)]
+        self._place = {x: place for place, x in enumerate(flat)}
+        self.joints, unknowns = np.array(flat).T
+        self._known = np.flatnonzero(unknowns >= 0)
+        self._at = self.joints[self._known], unknowns[self._known]
+        behind = np.flatnonzero(unknowns < 0).reshape(n, _EXTRA)
+        self.payload, self.torque, self.moving = (
+            behind[:, :PAYLOAD], behind[:, PAYLOAD], behind[:, PAYLOAD + 1]
+        )  # fmt: skip
+        self.unknowns = unknowns
+
+    def place(self, joint: int, unknown: int) -> int:
+        """Place of an unknown in the row of a joint; −1 if it has none."""
+        return self._place.get((joint, unknown), -1)
+
+    def derivative(self, row: Array) -> Array:
+        """Derivative of every joint's torque by all unknowns, shape (n, d).
+
+        Args:
+            row: A flat row, shape (P,).
+        """
+        out = np.zeros((self.joint_count, self.size))
+        out[self._at] = row[self._known]
+        return out
