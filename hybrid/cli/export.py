@@ -46,7 +46,7 @@ def run(args: Namespace, screen: Screen) -> None:
     if args.out.exists() and not args.out.is_dir():
         raise HybridError(f"{args.out}: is a file; valid is the name of a folder")
     model = DynamicModel.load(args.model)
-    inputs = [args.model, args.model.with_suffix(".safetensors")]
+    inputs = [args.model]
     check_outputs([args.out / "manifest.json", args.json], inputs)
     how = record(args, inputs)
     with screen.working("exporting"):

@@ -70,7 +70,7 @@ def run(args: Namespace, screen: Screen) -> None:
     model = DynamicModel.load(args.model)
     joints = model.robot.joints
     recording = check_recording(read(args.recording, joints=joints), model.robot)
-    inputs = [args.model, args.model.with_suffix(".safetensors"), args.recording]
+    inputs = [args.model, args.recording]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
     rate = (len(recording.t) - 1) / recording.duration

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from hybrid import __version__
 from hybrid.errors import ModelFileError
 from hybrid.identify.model import DynamicModel
+from hybrid.identify.model_file import content_from_model
 from hybrid.robot import Robot
 
 SCHEMA = "hybrid.export/1"
@@ -22,13 +22,8 @@ _UNITS = {"q": "rad", "v": "rad/s", "a": "rad/s²", "tau": "N·m", "variance": "
 
 
 def model_digest(model: DynamicModel) -> str:
-    """SHA-256 of everything that a saved model holds."""
-    digest = hashlib.sha256()
-    with TemporaryDirectory() as folder:
-        model.save(Path(folder) / "model.json")
-        for name in ("model.json", "model.safetensors"):
-            digest.update((Path(folder) / name).read_bytes())
-    return digest.hexdigest()
+    """SHA-256 of everything that a saved model holds, as it stands in its file."""
+    return str(content_from_model(model)["sha256"])
 
 
 def build_manifest(
