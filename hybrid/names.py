@@ -26,7 +26,12 @@ def name_fault(name: object) -> str:
     Args:
         name: What a file gives as the name of a joint or of an arm.
     """
-    if isinstance(name, str) and name.isprintable() and 0 < len(name) <= LONGEST:
+    if (
+        isinstance(name, str)
+        and name.isprintable()
+        and name.strip()
+        and len(name) <= LONGEST
+    ):
         return ""
     shown = ascii(name)
     if len(shown) > LONGEST:
