@@ -12,6 +12,7 @@ import numpy as np
 from hybrid.errors import RobotError
 from hybrid.names import name_fault
 from hybrid.robot.chain import Array, Chain
+from hybrid.robot.measure import check_demand
 from hybrid.robot.mjcf import read_mjcf
 from hybrid.robot.urdf import read_urdf
 
@@ -102,8 +103,14 @@ class Robot:
             )
         if not path.is_file():
             raise RobotError(f"{path}: no such robot file")
+        check_demand(path)
         reader = _READERS[path.suffix.lower()]
-        return cls(**reader(path, joints), path=str(path))
+        try:
+            return cls(**reader(path, joints), path=str(path))
+        except RobotError as error:
+            if str(path) in str(error):
+                raise
+            raise RobotError(f"{path}: {error}") from error
 
     @property
     def joints(self) -> tuple[str, ...]:
