@@ -4,6 +4,7 @@
 #   make test    all tests
 #   make check   lint, format and types
 #   make format  let ruff put the format right
+#   make fuzz    a million damaged files for every reader -> reports/fuzz/
 #   make clean   remove everything these targets made, except reports
 
 PYTHON ?= python3
@@ -14,7 +15,7 @@ INSTALLED := .venv/.installed
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test check format clean
+.PHONY: demo test check format fuzz clean
 .DEFAULT_GOAL := demo
 
 demo: $(INSTALLED)
@@ -31,6 +32,11 @@ check: $(INSTALLED)
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# Minutes of processor time; atheris is for Linux, and without it inputs are random.
+fuzz: $(INSTALLED)
+	$(BIN)/python -m pip install --disable-pip-version-check -q -e ".[fuzz]" || true
+	$(BIN)/python fuzz/run.py --inputs 1000000 --out reports/fuzz
 
 clean:
 	rm -rf .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 MOST_BYTES = 64 * 2**20  # of a JSON file that is read
-_DEEPEST = 32  # lists and tables within each other in such a file
+_MOST_YAML = 100_000  # bytes, whose parser takes a second for these
+_DEEPEST = 32  # lists and tables within each other in a file
 
 
 @contextmanager
@@ -115,6 +116,31 @@ def read_json(path: str | Path) -> Any:
     if level:
         raise ValueError(f"nested deeper than {_DEEPEST} levels")
     return content
+
+
+def read_yaml(path: str | Path) -> Any:
+    """Content of a YAML file of sensible size, without references within it.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It is too large, nested too deep, or not plain YAML.
+    """
+    import yaml
+
+    path = Path(path)
+    size = path.stat().st_size
+    if size > _MOST_YAML:
+        raise ValueError(f"{size:,} bytes; valid are up to {_MOST_YAML:,}")
+    text, depth = path.read_bytes().decode("utf-8"), 0
+    try:
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > _DEEPEST or isinstance(event, yaml.AliasEvent):
+                raise ValueError(f"has references, or more than {_DEEPEST} levels")
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ValueError(" ".join(str(error).split())) from error
 
 
 def _refuse(word: str) -> None:

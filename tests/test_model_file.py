@@ -74,7 +74,7 @@ def seal(path: Path, content) -> None:
     """Write content with a hash that fits, as one would who means harm."""
     if isinstance(content, dict) and "sha256" in content:
         rest = {k: x for k, x in content.items() if k != "sha256"}
-        content["sha256"] = model_file._digest(rest)
+        content["sha256"] = model_file.content_digest(rest)
     path.write_text(json.dumps(content), "utf-8")
 
 

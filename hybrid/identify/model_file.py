@@ -55,7 +55,7 @@ def content_from_model(model: DynamicModel) -> dict[str, Any]:
         **_content(model),
         "simpler": {name: _content(each) for name, each in model.simpler.items()},
     }
-    return {"sha256": _digest(content), **content}
+    return {"sha256": content_digest(content), **content}
 
 
 def read_model(path: Path) -> DynamicModel:
@@ -76,7 +76,7 @@ def _read(content: Any) -> DynamicModel:
     if content.get("schema") != SCHEMA:
         found = content.get("schema", "none")
         raise ModelFileError(f"schema is {found!r}, valid is {SCHEMA}")
-    if content.pop("sha256") != _digest(content):
+    if content.pop("sha256") != content_digest(content):
         raise ModelFileError(
             "damaged or edited: its sha256 is not that of its content; identify again"
         )
@@ -92,8 +92,8 @@ def _read(content: Any) -> DynamicModel:
     return replace(_model(robot, content), simpler=simpler)
 
 
-def _digest(content: Mapping[str, Any]) -> str:
-    """SHA-256 of the content, however its text is laid out."""
+def content_digest(content: Mapping[str, Any]) -> str:
+    """SHA-256 of the content of a model but for its own, however it is laid out."""
     text = json.dumps(content, allow_nan=False, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
