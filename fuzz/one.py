@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import sys
 import time
 import traceback
@@ -26,6 +27,18 @@ else:
     import readers
 
 WORDS = (b"nan", b"1e999", b"-1", b"[", b"{", b"\xff", b"<a>", b"0")
+NUMBER = re.compile(rb"-?\d+(\.\d+)?(e-?\d+)?")
+NUMBERS = (
+    b"0",
+    b"-1",
+    b"2",
+    b"0.5",
+    b"1e9",
+    b"-1e300",
+    b"1e-320",
+    b"99999999999",
+    b"3",
+)
 SLOW = 5.0  # s of processor time that no input may take
 
 
@@ -74,23 +87,30 @@ class Feeder:
 
 
 def mutated(data: bytes, rng: random.Random) -> bytes:
-    """A few bytes changed, taken away, doubled or put in."""
+    """A few bytes changed, taken away, doubled or put in, or numbers exchanged."""
     changed = bytearray(data)
-    for _ in range(rng.randint(1, 6)):
+    for _ in range(rng.randint(1, 4)):
         i, n = rng.randrange(len(changed) + 1), rng.randint(1, 8)
-        kind = rng.randrange(4)
+        kind = rng.randrange(8)
         if kind == 0:
             changed[i : i + n] = rng.randbytes(n)
         elif kind == 1:
             del changed[i : i + n]
         elif kind == 2:
             changed[i:i] = changed[max(0, i - 8 * n) : i]
-        else:
-            word = rng.choice(
-                [b"nan", b"1e999", b"-1", b"[", b"{", b"\xff", b"<a>", b"0"]
-            )
-            changed[i:i] = word
+        elif kind == 3:
+            changed[i:i] = rng.choice(WORDS)
+        elif numbers := list(NUMBER.finditer(changed)):  # the rest stays well-formed
+            first, last = rng.choice(numbers).span()
+            changed[first:last] = rng.choice(NUMBERS)
     return bytes(changed)
+
+
+def mixed(data: bytes, longest: int, seed: int) -> bytes:
+    """Mutations of ours and of libFuzzer by turns."""
+    if seed % 8:
+        return mutated(data, random.Random(seed))[:longest]
+    return bytes(atheris.Mutate(data, longest))
 
 
 def main() -> None:
@@ -110,8 +130,13 @@ def main() -> None:
         return
     longest = 2 * max(map(len, seeds))
     options = [f"-runs={runs}", f"-seed={seed}", f"-max_len={longest}", "-timeout=60"]
-    options += ["-rss_limit_mb=4096", "-print_final_stats=1", "-close_fd_mask=3"]
-    atheris.Setup([sys.argv[0], *options, str(corpus)], feed)
+    options += [
+        "-rss_limit_mb=4096",
+        "-len_control=0",
+        "-print_final_stats=1",
+        "-close_fd_mask=3",
+    ]
+    atheris.Setup([sys.argv[0], *options, str(corpus)], feed, custom_mutator=mixed)
     atheris.Fuzz()
 
 

@@ -63,6 +63,26 @@ def _politely() -> None:
     os.nice(10)
 
 
+def write(folder: Path, found: dict, args: argparse.Namespace) -> None:
+    """Write the table of the readers that are done."""
+    rows = []
+    for name, one in found.items():
+        numbers = [f"{one[x]:,}" for x in ("inputs", "taken", "refused", "branches")]
+        slowest, wrong = f"{1000 * one['slowest']:.0f}", len(one["findings"])
+        rows.append((name, *numbers, slowest, str(wrong or "–")))
+    guided = importlib.util.find_spec("atheris") is not None
+    command = f"python fuzz/run.py --inputs {args.inputs} --out reports/fuzz"
+    how = provenance(command=command, seed=args.seed, settings={"guided": guided})
+    write_results(folder / "results.json", {"readers": found, "provenance": how})
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
+    minutes = (spent.ru_utime + spent.ru_stime) / 60
+    words = f"`{command}`, {minutes:.0f} min of processor time, "
+    words += "guided by coverage" if guided else "random mutations"
+    table = markdown_table(Table(HEADER, tuple(rows)))
+    with atomic_path(folder / "table.md") as path:
+        path.write_text(f"{table}\n{words}\n", encoding="utf-8")
+
+
 def main() -> None:
     """Fuzz every reader and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -70,24 +90,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
-    guided = importlib.util.find_spec("atheris") is not None
-    each, found, rows = -(-args.inputs // len(READERS)), {}, []
+    each, found = -(-args.inputs // len(READERS)), {}
     for name in READERS:
-        found[name] = one = fuzzed(name, each, args.seed)
-        numbers = [f"{one[x]:,}" for x in ("inputs", "taken", "refused", "branches")]
-        shown = str(len(one["findings"]) or "–")
-        rows.append((name, *numbers, f"{1000 * one['slowest']:.0f}", shown))
-        print(*rows[-1], *one["findings"].items(), sep="  ", flush=True)
-    table = Table(HEADER, tuple(rows))
-    command = f"python fuzz/run.py --inputs {args.inputs} --out reports/fuzz"
-    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
-    how = provenance(command=command, seed=args.seed, settings={"guided": guided})
-    write_results(args.out / "results.json", {"readers": found, "provenance": how})
-    with atomic_path(args.out / "table.md") as path:
-        minutes = (spent.ru_utime + spent.ru_stime) / 60
-        words = f"`{command}`, {minutes:.0f} min of processor time, "
-        words += "guided by coverage" if guided else "random mutations"
-        path.write_text(f"{markdown_table(table)}\n{words}\n", encoding="utf-8")
+        found[name] = fuzzed(name, each, args.seed)
+        print(name, found[name], flush=True)
+        write(args.out, found, args)
     sys.exit(any(one["findings"] for one in found.values()))
 
 

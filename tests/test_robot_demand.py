@@ -185,6 +185,20 @@ def test_models_within_models_count_as_often_as_they_are_there(tmp_path, capfd):
     assert "elements" in refused(tmp_path / "m0.xml", capfd)
 
 
+def test_a_name_that_is_no_text_and_a_gear_beyond_all_measure(tmp_path, capfd):
+    path = tmp_path / "arm.urdf"
+    plain = urdf(link("a"), link("b"), joint("j", "a", "b"))
+    path.write_bytes(plain.encode().replace(b"name='r'", b"name='\xd3'"))
+    assert "not UTF-8" in refused(path, capfd)
+    drive = (
+        "<transmission name='t'><joint name='j'/><actuator name='m'>"
+        "<drake:rotor_inertia value='1'/><drake:gear_ratio value='1e300'/>"
+        "</actuator></transmission></robot>"
+    )
+    path.write_text(plain.replace("</robot>", drive))
+    assert "armature has shape" in refused(path, capfd)
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs POSIX")
 def test_a_pipe_is_not_waited_for(tmp_path, capfd):
     os.mkfifo(tmp_path / "meshes.stl")

@@ -15,14 +15,15 @@ if TYPE_CHECKING:
 _FORMATS = ("onnx", "torchscript", "c", "mjcf", "urdf", "json")
 
 HELP = """export a model to C, ONNX, TorchScript, MJCF, URDF or JSON
-c            one C99 header with an example and CMakeLists.txt; torque from q, v and a
+c            one C99 header with an example and CMakeLists.txt; torque from q, v and a,
+             limited to the rated one, with a status (see the header's own comments)
 onnx         the same with a free batch axis, in double precision
 torchscript  the same for libtorch; read it with torch.jit.load, never torch.load
 mjcf         the simulator with identified links, rotors and friction
 urdf         the same without what URDF has no place for
 json         the model itself
 Every folder holds a manifest.json: model hash, joint order, units, limits, training
-range, version, and what the format cannot express.
+range, version, and what the format cannot express. Several formats may share a folder.
 
 --json: provenance, robot, joints, format, left_out.
 

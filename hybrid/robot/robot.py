@@ -111,6 +111,8 @@ class Robot:
             if str(path) in str(error):
                 raise
             raise RobotError(f"{path}: {error}") from error
+        except UnicodeDecodeError as error:
+            raise RobotError(f"{path}: a name in it is not UTF-8 ({error})") from error
 
     @property
     def joints(self) -> tuple[str, ...]:
