@@ -5,6 +5,7 @@
 #   make check   lint, format and types
 #   make format  let ruff put the format right
 #   make mutants change the code in 400 places and see whether the tests notice
+#   make fuzz    a million damaged files for every reader -> reports/fuzz/
 #   make clean   remove everything these targets made, except reports
 
 PYTHON ?= python3
@@ -15,7 +16,7 @@ INSTALLED := .venv/.installed
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test check format mutants clean
+.PHONY: demo test check format mutants fuzz clean
 .DEFAULT_GOAL := demo
 
 demo: $(INSTALLED)
@@ -37,6 +38,11 @@ mutants: $(INSTALLED)
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet \
 		-c constraints.txt -e ".[mutation]"
 	nice $(BIN)/python benchmarks/mutants.py --out reports/mutants
+
+# Minutes of processor time; atheris is for Linux, and without it inputs are random.
+fuzz: $(INSTALLED)
+	$(BIN)/python -m pip install --disable-pip-version-check -q -e ".[fuzz]" || true
+	$(BIN)/python fuzz/run.py --inputs 1000000 --out reports/fuzz
 
 clean:
 	rm -rf .venv build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

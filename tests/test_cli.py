@@ -175,9 +175,9 @@ class TestChain:
             "simulate": {"planar.xml"},
             "identify": {"planar.xml", "trajectory_1.csv", "trajectory_2.csv"},
             "validate": {
-                "planar.xml", "model.json", "model.safetensors", "trajectory_1.npz",
+                "planar.xml", "model.json", "trajectory_1.npz",
             },
-            "predict": {"model.json", "model.safetensors", "trajectory_1.npz"},
+            "predict": {"model.json", "trajectory_1.npz"},
         }  # fmt: skip
         assert set(files) == expected[verb]
         assert all(len(digest) == 64 for digest in files.values())
@@ -194,7 +194,7 @@ class TestChain:
         assert all(stage in out for stage in ("LS", "WLS", "IRLS"))
         assert "armature.inertia[shoulder] cannot be told from" in out
         assert "stiffness" in out and " ± " in out and "N·m/rad" in out
-        assert "m.json with m.safetensors" in out
+        assert f"model: {tmp_path}/m.json" in out
 
     def test_validate_shows_the_table_and_the_reduction(self, chain, capsys):
         run(f"validate --model {chain.model} --recordings {chain.log}")
@@ -274,7 +274,7 @@ class TestIdentifyAndPredict:
                 f"--out {tmp_path}/{name}/model.json --json {tmp_path}/{name}/fit.json"
             )
         one, two = (tree(tmp_path / name) for name in ("one", "two"))
-        assert set(one) == {"model.json", "model.safetensors", "fit.json"}
+        assert set(one) == {"model.json", "fit.json"}
         assert one == two
 
     def test_settings_reach_the_fit(self, chain, tmp_path):
@@ -510,11 +510,11 @@ BAD_MODELS = {
     "validate --model {OUT}.json --recordings {FIT}": "out.json: cannot be read",
     "validate --model {FIT}/truth.json --recordings {FIT}": "schema",
     "validate --model {DAMAGED} --recordings {FIT}": "damaged",
-    "validate --model {ALONE} --recordings {FIT}": "alone.safetensors: missing",
-    "validate --model {CUT} --recordings {FIT}": "cut.safetensors: damaged",
+    "validate --model {EDITED} --recordings {FIT}": "edited.json: damaged or edited",
+    "validate --model {CUT} --recordings {FIT}": "cut.json: damaged",
     "validate --robot {COMAN} --model {MODEL} --recordings {FIT}": "of joints shoulder",
     "validate --robot {SCARA} --model {MODEL} --recordings {FIT}": "another arm",
-    "predict --model {ALONE} --recording {LOG} --out {OUT}.csv": "missing",
+    "predict --model {EDITED} --recording {LOG} --out {OUT}.csv": "edited",
 }
 BAD_OUTPUTS = {
     "simulate --robot {R} --out {FILE}": "no folder",
@@ -542,11 +542,9 @@ class TestBadInput:
         """What the commands above name; all of it copies."""
         shutil.copytree(chain.folder, tmp_path, dirs_exist_ok=True)
         model = (tmp_path / "model.json").read_text("utf-8")
-        for name in ("alone", "cut"):
-            text = model.replace("model.safetensors", f"{name}.safetensors")
-            (tmp_path / f"{name}.json").write_text(text, "utf-8")
-        arrays = (tmp_path / "model.safetensors").read_bytes()
-        (tmp_path / "cut.safetensors").write_bytes(arrays[: len(arrays) // 2])
+        edited = model.replace("true", "false", 1)
+        (tmp_path / "edited.json").write_text(edited, "utf-8")
+        (tmp_path / "cut.json").write_text(model[: len(model) // 2], "utf-8")
         damaged = tmp_path / "damaged.xml"
         for suffix in ("", ".csv", ".npz", ".yaml"):
             Path(f"{damaged}{suffix}").write_bytes(b"<mujoco>\x00[{\xff")
@@ -554,7 +552,7 @@ class TestBadInput:
             "R": PLANAR, "COMAN": MODELS / "coman_like.xml",
             "SCARA": MODELS / "scara.xml", "FIT": tmp_path / "fit",
             "LOG": tmp_path / "fit" / "trajectory_1.csv",
-            "MODEL": tmp_path / "model.json", "ALONE": tmp_path / "alone.json",
+            "MODEL": tmp_path / "model.json", "EDITED": tmp_path / "edited.json",
             "CUT": tmp_path / "cut.json", "DAMAGED": damaged,
             "FILE": tmp_path / "tau.csv", "OUT": tmp_path / "out",
         }  # fmt: skip

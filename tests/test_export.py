@@ -2,6 +2,7 @@
 
 import ctypes
 import json
+import os
 import subprocess
 import sys
 import zipfile
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import MODELS, public_arm, random_arm, random_states
+from test_files import killed_at
 
 import hybrid
 from hybrid.cli import main
@@ -30,13 +32,17 @@ from hybrid.effects.presliding import Presliding
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, ModelFileError
 from hybrid.export import FORMATS, export, program_from_model, read_manifest
+from hybrid.export.manifest import model_digest
 from hybrid.identify import DynamicModel
+from hybrid.identify.model_file import content_from_model
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
-STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic")
+STRICT = (
+    "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion",
+)  # fmt: skip
 # Effects whose torque in a log follows from the torque that was measured.
 INVERTED = {"deadzone", "saturation"}
 DYNAMIC = {n for n, cls in effect_classes().items() if cls.memory}
@@ -45,12 +51,15 @@ int run(int count, int keep, const double *q, const double *v, const double *a,
         double *tau, double *variance)
 {{
     {p}_state s;
-    int k, bad = 0;
+    int j, k, bad = 0;
     {p}_start(&s, 0.01);
     for (k = 0; k < count * {n}; k += {n}) {{
         if (!keep)
             {p}_start(&s, 0.01);
-        bad |= {p}_torque(&s, q + k, v + k, a + k, tau + k, variance + k);
+        for (j = 0; j < {n}; j++)
+            s.clamp[j] = INFINITY;
+        if ({p}_torque(&s, q + k, v + k, a + k, tau + k, variance + k) < 0)
+            bad = -1;
     }}
     return bad;
 }}
@@ -542,3 +551,87 @@ def test_every_operation_of_a_tape_has_its_c_onnx_and_torch():
         assert name in torch_module._OPERATIONS
         operation = c_code.Operation(name, (0, 1.0, 2.0))
         assert "x0" in c_code._expression(operation, "P")
+
+
+def test_a_second_format_in_the_same_folder_keeps_the_first(tmp_path):
+    model = model_of(Robot.load(MODELS / "planar.xml"))
+    for kind in ("c", "json", "urdf", "json"):
+        export(model, tmp_path, format=kind)
+    found = read_manifest(tmp_path, model=model)
+    assert found["format"] == "json" and set(found["files"]) == {"model.json"}
+    assert set(found["beside"]) == {"c", "urdf"}
+    assert "planar.h" in found["beside"]["c"]["files"]
+    (tmp_path / "planar.urdf").write_text("<robot/>")
+    with pytest.raises(ModelFileError, match="planar.urdf: changed since"):
+        read_manifest(tmp_path)
+
+
+@pytest.mark.parametrize("damage", ["", "[]", "{", '{"schema": "hybrid.export/2"}'])
+def test_a_damaged_manifest_is_refused_and_does_not_stop_an_export(tmp_path, damage):
+    model = model_of(Robot.load(MODELS / "planar.xml"))
+    (tmp_path / "manifest.json").write_text(damage)
+    with pytest.raises(ModelFileError, match=r"manifest\.json: .*manifest"):
+        read_manifest(tmp_path)
+    export(model, tmp_path, format="c")
+    assert read_manifest(tmp_path)["beside"] == {}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs POSIX")
+def test_whenever_it_is_killed_an_export_and_a_model_can_be_read(tmp_path):
+    old, new = (
+        model_of(replace(Robot.load(MODELS / "planar.xml"), name="arm"), effects)
+        for effects in ((), (Viscous((0,), {"coefficient": 1.0}),))
+    )
+    folder, path = tmp_path / "out", tmp_path / "model.json"
+    seen = set()
+    for step in range(100):
+        export(old, folder, format="c")
+        old.save(path)
+
+        def work():
+            export(new, folder, format="c")
+            new.save(path)
+
+        died = killed_at(step, work)
+        digest = read_manifest(folder)["model_sha256"]
+        saved = content_from_model(DynamicModel.load(path))["sha256"]
+        assert {digest, saved} <= {model_digest(old), model_digest(new)}
+        seen.add((digest == model_digest(new), saved == model_digest(new)))
+        if not died:
+            break
+    assert seen == {(False, False), (True, False), (True, True)} and step > 10
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs POSIX")
+def test_who_reads_while_ten_export_and_save_finds_one_whole_export(tmp_path):
+    model = model_of(Robot.load(MODELS / "planar.xml"))
+    folder, path, children = tmp_path / "out", tmp_path / "model.json", []
+    kinds = ("c", "json", "urdf", "mjcf")
+    for kind in kinds:
+        export(model, folder, format=kind)
+    model.save(path)
+    for k in range(10):
+        child = os.fork()
+        if child == 0:
+            try:
+                own = Viscous((0,), {"coefficient": float(k)})
+                other = replace(model, effects=(own,))
+                for _ in range(5):
+                    export(other, folder, format=kinds[k % 4])
+                    other.save(path)
+            except BaseException:
+                os._exit(1)
+            os._exit(0)
+        children.append(child)
+    reads = 0
+    while children:
+        found = read_manifest(folder)
+        assert {found["format"], *found["beside"]} == set(kinds)
+        assert DynamicModel.load(path).robot.name == "planar"
+        reads += 1
+        done, status = os.waitpid(-1, os.WNOHANG)
+        if done in children:
+            assert status == 0
+            children.remove(done)
+    assert reads > 10
+    assert set(tmp_path.iterdir()) == {folder, path}

@@ -123,15 +123,15 @@ def test_a_robot_file_loads_back_with_the_identified_numbers(tmp_path, kind, suf
     assert found.joints == robot.joints
     total = {name: np.zeros(6) for name in ("armature", "damping", "frictionloss")}
     total |= split_effects(model.effects, tuple(total), 6)[0]
-    np.testing.assert_allclose(found.chain.armature, total["armature"], rtol=1e-5)
-    np.testing.assert_allclose(found.frictionloss, total["frictionloss"], rtol=1e-5)
-    np.testing.assert_allclose(found.damping, total["damping"], rtol=1e-5)
+    np.testing.assert_allclose(found.chain.armature, total["armature"], rtol=1e-12)
+    np.testing.assert_allclose(found.frictionloss, total["frictionloss"], rtol=1e-12)
+    np.testing.assert_allclose(found.damping, total["damping"], rtol=1e-12)
     for name in ("q_min", "q_max", "v_max", "a_max", "tau_max"):
-        np.testing.assert_allclose(getattr(found, name), getattr(robot, name), 1e-5)
+        np.testing.assert_allclose(getattr(found, name), getattr(robot, name), 1e-12)
     motion = motion_of(robot, 50)
     rigid = model_of(robot).predict(motion)
     again = model_of(found).predict(motion)
-    np.testing.assert_allclose(again, rigid, rtol=0, atol=1e-4 * np.abs(rigid).max())
+    np.testing.assert_allclose(again, rigid, rtol=0, atol=1e-11 * np.abs(rigid).max())
 
 
 def test_a_payload_becomes_part_of_the_last_link(tmp_path):
@@ -143,7 +143,7 @@ def test_a_payload_becomes_part_of_the_last_link(tmp_path):
     motion = motion_of(robot, 50)
     expected = model.predict(motion)
     np.testing.assert_allclose(
-        model_of(found).predict(motion), expected, atol=1e-4 * np.abs(expected).max()
+        model_of(found).predict(motion), expected, atol=1e-11 * np.abs(expected).max()
     )
 
 

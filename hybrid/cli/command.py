@@ -24,6 +24,7 @@ from hybrid.cli import (
 )
 from hybrid.cli.options import Parser
 from hybrid.errors import HybridError
+from hybrid.names import printable
 
 OK, BUG, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
@@ -136,5 +137,5 @@ def _run(args: Namespace) -> None:
 
 
 def _fail(code: int, text: str) -> int:
-    print(f"error: {' '.join(text.split())}", file=sys.stderr)
+    print(f"error: {printable(' '.join(text.split()))}", file=sys.stderr)
     return code

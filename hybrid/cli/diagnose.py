@@ -32,9 +32,9 @@ HELP = """say what a simulator lacks: where, which effect, how far the gap shrin
 reads logs of the real arm (time, position, torque; temperature where it is there; one
 with holes counts as several) and its simulator as it stands. Writes DIR/report.html, a
 page that opens offline, and DIR/diagnosis.json with the same content for programs;
-DIR/sim_fixed.xml, a MuJoCo file of the arm with what was found; DIR/model.json (with
-model.safetensors), which also has what MJCF cannot express; and DIR/advice_1.csv ...
-(time, position, speed, acceleration), motions to run next, where some are advised.
+DIR/sim_fixed.xml, a MuJoCo file of the arm with what was found; DIR/model.json, which
+also has what MJCF cannot express; and DIR/advice_1.csv ... (time, position, speed,
+acceleration), motions to run next, where some are advised.
 
 verdicts: no_gap, explained, partly_explained, unexplained (no known effect is the
 cause), not_excited (the recordings move the arm too little).

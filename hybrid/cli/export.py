@@ -15,14 +15,15 @@ if TYPE_CHECKING:
 _FORMATS = ("onnx", "torchscript", "c", "mjcf", "urdf", "json")
 
 HELP = """export a model to C, ONNX, TorchScript, MJCF, URDF or JSON
-c            one C99 header with an example and CMakeLists.txt; torque from q, v and a
+c            one C99 header with an example and CMakeLists.txt; torque from q, v and a,
+             limited to the rated one, with a status (see the header's own comments)
 onnx         the same with a free batch axis, in double precision
 torchscript  the same for libtorch; read it with torch.jit.load, never torch.load
 mjcf         the simulator with identified links, rotors and friction
 urdf         the same without what URDF has no place for
 json         the model itself
 Every folder holds a manifest.json: model hash, joint order, units, limits, training
-range, version, and what the format cannot express.
+range, version, and what the format cannot express. Several formats may share a folder.
 
 --json: provenance, robot, joints, format, left_out.
 
@@ -46,7 +47,7 @@ def run(args: Namespace, screen: Screen) -> None:
     if args.out.exists() and not args.out.is_dir():
         raise HybridError(f"{args.out}: is a file; valid is the name of a folder")
     model = DynamicModel.load(args.model)
-    inputs = [args.model, args.model.with_suffix(".safetensors")]
+    inputs = [args.model]
     check_outputs([args.out / "manifest.json", args.json], inputs)
     how = record(args, inputs)
     with screen.working("exporting"):

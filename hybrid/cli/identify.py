@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from hybrid.identify import Fit
 
 HELP = """identify the drive torque of an arm from recordings
-writes MODEL.json and, beside it, MODEL.safetensors with its arrays; shows the error of
-every stage on samples left out of the fit, what cannot be told from these recordings,
-and the effects found; warns of stages that did not help and of poor excitation.
+writes MODEL.json, one file with a hash of all that it says; shows the error of every
+stage on samples left out of the fit, what cannot be told from these recordings, and the
+effects found; warns of stages that did not help and of poor excitation.
 
 --json: provenance, robot, joints, stage, cutoff, held_out (RMS of each stage),
 left_out, unidentifiable, warnings, converged, rounds, condition, sigma, effects,
@@ -91,7 +91,6 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.recording import read_all
     from hybrid.report.fit import content_from_fit
 
-    arrays = args.out.with_suffix(".safetensors")
     if args.out.suffix != ".json":
         raise HybridError(f"{args.out}: a model is saved as .json")
     args.stages = args.stages or STAGES
@@ -100,7 +99,7 @@ def run(args: Namespace, screen: Screen) -> None:
     with screen.working("reading recordings"):
         recordings = read_all(args.recordings, joints=robot.joints)
     inputs = [args.robot, *(Path(x.source) for x in recordings)]
-    check_outputs([args.out, arrays, args.json], inputs)
+    check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
     with screen.working(f"identifying {robot.name} from {len(recordings)} recordings"):
         fit = identify(
@@ -118,7 +117,7 @@ def run(args: Namespace, screen: Screen) -> None:
     fit.model.save(args.out)
     write_record(args, how, content_from_fit(fit))
     _show(fit, screen)
-    screen.say(f"model: {args.out} with {arrays.name}")
+    screen.say(f"model: {args.out}")
 
 
 def _show(fit: Fit, screen: Screen) -> None:

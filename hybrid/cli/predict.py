@@ -52,7 +52,7 @@ def run(args: Namespace, screen: Screen) -> None:
     recording = check_recording(
         read(args.recording, joints=joints, torque=False), model.robot
     )
-    inputs = [args.model, args.model.with_suffix(".safetensors"), args.recording]
+    inputs = [args.model, args.recording]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
     with screen.working("predicting"):

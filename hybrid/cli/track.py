@@ -75,7 +75,7 @@ def run(args: Namespace, screen: Screen) -> None:
     recording = read(args.recording, joints=joints).in_order(joints)
     for piece in unbroken(recording):
         check_recording(piece, model.robot)
-    inputs = [args.model, args.model.with_suffix(".safetensors"), args.recording]
+    inputs = [args.model, args.recording]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
     rate, prior = recording.rate, args.prior

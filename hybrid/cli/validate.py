@@ -51,7 +51,7 @@ def run(args: Namespace, screen: Screen) -> None:
     check_same_arm(model, robot)  # before a recording is blamed for it
     with screen.working("reading recordings"):
         recordings = read_all(args.recordings, joints=robot.joints)
-    inputs = [args.model, args.model.with_suffix(".safetensors")]
+    inputs = [args.model]
     inputs += [args.robot] if args.robot else []
     inputs += [Path(x.source) for x in recordings]
     check_outputs([args.json], inputs)

@@ -21,7 +21,9 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
 from hybrid.files import atomic_path
 from hybrid.identify import DynamicModel
+from hybrid.names import xml_comment
 from hybrid.robot import Robot
+from hybrid.robot.build import spec_text
 
 if TYPE_CHECKING:
     from hybrid.diagnose.result import Result
@@ -66,7 +68,7 @@ def write_fixed(result: Result, directory: str | Path) -> Fixed:
     spec.compile()
     folder = Path(directory)
     with atomic_path(folder / SIMULATOR) as temporary:
-        text = _comment(result.gap, notes) + spec.to_xml()
+        text = _comment(result.gap, notes) + spec_text(spec)
         temporary.write_text(text, encoding="utf-8")
     effects = (*effects, *result.command)
     fixed_model(result.gap, robot, effects).save(folder / MODEL)
@@ -143,5 +145,5 @@ def _comment(gap: Gap, notes: Sequence[str]) -> str:
         "Motors take the torque that the drives would report.",
         *(f"Not in this file, or only nearly: {note}." for note in notes),
     ]
-    text = "\n     ".join(line.replace("--", "-") for line in lines)
+    text = "\n     ".join(map(xml_comment, lines))
     return f"<!-- {text} -->\n"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hybrid.excitation.design import Design
-from hybrid.files import atomic_path, write_json
+from hybrid.files import atomic_folder, atomic_path, write_json
 from hybrid.plant.reference import Reference
 
 DESIGN = "design.json"
@@ -55,7 +55,9 @@ def write_design(
         The files of the references.
     """
     paths = reference_paths(folder, len(design.trajectories))
-    for path, trajectory in zip(paths, design.trajectories, strict=True):
-        write_reference(path, trajectory.reference(rate), design.robot.joints)
-    write_json(folder / DESIGN, design.as_dict() | (more or {}))
+    with atomic_folder(folder) as hidden:
+        for path, trajectory in zip(paths, design.trajectories, strict=True):
+            reference = trajectory.reference(rate)
+            write_reference(hidden / path.name, reference, design.robot.joints)
+        write_json(hidden / DESIGN, design.as_dict() | (more or {}))
     return paths

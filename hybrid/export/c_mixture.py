@@ -25,24 +25,26 @@ static inline {p}_real {p}_gmr_at(const {p}_gmr *g, const {p}_real *x,
 {{
     {p}_real z[{inputs}], distance[{components}], output[{components}];
     {p}_real nearest = 0, near = 0, total = 0, mean = 0, spread = 0, trust, doubt;
-    const {p}_real *L = g->whitening, *c = g->centre, *b = g->gain;
-    int k, r, i;
+    int at = 0, k, r, i;
     for (i = 0; i < g->inputs; i++) {{
         z[i] = (x[i] - g->offset[i]) / g->scale[i];
         z[i] = {P}_M(fmax)(-{reach}, {P}_M(fmin)(z[i], {reach}));
     }}
-    for (k = 0; k < g->components; k++, c += g->inputs, b += g->inputs) {{
+    for (k = 0; k < g->components; k++) {{
         distance[k] = 0;
         output[k] = g->mean[k];
-        for (r = 0; r < g->inputs; L += ++r) {{
-            {p}_real w = -c[r];
-            for (i = 0; i <= r; i++)
-                w += L[i] * z[i];
+        for (r = 0; r < g->inputs; r++) {{
+            {p}_real w = -g->centre[(k * g->inputs) + r];
+            for (i = 0; i <= r; i++) {{
+                w += g->whitening[at] * z[i];
+                at++;
+            }}
             distance[k] += w * w;
-            output[k] += b[r] * w;
+            output[k] += g->gain[(k * g->inputs) + r] * w;
         }}
-        if (k == 0 || distance[k] < nearest)
+        if ((k == 0) || (distance[k] < nearest)) {{
             nearest = distance[k];
+        }}
     }}
     for (k = 0; k < g->components; k++) {{
         const {p}_real closeness = {P}_M(exp)({half} * (nearest - distance[k]));
@@ -54,14 +56,15 @@ static inline {p}_real {p}_gmr_at(const {p}_gmr *g, const {p}_real *x,
     mean = {P}_M(fmax)(-g->bound, {P}_M(fmin)(mean / total, g->bound));
     for (k = 0; k < g->components; k++) {{
         const {p}_real off = output[k] - mean;
-        spread += distance[k] * (g->variance[k] + off * off);
+        spread += distance[k] * (g->variance[k] + (off * off));
     }}
     nearest -= {P}_R(2) * {P}_M(log)(near);
     trust = (g->fade_end - nearest) / (g->fade_end - g->fade_start);
-    trust = {P}_M(fmax)(0, {P}_M(fmin)(trust, 1));
-    trust *= trust * ({P}_R(3) - {P}_R(2) * trust);
+    trust = {P}_M(fmax)({P}_R(0), {P}_M(fmin)(trust, {P}_R(1)));
+    trust *= trust * ({P}_R(3) - ({P}_R(2) * trust));
     doubt = {P}_R(1) - trust;
-    *variance = trust * (spread / total + doubt * mean * mean) + doubt * g->prior;
+    *variance = (trust * ((spread / total) + (doubt * mean * mean)))
+        + (doubt * g->prior);
     return trust * mean;
 }}
 """

@@ -26,50 +26,56 @@ typedef struct {{
 static inline {p}_real {p}_network_at(const {p}_network *g, const {p}_real *x,
     {p}_real *variance)
 {{
-    {p}_real z[{inputs}], hidden[2][{width}], distance[{components}];
+    {p}_real z[{inputs}], from[{width}], to[{width}], distance[{components}];
     {p}_real nearest = 0, near = 0, mean, spread, trust, doubt;
-    const {p}_real *L = g->whitening, *c = g->centre, *W = g->weight, *b = g->bias;
-    const {p}_real *from = z;
-    int k, r, i;
+    int at = 0, weight = 0, bias = 0, k, r, i;
     for (i = 0; i < g->inputs; i++) {{
         z[i] = (x[i] - g->offset[i]) / g->scale[i];
         z[i] = {P}_M(fmax)(-{reach}, {P}_M(fmin)(z[i], {reach}));
+        from[i] = z[i];
     }}
     for (k = 0; k < g->layers; k++) {{
-        const int last = k == g->layers - 1, size = g->sizes[k + 1];
-        {p}_real *to = hidden[k % 2];
-        for (r = 0; r < size; r++)
-            to[r] = *b++;
-        for (i = 0; i < g->sizes[k]; i++, W += size) {{
-            for (r = 0; r < size; r++)
-                to[r] += W[r] * from[i];
+        const int size = g->sizes[k + 1];
+        for (r = 0; r < size; r++) {{
+            to[r] = g->bias[bias + r];
         }}
-        for (r = 0; !last && r < size; r++)
-            to[r] = {P}_M(tanh)(to[r]);
-        from = to;
+        for (i = 0; i < g->sizes[k]; i++) {{
+            for (r = 0; r < size; r++) {{
+                to[r] += g->weight[weight + r] * from[i];
+            }}
+            weight += size;
+        }}
+        bias += size;
+        for (r = 0; r < size; r++) {{
+            from[r] = (k < (g->layers - 1)) ? {P}_M(tanh)(to[r]) : to[r];
+        }}
     }}
-    for (k = 0; k < g->components; k++, c += g->inputs) {{
+    for (k = 0; k < g->components; k++) {{
         distance[k] = 0;
-        for (r = 0; r < g->inputs; L += ++r) {{
-            {p}_real w = -c[r];
-            for (i = 0; i <= r; i++)
-                w += L[i] * z[i];
+        for (r = 0; r < g->inputs; r++) {{
+            {p}_real w = -g->centre[(k * g->inputs) + r];
+            for (i = 0; i <= r; i++) {{
+                w += g->whitening[at] * z[i];
+                at++;
+            }}
             distance[k] += w * w;
         }}
-        if (k == 0 || distance[k] < nearest)
+        if ((k == 0) || (distance[k] < nearest)) {{
             nearest = distance[k];
+        }}
     }}
-    for (k = 0; k < g->components; k++)
+    for (k = 0; k < g->components; k++) {{
         near += {P}_M(exp)({half} * (nearest - distance[k]));
+    }}
     nearest -= {P}_R(2) * {P}_M(log)(near);
     trust = (g->fade_end - nearest) / (g->fade_end - g->fade_start);
-    trust = {P}_M(fmax)(0, {P}_M(fmin)(trust, 1));
-    trust *= trust * ({P}_R(3) - {P}_R(2) * trust);
+    trust = {P}_M(fmax)({P}_R(0), {P}_M(fmin)(trust, {P}_R(1)));
+    trust *= trust * ({P}_R(3) - ({P}_R(2) * trust));
     doubt = {P}_R(1) - trust;
     mean = {P}_M(fmax)(-g->bound, {P}_M(fmin)(g->size * from[0], g->bound));
     spread = {P}_M(fmax)({lowest}, {P}_M(fmin)(from[1], {highest}));
     spread = g->size * g->size * {P}_M(exp)(spread);
-    *variance = trust * (spread + doubt * mean * mean) + doubt * g->prior;
+    *variance = (trust * (spread + (doubt * mean * mean))) + (doubt * g->prior);
     return trust * mean;
 }}
 """
@@ -83,13 +89,17 @@ def network_function(
     return _FUNCTION.format(
         **marks,
         inputs=max(n.inputs for n in networks),
-        width=max(len(bias) for n in networks for _, bias in n.layers),
+        width=max(max(n.inputs, *map(len, _biases(n))) for n in networks),
         components=max(len(n.envelope.centre) for n in networks),
         half=f"{P}_R(0.5)",
         reach=f"{P}_R({FARTHEST!r})",
         lowest=f"{P}_R({LOG_VARIANCE[0]!r})",
         highest=f"{P}_R({LOG_VARIANCE[1]!r})",
     )
+
+
+def _biases(network: NetworkRegression) -> list[Array]:
+    return [bias for _, bias in network.layers]
 
 
 def network_tables(

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from hybrid import __version__
-from hybrid.export.c_code import c_header, c_name
+from hybrid.export.c_code import c_header, c_number
+from hybrid.export.manifest import UNITS_OF_KIND
 from hybrid.export.program import Program
 from hybrid.identify.model import DynamicModel
-from hybrid.robot.chain import Array
+from hybrid.names import c_identifier
 
 _EXAMPLE = """\
 /* Torque of one motion's first samples, and of the state that Python printed below. */
@@ -26,22 +27,27 @@ int main(void)
     const {p}_real v[{n}] = {{{v}}};
     const {p}_real a[{n}] = {{{a}}};
     const double expected[{n}] = {{{tau}}};
+    const char *const unit[{n}] = {{{unit}}};
     {p}_real tau[{n}], variance[{n}];
-    double worst = 0;
-    int j;
+    double worst = 0.0;
+    int j, status;
 
     {p}_start(&state, {P}_R(0.001));
-    if ({p}_torque(&state, q, v, a, tau, variance) != 0) {{
+    for (j = 0; j < {P}_JOINTS; j++) {{
+        state.clamp[j] = {P}_R(INFINITY); /* to compare; leave this out on the arm */
+    }}
+    status = {p}_torque(&state, q, v, a, tau, variance);
+    if (status == {P}_NOT_FINITE) {{
         printf("a number is not finite\\n");
         return 1;
     }}
     for (j = 0; j < {P}_JOINTS; j++) {{
         const double error = fabs((double)tau[j] - expected[j]);
-        printf("joint %d: %.9g N m\\n", j + 1, (double)tau[j]);
-        worst = error > worst ? error : worst;
+        printf("joint %d: %.9g %s\\n", j + 1, (double)tau[j], unit[j]);
+        worst = (error > worst) ? error : worst;
     }}
-    printf("largest difference from Python: %.3g N m\\n", worst);
-    return worst < (sizeof({p}_real) == 4 ? 1e-2 : 1e-9) ? 0 : 1;
+    printf("largest difference from Python: %.3g\\n", worst);
+    return (worst < ((sizeof({p}_real) == 4U) ? 1e-2 : 1e-9)) ? 0 : 1;
 }}
 """
 
@@ -67,7 +73,7 @@ foreach(precision IN ITEMS double single)
     target_link_libraries(example_${{precision}} PRIVATE {p})
     if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")
         target_compile_options(example_${{precision}} PRIVATE
-            -Wall -Wextra -Werror -pedantic)
+            -Wall -Wextra -Werror -pedantic -Wconversion)
     endif()
     add_test(NAME example_${{precision}} COMMAND example_${{precision}})
 endforeach()
@@ -85,14 +91,8 @@ def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) ->
         folder: Where the files shall be.
     """
     robot = model.robot
-    p = c_name(robot.name)
-    header = c_header(
-        program,
-        robot=robot.name,
-        fingerprint=robot.fingerprint(),
-        digest=digest,
-        version=__version__,
-    )
+    p = c_identifier(robot.name)
+    header = c_header(program, robot, digest=digest, version=__version__)
     rng = np.random.default_rng(0)
     low = np.where(np.isfinite(robot.q_min), robot.q_min, -1.0)
     high = np.where(np.isfinite(robot.q_max), robot.q_max, 1.0)
@@ -100,7 +100,11 @@ def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) ->
     v, a = rng.uniform(-1.0, 1.0, (2, 1, robot.size))
     tau, _ = program.run(q, v, a)
     marks: dict[str, Any] = {"p": p, "P": p.upper(), "n": robot.size}
-    marks |= {x: _row(y[0]) for x, y in (("q", q), ("v", v), ("a", a), ("tau", tau))}
+    for name, values in (("q", q), ("v", v), ("a", a)):
+        marks[name] = ", ".join(c_number(float(x), p.upper()) for x in values[0])
+    marks["tau"] = ", ".join(repr(float(x)) for x in tau[0])
+    units = (UNITS_OF_KIND[bool(x)]["tau"] for x in robot.chain.revolute)
+    marks["unit"] = ", ".join(f'"{x.replace("·", " ")}"' for x in units)
     texts = {
         f"{p}.h": header,
         "example.c": _EXAMPLE.format(**marks),
@@ -108,7 +112,3 @@ def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) ->
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
-
-
-def _row(values: Array) -> str:
-    return ", ".join(repr(float(x)) for x in values)

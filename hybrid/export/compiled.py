@@ -11,9 +11,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from hybrid.errors import HybridError
-from hybrid.export.c_code import c_name
 from hybrid.export.export import export
 from hybrid.identify.model import DynamicModel
+from hybrid.names import c_identifier
 from hybrid.robot.chain import Array
 
 _COMPILERS = ("cc", "gcc", "clang")
@@ -21,14 +21,20 @@ _FLAGS = ("-std=c99", "-O3", "-fno-math-errno", "-shared", "-fPIC")
 _LIBRARY = """#include "{p}.h"
 #define API __attribute__((visibility("default")))
 API const size_t size = sizeof({p}_state);
-API void start({p}_state *s, double step) {{ {p}_start(s, step); }}
+API void start({p}_state *s, double step)
+{{
+    int j;
+    {p}_start(s, step);
+    for (j = 0; j < {n}; j++)
+        s->clamp[j] = INFINITY;
+}}
 API int torque({p}_state *s, long count, const double *q, const double *v,
     const double *a, double *tau, double *variance)
 {{
     long k;
     for (k = 0; k < count * {n}; k += {n}) {{
         if ({p}_torque(s, q + k, v + k, a + k, tau + k,
-                variance == NULL ? NULL : variance + k) != 0)
+                variance == NULL ? NULL : variance + k) < 0)
             return -1;
     }}
     return 0;
@@ -54,7 +60,7 @@ class CompiledModel:
             raise HybridError(f"no C compiler; valid are {', '.join(_COMPILERS)}")
         self._n, self._step = model.robot.size, step
         with TemporaryDirectory() as name:
-            folder, p = Path(name), c_name(model.robot.name)
+            folder, p = Path(name), c_identifier(model.robot.name)
             export(model, folder, format="c")
             source = folder / "library.c"
             source.write_text(_LIBRARY.format(p=p, n=self._n), encoding="utf-8")

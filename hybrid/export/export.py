@@ -13,12 +13,16 @@ from hybrid.export.program import program_from_model
 from hybrid.export.simulator import mjcf_text, urdf_text
 from hybrid.files import atomic_folder
 from hybrid.identify.model import DynamicModel
+from hybrid.names import file_stem
 
 FORMATS = ("onnx", "torchscript", "c", "mjcf", "urdf", "json")
 
 
 def export(model: DynamicModel, folder: str | Path, *, format: str) -> tuple[str, ...]:
     """Write a model for other programs, with a manifest that says what it is.
+
+    Files are named after the arm. What the folder holds in another format stays, and
+    stays in the manifest.
 
     ``c`` is one C99 header with an example and a build file; ``onnx`` and
     ``torchscript`` the inverse dynamics with a free batch axis; ``mjcf`` and ``urdf``
@@ -43,14 +47,18 @@ def export(model: DynamicModel, folder: str | Path, *, format: str) -> tuple[str
     digest = model_digest(model)
     left_out: Sequence[str] = ()
     memory: Sequence[str] = ()
-    with atomic_folder(folder) as hidden:
+    stem = file_stem(model.robot.name)
+
+    def finish(before: Path, hidden: Path) -> None:
+        seal(manifest, hidden, before)
+
+    with atomic_folder(folder, finish) as hidden:
         if format == "json":
             model.save(hidden / "model.json")
         elif format in ("mjcf", "urdf"):
             text, left_out = (mjcf_text if format == "mjcf" else urdf_text)(model)
             suffix = "xml" if format == "mjcf" else "urdf"
-            name = f"{model.robot.name}.{suffix}"
-            (hidden / name).write_text(text, encoding="utf-8")
+            (hidden / f"{stem}.{suffix}").write_text(text, encoding="utf-8")
         else:
             program = program_from_model(model)
             left_out, memory = program.left_out, program.memory_names
@@ -61,10 +69,9 @@ def export(model: DynamicModel, folder: str | Path, *, format: str) -> tuple[str
             write_c(model, program, digest, hidden)
         elif format == "onnx":
             content = onnx_model(program, manifest).SerializeToString()
-            (hidden / f"{model.robot.name}.onnx").write_bytes(content)
+            (hidden / f"{stem}.onnx").write_bytes(content)
         elif format == "torchscript":
             from hybrid.export.torch_module import write_torchscript  # loads torch
 
-            write_torchscript(program, manifest, hidden / f"{model.robot.name}.pt")
-        seal(manifest, hidden)
+            write_torchscript(program, manifest, hidden / f"{stem}.pt")
     return tuple(left_out)

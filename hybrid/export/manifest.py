@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from hybrid import __version__
 from hybrid.errors import ModelFileError
+from hybrid.files import read_json, write_json
 from hybrid.identify.model import DynamicModel
+from hybrid.identify.model_file import content_from_model
 from hybrid.robot import Robot
 
-SCHEMA = "hybrid.export/1"
+SCHEMA = "hybrid.export/2"
 FILE = "manifest.json"
-_UNITS = {"q": "rad", "v": "rad/s", "a": "rad/s²", "tau": "N·m", "variance": "(N·m)²"}
+UNITS_OF_KIND = {  # of a joint that turns (True), and of one that slides
+    True: {"q": "rad", "v": "rad/s", "a": "rad/s²", "tau": "N·m", "variance": "(N·m)²"},
+    False: {"q": "m", "v": "m/s", "a": "m/s²", "tau": "N", "variance": "N²"},
+}
+_TRIES = 100  # readings of a folder that others replace meanwhile
 
 
 def model_digest(model: DynamicModel) -> str:
-    """SHA-256 of everything that a saved model holds."""
-    digest = hashlib.sha256()
-    with TemporaryDirectory() as folder:
-        model.save(Path(folder) / "model.json")
-        for name in ("model.json", "model.safetensors"):
-            digest.update((Path(folder) / name).read_bytes())
-    return digest.hexdigest()
+    """SHA-256 of everything that a saved model holds, as it stands in its file."""
+    return str(content_from_model(model)["sha256"])
 
 
 def build_manifest(
@@ -40,6 +40,8 @@ def build_manifest(
     memory: Sequence[str] = (),
 ) -> dict[str, Any]:
     """JSON-ready description of an export.
+
+    A unit is one word where all joints have it, and else a list with one for each.
 
     Args:
         model: What is exported.
@@ -58,7 +60,7 @@ def build_manifest(
         "robot": robot.name,
         "fingerprint": robot.fingerprint(),
         "joints": list(robot.joints),
-        "units": _UNITS,
+        "units": _units(robot),
         "limits": {name: _finite(getattr(robot, name)) for name in limits},
         "training_range": {k: _finite(x) for k, x in sorted(model.range.items())},
         "cutoff": model.cutoff if np.isfinite(model.cutoff) else None,
@@ -69,14 +71,25 @@ def build_manifest(
     }
 
 
-def seal(manifest: Mapping[str, Any], folder: Path) -> None:
-    """Write the manifest with the hashes of the folder's other files."""
+def seal(manifest: Mapping[str, Any], folder: Path, before: Path) -> None:
+    """Write the manifest with the hashes of the folder's other files.
+
+    Args:
+        manifest: What was exported.
+        folder: Where its files are.
+        before: The folder that it takes the place of. What was exported to it in other
+            formats stays, under ``beside``.
+    """
     files = {
         path.name: hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.iterdir())
     }
-    text = json.dumps({**manifest, "files": files}, ensure_ascii=False, indent=2)
-    (folder / FILE).write_text(text + "\n", encoding="utf-8")
+    beside: dict[str, Any] = {}
+    with suppress(ModelFileError):
+        older = dict(_read(before / FILE))
+        beside = older.pop("beside", {}) | {older["format"]: older}
+    beside.pop(manifest["format"], None)
+    write_json(folder / FILE, {**manifest, "files": files, "beside": beside})
 
 
 def read_manifest(
@@ -93,19 +106,45 @@ def read_manifest(
         ModelFileError: It is of another version, arm or model, or a file was changed.
     """
     folder = Path(folder)
-    path = folder / FILE
+    for _ in range(_TRIES):
+        content: dict[str, Any] = _read(folder / FILE)
+        try:
+            _check_owner(folder / FILE, content, robot, model)
+            for each in (content, *content["beside"].values()):
+                _check_files(folder, each["files"])
+            break
+        except ModelFileError:
+            if content == _read(folder / FILE):  # else it was replaced meanwhile
+                raise
+    return content
+
+
+def _read(path: Path) -> dict[str, Any]:
     try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        schema, version, files = (content[k] for k in ("schema", "version", "files"))
+        content: dict[str, Any] = read_json(path)
+        schema, version = content["schema"], content["version"]
+        wrong = schema != SCHEMA or _series(version) != _series(__version__)
+        named = [content, *content["beside"].values()] if not wrong else []
+        for each in named:
+            _ = dict(each["files"]), each["format"], ", ".join(each["joints"])
     except OSError as error:
         raise ModelFileError(f"{path}: cannot be read ({error.strerror})") from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ModelFileError(f"{path}: not a manifest ({error!r})") from error
-    if schema != SCHEMA or _series(version) != _series(__version__):
+    if wrong:
         raise ModelFileError(
             f"{path}: exported by version {version} ({schema}), this is "
             f"{__version__} ({SCHEMA}); export the model again"
         )
+    return content
+
+
+def _check_owner(
+    path: Path,
+    content: Mapping[str, Any],
+    robot: Robot | None,
+    model: DynamicModel | None,
+) -> None:
     if robot is not None and (
         content["fingerprint"] != robot.fingerprint()
         or tuple(content["joints"]) != robot.joints
@@ -117,13 +156,21 @@ def read_manifest(
         )
     if model is not None and content["model_sha256"] != model_digest(model):
         raise ModelFileError(f"{path}: of another model; export this one")
+
+
+def _check_files(folder: Path, files: Mapping[str, str]) -> None:
     for name, digest in files.items():
         file = folder / Path(name).name
         if not file.is_file():
             raise ModelFileError(f"{file}: missing; {FILE} names it")
         if hashlib.sha256(file.read_bytes()).hexdigest() != digest:
             raise ModelFileError(f"{file}: changed since it was exported")
-    return content
+
+
+def _units(robot: Robot) -> dict[str, str | list[str]]:
+    kinds = [UNITS_OF_KIND[bool(x)] for x in robot.chain.revolute]
+    same = len(set(map(bool, robot.chain.revolute))) == 1
+    return {q: kinds[0][q] if same else [k[q] for k in kinds] for q in kinds[0]}
 
 
 def _series(version: str) -> list[str]:

@@ -16,6 +16,7 @@ from hybrid.identify.model import DynamicModel
 from hybrid.plant.arm import overrides
 from hybrid.plant.native import split_effects
 from hybrid.robot import Robot
+from hybrid.robot.build import spec_text
 from hybrid.robot.chain import Array
 from hybrid.robot.spatial import central_inertia
 
@@ -122,7 +123,7 @@ def mjcf_text(model: DynamicModel) -> tuple[str, tuple[str, ...]]:
             numeric = spec.add_numeric(name=name, size=robot.size)
             numeric.data = values
     spec.compile()
-    return spec.to_xml(), (*rest, *expressed.learned)
+    return spec_text(spec), (*rest, *expressed.learned)
 
 
 def urdf_text(model: DynamicModel) -> tuple[str, tuple[str, ...]]:

@@ -113,10 +113,11 @@ class DynamicModel:
         return replace(self, remainder=None)
 
     def save(self, path: str | Path) -> None:
-        """Write ``path`` (JSON) and, beside it, the arrays (``.safetensors``).
+        """Write ``path``, one JSON file with a hash of all that it says.
 
         Raises:
-            ModelFileError: The path does not end in ``.json``.
+            ModelFileError: The path does not end in ``.json``, or the model holds what
+                none may have and could not be loaded.
         """
         from hybrid.identify.model_file import write_model
 
@@ -127,8 +128,8 @@ class DynamicModel:
         """Read what :meth:`save` wrote.
 
         Raises:
-            ModelFileError: The files are missing, damaged, of another version or of
-                two models, or hold an effect that is not known here.
+            ModelFileError: The file is missing, damaged, edited or of another version,
+                or holds an effect that is not known here.
         """
         from hybrid.identify.model_file import read_model
 

@@ -1,9 +1,14 @@
-"""Dynamic models in files: JSON for what people read, safetensors for the numbers."""
+"""Dynamic models in files: one JSON text, with a hash of all that it says.
+
+Arrays of numbers stand in it as bytes in base64, so that each is a line and comes back
+to the last bit. Every value is held against what a model may have before it is one.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from base64 import b64decode, b64encode
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,139 +19,202 @@ import numpy as np
 from hybrid import __version__
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics import BaseParameters
-from hybrid.effects import Effect, effect_from_dict
+from hybrid.effects import Effect, Scale, effect_from_dict
 from hybrid.errors import HybridError, ModelFileError
-from hybrid.files import atomic_path, write_json
+from hybrid.files import read_json, write_json
 from hybrid.identify.model import DynamicModel
+from hybrid.names import name_fault
+from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 
-SCHEMA = "hybrid.model/1"
-_DAMAGE = (ValueError, KeyError, TypeError, AttributeError, IndexError, HybridError)
+SCHEMA = "hybrid.model/2"
+_DAMAGE = (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError)
+_FARTHEST = 1e3  # times the largest plausible value of a parameter: no fit ends there
 
 
 def write_model(model: DynamicModel, path: Path) -> None:
     """See :meth:`hybrid.identify.model.DynamicModel.save`."""
-    from safetensors.numpy import save
-
     if path.suffix != ".json":
         raise ModelFileError(f"{path}: a model is saved as .json")
-    arrays: dict[str, Array] = {}
-    own = _content(model, "", arrays)
-    simpler = {
-        name: _content(each, f"{name}/", arrays) for name, each in model.simpler.items()
-    }
-    numbers = save({name: np.ascontiguousarray(x) for name, x in arrays.items()})
-    beside = path.with_suffix(".safetensors")
-    with atomic_path(beside) as temporary:
-        temporary.write_bytes(numbers)
-    # If the program stops here, the hash tells that the numbers are not the old ones.
+    try:
+        content = content_from_model(model)
+        _read(dict(content))  # what could not be read again is not written
+    except (ValueError, HybridError) as error:
+        raise ModelFileError(f"{path}: not saved, {error}") from error
+    write_json(path, content)
+
+
+def content_from_model(model: DynamicModel) -> dict[str, Any]:
+    """JSON-ready content of a saved model; ``sha256`` is the hash of all the rest."""
     content = {
         "schema": SCHEMA,
         "version": __version__,
-        "arrays": beside.name,
-        "arrays_sha256": hashlib.sha256(numbers).hexdigest(),
         "robot": model.robot.as_dict(),
         "fingerprint": model.robot.fingerprint(),
-        **own,
-        "simpler": simpler,
+        **_content(model),
+        "simpler": {name: _content(each) for name, each in model.simpler.items()},
     }
-    write_json(path, content)
+    return {"sha256": content_digest(content), **content}
 
 
 def read_model(path: Path) -> DynamicModel:
     """See :meth:`hybrid.identify.model.DynamicModel.load`."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content.get("schema") != SCHEMA:
-            found = content.get("schema", "none")
-            raise ModelFileError(f"schema is {found}, valid is {SCHEMA}")
-        arrays = _read_arrays(path, content)
-        robot = Robot.from_dict(content["robot"])
-        model = _model(robot, content, "", arrays)
-        simpler = {
-            str(name): _model(robot, each, f"{name}/", arrays)
-            for name, each in content["simpler"].items()
-        }
-        return replace(model, simpler=simpler)
+        return _read(read_json(path))
     except OSError as error:
         raise ModelFileError(f"{path}: cannot be read ({error.strerror})") from error
     except HybridError as error:
         raise ModelFileError(f"{path}: {error}") from error
+    except json.JSONDecodeError as error:
+        raise ModelFileError(f"{path}: damaged, no JSON ({error})") from error
     except _DAMAGE as error:
         raise ModelFileError(f"{path}: not a saved model ({error!r})") from error
 
 
-def _content(
-    model: DynamicModel, prefix: str, arrays: dict[str, Array]
-) -> dict[str, Any]:
-    """JSON-ready terms; the numbers go into ``arrays`` under ``prefix``."""
-    base = model.base
-    own = {"mapping": base.mapping, "values": base.values}
-    own |= {"standing": model.standing, "cutoff": np.array([model.cutoff])}
-    own |= {f"range.{name}": x for name, x in model.range.items()}
-    if model.inertial is not None:
-        own["inertial"] = model.inertial
-    if model.remainder is not None:
-        own |= model.remainder.arrays()
-    arrays |= {prefix + name: value for name, value in own.items()}
+def _read(content: Any) -> DynamicModel:
+    if content.get("schema") != SCHEMA:
+        found = content.get("schema", "none")
+        raise ModelFileError(f"schema is {found!r}, valid is {SCHEMA}")
+    if content.pop("sha256") != content_digest(content):
+        raise ModelFileError(
+            "damaged or edited: its sha256 is not that of its content; identify again"
+        )
+    robot = Robot.from_dict(content["robot"])
+    if content["fingerprint"] != robot.fingerprint():
+        raise ModelFileError(
+            f"fingerprint is {content['fingerprint']!r}, but that of its robot is "
+            f"{robot.fingerprint()}: it is of another arm"
+        )
+    simpler = {name: _model(robot, x) for name, x in content["simpler"].items()}
+    for fault in filter(None, map(name_fault, simpler)):
+        raise ModelFileError(f"simpler model: {fault}")
+    return replace(_model(robot, content), simpler=simpler)
+
+
+def content_digest(content: Mapping[str, Any]) -> str:
+    """SHA-256 of the content of a model but for its own, however it is laid out."""
+    text = json.dumps(content, allow_nan=False, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _content(model: DynamicModel) -> dict[str, Any]:
+    base, remainder = model.base, model.remainder
+    learned: dict[str, Any] | None = None
+    if remainder is not None:
+        learned = {"parts": remainder.as_dict(), "arrays": _packed(remainder.arrays())}
     return {
+        "cutoff": model.cutoff if np.isfinite(model.cutoff) else None,
         "base": {
             "labels": list(base.labels),
             "units": list(base.units),
             "kept": list(base.kept),
             "names": list(base.names),
-            "values": [float(x) for x in base.values],
+            "values": base.values.tolist(),
+            "mapping": _packed({"mapping": base.mapping})["mapping"],
         },
         "effects": [effect.as_dict(model.robot.joints) for effect in model.effects],
-        "remainder": None if model.remainder is None else model.remainder.as_dict(),
+        "standing": model.standing.tolist(),
+        "range": {name: x.tolist() for name, x in model.range.items()},
+        "inertial": None if model.inertial is None else model.inertial.tolist(),
+        "remainder": learned,
     }
 
 
-def _model(
-    robot: Robot, content: Any, prefix: str, arrays: Mapping[str, Array]
-) -> DynamicModel:
-    own = {k[len(prefix) :]: x for k, x in arrays.items() if k.startswith(prefix)}
-    described = content["remainder"]
+def _packed(arrays: Mapping[str, Array]) -> dict[str, Any]:
+    return {
+        name: {"shape": list(x.shape), "float64": _text(x)}
+        for name, x in arrays.items()
+    }
+
+
+def _text(x: Array) -> str:
+    return b64encode(np.asarray(x, dtype="<f8").tobytes()).decode("ascii")
+
+
+def _unpacked(name: str, content: Mapping[str, Any]) -> Array:
+    shape = tuple(map(_whole, content["shape"]))
+    numbers = b64decode(content["float64"], validate=True)
+    if (
+        8 * int(np.prod(shape, dtype=object)) != len(numbers)
+        or min(shape, default=0) < 0
+    ):
+        raise ModelFileError(f"{name} has {len(numbers)} bytes for shape {shape}")
+    return _finite(name, np.frombuffer(numbers, "<f8").astype(float).reshape(shape))
+
+
+def _model(robot: Robot, content: Any) -> DynamicModel:
+    n, learned, cutoff = robot.size, content["remainder"], content["cutoff"]
     remainder = None
-    if described is not None:
-        remainder = ArmRemainder.from_dict(robot.size, described, own)
+    if learned is not None:
+        arrays = {name: _unpacked(name, x) for name, x in learned["arrays"].items()}
+        remainder = ArmRemainder.from_dict(n, learned["parts"], arrays)
         _check_joints(remainder)
-    n, base = robot.size, _base(robot, content["base"], own)
-    standing = own["standing"]
+    if cutoff is not None and not 0 < _real(cutoff) < np.inf:
+        raise ModelFileError(f"cutoff is {cutoff}, valid is a number above 0 or none")
+    links, standing = content["inertial"], content["standing"]
     return DynamicModel(
         robot=robot,
-        base=base,
+        base=_base(robot, content["base"]),
         effects=tuple(_effect(e, robot) for e in content["effects"]),
         remainder=remainder,
-        cutoff=_cutoff(own),
-        standing=_array(own, "standing", (n,)) if standing.size else standing,
-        range={k[6:]: _array(own, k, (n,)) for k in own if k.startswith("range.")},
-        inertial=_array(own, "inertial", (n, 10)) if "inertial" in own else None,
+        cutoff=np.inf if cutoff is None else cutoff,
+        standing=_array("standing", standing, (n,) if standing else (0,), lowest=0.0),
+        range=_range(content["range"], n),
+        inertial=None if links is None else _array("inertial", links, (n, 10)),
     )
 
 
-def _base(robot: Robot, content: Any, own: Mapping[str, Array]) -> BaseParameters:
+def _range(content: Mapping[str, Any], n: int) -> dict[str, Array]:
+    found = {
+        name: _array(
+            f"range.{name}", x, (n,), lowest=0.0 if name == "v_max" else -np.inf
+        )
+        for name, x in content.items()
+    }
+    if {"q_min", "q_max"} <= set(found) and (found["q_min"] > found["q_max"]).any():
+        raise ModelFileError("range.q_min is above range.q_max")
+    return found
+
+
+def _base(robot: Robot, content: Any) -> BaseParameters:
     labels, units = (tuple(map(str, content[key])) for key in ("labels", "units"))
-    kept, p = tuple(map(int, content["kept"])), len(labels)
+    kept, p = tuple(map(_whole, content["kept"])), len(labels)
     if len(units) != p or p < 10 * robot.size:
         raise ModelFileError(f"base parameters have {p} labels and {len(units)} units")
     if not (len(set(kept)) == len(kept) and all(0 <= k < p for k in kept)):
         raise ModelFileError(f"kept parameters are not different ones below {p}")
-    mapping = _array(own, "mapping", (len(kept), p))
-    return BaseParameters(
-        labels, units, kept, mapping, _array(own, "values", (len(kept),))
-    )
+    mapping = _unpacked("mapping", content["mapping"])
+    values = _array("values", content["values"], (len(kept),))
+    if mapping.shape != (len(kept), p):
+        raise ModelFileError(
+            f"mapping has shape {mapping.shape}; valid is {(len(kept), p)}"
+        )
+    return BaseParameters(labels, units, kept, mapping, values)
 
 
 def _effect(content: Any, robot: Robot) -> Effect:
+    for x in (*content["values"].values(), *content["std"].values()):
+        _real(x)
     effect = effect_from_dict(content, robot.joints)
-    if not all(isinstance(x, float) and x >= 0 for x in effect.std.values()):
+    if not all(0 <= x < np.inf for x in effect.std.values()):
         raise ModelFileError(f"{effect.id}: std is {dict(effect.std)}")
+    scales = [Scale(max(x.torque, 1.0), max(x.speed, 1.0)) for x in joint_scales(robot)]
+    for quantity in (*effect.gains, *effect.shapes):
+        sized = [quantity.scaled(scales[j]) for j in effect.joints]
+        most = _FARTHEST * max(abs(x) for q in sized for x in (q.lower, q.upper))
+        if abs(effect.values[quantity.name]) > most:
+            raise ModelFileError(
+                f"{effect.id}: {quantity.name} is {effect.values[quantity.name]:g} "
+                f"{quantity.unit}, valid is up to {most:g}"
+            )
     return effect
 
 
 def _check_joints(remainder: ArmRemainder) -> None:
+    joints = [part.joint for part in remainder.parts]
+    if len(set(joints)) < len(joints):
+        raise ModelFileError("a joint has two remainders")
     for part in remainder.parts:
         for j in (part.joint, *part.positions, *part.speeds):
             if not 0 <= j < remainder.size:
@@ -157,37 +225,34 @@ def _check_joints(remainder: ArmRemainder) -> None:
             raise ModelFileError("a joint's remainder has more than one torque")
 
 
-def _cutoff(own: Mapping[str, Array]) -> float:
-    cutoff = own["cutoff"]
-    if not (cutoff.shape == (1,) and cutoff[0] > 0):
-        raise ModelFileError(f"cutoff is {cutoff}, valid is one number above 0")
-    return float(cutoff[0])
+def _real(x: Any) -> float:
+    if isinstance(x, bool) or not isinstance(x, (int, float)):
+        raise ModelFileError(f"{x!r} stands where a number is needed")
+    return float(x)
 
 
-def _array(own: Mapping[str, Array], name: str, shape: tuple[int, ...]) -> Array:
-    """An array, if it is what it should be."""
-    x = own[name]
-    if x.shape != shape or x.dtype != np.float64 or not np.isfinite(x).all():
-        raise ModelFileError(
-            f"{name} has shape {x.shape} and type {x.dtype}; valid are finite numbers "
-            f"of shape {shape} and type float64"
-        )
+def _whole(x: Any) -> int:
+    if isinstance(x, bool) or not isinstance(x, int):
+        raise ModelFileError(f"{x!r} stands where a whole number is needed")
     return x
 
 
-def _read_arrays(path: Path, content: Mapping[str, Any]) -> dict[str, Array]:
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
+def _array(
+    name: str, content: Any, shape: tuple[int, ...], *, lowest: float = -np.inf
+) -> Array:
+    """Numbers in lists as an array, if it is what it should be."""
+    x = np.array(content)
+    if x.shape != shape or (x.dtype.kind not in "if" and x.size):
+        raise ModelFileError(
+            f"{name} has shape {x.shape}; valid are numbers of shape {shape}"
+        )
+    x = _finite(name, x.astype(float))
+    if (x < lowest).any():
+        raise ModelFileError(f"{name} is {x.min():g}; valid is {lowest:g} or more")
+    return x
 
-    beside = path.with_name(Path(content["arrays"]).name)
-    try:
-        numbers = beside.read_bytes()
-    except FileNotFoundError as error:
-        raise ModelFileError(f"{beside}: missing; it belongs to {path.name}") from error
-    if hashlib.sha256(numbers).hexdigest() != content["arrays_sha256"]:
-        raise ModelFileError(f"{beside}: damaged, or of another model than {path.name}")
-    try:
-        arrays: dict[str, Array] = load(numbers)
-    except SafetensorError as error:
-        raise ModelFileError(f"{beside}: damaged ({error})") from error
-    return arrays
+
+def _finite(name: str, x: Array) -> Array:
+    if not np.isfinite(x).all():
+        raise ModelFileError(f"{name} holds NaN or infinity; valid are finite numbers")
+    return x

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
-import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hybrid.files import write_json
+from hybrid.files import atomic_folder, write_json
 from hybrid.plant.plant import Plant
 from hybrid.recording import Recording, write
 
@@ -47,9 +45,6 @@ def write_run(
 ) -> list[Path]:
     """Write the recordings of a run and its truth.
 
-    Everything is written to a hidden folder first and moved when it is whole, so that
-    a failure leaves what was there.
-
     Args:
         folder: Where the files shall be; files of the same names are replaced.
         recordings: Joint logs.
@@ -63,18 +58,8 @@ def write_run(
         RecordingError: A recording cannot be written.
     """
     paths = recording_paths(folder, len(recordings), suffix)
-    is_new = not folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
-    hidden = folder / f".run.{uuid.uuid4().hex[:12]}"
-    hidden.mkdir()
-    try:
+    with atomic_folder(folder) as hidden:
         for recording, path in zip(recordings, paths, strict=True):
             write(recording, hidden / path.name)
         write_json(hidden / TRUTH, truth)
-        for path in (*paths, folder / TRUTH):
-            (hidden / path.name).replace(path)
-    finally:
-        shutil.rmtree(hidden, ignore_errors=True)
-        if is_new and not any(folder.iterdir()):
-            folder.rmdir()
     return paths

@@ -10,6 +10,7 @@ import numpy as np
 
 from hybrid.effects import effect_from_dict
 from hybrid.errors import HybridError
+from hybrid.files import read_yaml
 from hybrid.plant.noise import Noise
 from hybrid.plant.plant import Plant
 from hybrid.robot.chain import Array
@@ -67,13 +68,10 @@ def load_truth(path: str | Path) -> tuple[Robot, Plant]:
 
 
 def _read(path: Path) -> Any:
-    import yaml
-
     try:
-        return yaml.safe_load(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise HybridError(f"{path}: not a readable YAML file ({reason})") from error
+        return read_yaml(path)
+    except (OSError, ValueError) as error:
+        raise HybridError(f"{path}: not a readable YAML file ({error})") from error
 
 
 def _mapping(content: Any, keys: Sequence[str] | None, where: str) -> dict[str, Any]:

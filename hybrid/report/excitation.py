@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.names import figure_text
 from hybrid.report.style import (
     BLUE,
     GREY,
@@ -54,7 +55,9 @@ def motion_figure(
             for axes, pair in ((above, bounds[0]), (below, (-bounds[1], bounds[1]))):
                 for level in pair:
                     axes.axhline(level, color=RED, linewidth=0.8, linestyle=":")
-        above.set_title(joints[j], loc="left", fontsize=9, fontweight="bold")
+        above.set_title(
+            figure_text(joints[j]), loc="left", fontsize=9, fontweight="bold"
+        )
         above.set_ylabel("position\n[rad]")
         below.set_ylabel("speed\n[rad/s]")
     finish(figure, [below for _, below in cells], "time [s]")
@@ -93,7 +96,7 @@ def information_figure(design: Design) -> Figure:
     below.set_yscale("log")
     below.set_ylabel("predicted standard error\n[SI units]")
     small = 8 if len(labels) < 30 else 5
-    below.set_xticks(order, labels, rotation=90)
+    below.set_xticks(order, [*map(figure_text, labels)], rotation=90)
     for axes in (above, below):
         clean(axes, grid="y")
         axes.tick_params(which="both", labelsize=8)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import HybridError
+from hybrid.names import figure_text
 from hybrid.report.style import (
     BEST,
     BLUE,
@@ -78,7 +79,7 @@ def rms_figure(validation: Validation) -> Figure:
     above.margins(x=0.01)
     above.set_ylabel("RMS error [N·m]")
     below.set_ylabel("relative error [%]")
-    below.set_xticks(x, [*validation.joints, "mean"])
+    below.set_xticks(x, [*map(figure_text, validation.joints), "mean"])
     legend(figure, handles)
     return figure
 
@@ -117,7 +118,9 @@ def torque_figure(
         for axes in (above, below):
             clean(axes, grid="y")
             axes.margins(x=0)
-        above.set_title(joints[j], loc="left", fontsize=9, fontweight="bold")
+        above.set_title(
+            figure_text(joints[j]), loc="left", fontsize=9, fontweight="bold"
+        )
         above.set_ylabel("torque\n[N·m]")
         below.set_ylabel("residual\n[N·m]")
     finish(figure, [below for _, below in cells], "time [s]")
@@ -162,7 +165,9 @@ def friction_figure(
             label="measured − other terms",
         )  # fmt: skip
         axes.plot(speed, torque, color=BLUE, linewidth=1.6, label="fitted law")
-        axes.set_title(joints[j], loc="left", fontsize=9, fontweight="bold")
+        axes.set_title(
+            figure_text(joints[j]), loc="left", fontsize=9, fontweight="bold"
+        )
         axes.set_ylabel("torque [N·m]")
     finish(figure, [axes for (axes,) in cells], "speed [rad/s]")
     legend(figure, cells[0][0].get_legend_handles_labels()[0])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.names import figure_text
 from hybrid.report.style import BLACK, BLUE, RED, check_shape, clean, new_figure
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def parameter_figure(
             _draw_widths(axes, np.minimum(width, WIDEST))
         else:
             _draw_errors(axes, np.where(std > 0, (estimate - truth) / std, np.nan))
-    axes.set_yticks(np.arange(len(names)), names)
+    axes.set_yticks(np.arange(len(names)), [*map(figure_text, names)])
     axes.set_ylim(len(names) - 0.4, -0.6)  # the first one on top
     return figure
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.names import figure_text
 from hybrid.report.style import BLACK, BLUE, GREY, RED, clean, legend, new_figure
 from hybrid.report.table import Table
 
@@ -120,7 +121,7 @@ class Study:
         axes.axhline(1.0, color=BLACK, linestyle=":")
         axes.set_ylim(bottom=min(0.9, 0.95 * float(ratio.min())))
         axes.set_ylabel("RMS error of the last stage / noise floor", fontsize=8)
-        axes.set_xticks(x, self.joints, rotation=35, ha="right")
+        axes.set_xticks(x, [*map(figure_text, self.joints)], rotation=35, ha="right")
 
 
 def _numbers(values: Array) -> list[str]:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.names import markdown
+
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
@@ -130,9 +132,7 @@ def markdown_table(table: Table) -> str:
     """A table as Markdown, the first column to the left; the caption is left out."""
     rule = ["---", *["---:"] * (len(table.header) - 1)]
     lines = [table.header, rule, *table.rows]
-    rows = [
-        "| " + " | ".join(x.replace("|", r"\|") for x in line) + " |" for line in lines
-    ]
+    rows = ["| " + " | ".join(map(markdown, line)) + " |" for line in lines]
     return "\n".join(rows) + "\n"
 
 

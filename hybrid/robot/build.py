@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -72,6 +73,27 @@ def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
         joint.frictionloss = robot.frictionloss[k]
         parent = body
     return spec
+
+
+def spec_text(spec: mujoco.MjSpec) -> str:
+    """A spec as MJCF that reads back to the last bit; MuJoCo's own has six digits.
+
+    Raises:
+        RobotError: This version of MuJoCo has no way to say how many digits it writes.
+    """
+    from mujoco import _structs
+
+    # Part of MuJoCo's library for its own tests, and the only way there is.
+    library = ctypes.CDLL(_structs.__file__)
+    try:
+        digits = library._mjPRIVATE__get_xml_precision()
+        library._mjPRIVATE__set_xml_precision(17)
+    except AttributeError as error:
+        raise RobotError("this version of MuJoCo writes six digits only") from error
+    try:
+        return str(spec.to_xml())
+    finally:
+        library._mjPRIVATE__set_xml_precision(digits)
 
 
 def _set_inertia(body: mujoco.MjsBody, inertial: np.ndarray, name: str) -> None:

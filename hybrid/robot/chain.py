@@ -8,11 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RobotError
+from hybrid.names import name_fault
 
 Array = NDArray[np.float64]
 
 INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 INERTIAL_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
+MOST_JOINTS = 128
+_ROUNDING = 1e-6  # of a rotation or a unit axis; files write six digits
+_MOST_GRAVITY = 1e3  # m/s²; a hundred times the earth's
 
 
 @dataclass(frozen=True)
@@ -35,8 +39,8 @@ class Chain:
         armature: Declared reflected rotor inertia, shape (n,), [kg·m²].
 
     Raises:
-        RobotError: There is no joint, two have one name, or an array has another shape
-            or holds NaN or infinity.
+        RobotError: There is no joint, there are too many, two have one name or one has
+            none, or an array has another shape or holds what it cannot mean.
     """
 
     joints: tuple[str, ...]
@@ -55,6 +59,10 @@ class Chain:
                 f"joints are {', '.join(self.joints)}: one or more "
                 "different names are valid"
             )
+        if n > MOST_JOINTS:
+            raise RobotError(f"{n} joints; valid are up to {MOST_JOINTS}")
+        for fault in filter(None, map(name_fault, self.joints)):
+            raise RobotError(f"joint {fault}")
         shapes = {
             "rotation": (n, 3, 3), "translation": (n, 3), "axis": (n, 3),
             "revolute": (n,), "inertial": (n, 10), "gravity": (3,), "armature": (n,),
@@ -66,6 +74,26 @@ class Chain:
                     f"{name} has shape {x.shape}; valid are finite numbers of shape "
                     f"{shape}"
                 )
+        self._check_meaning()
+
+    def _check_meaning(self) -> None:
+        gram = self.rotation @ self.rotation.transpose(0, 2, 1) - np.eye(3)
+        turned = np.linalg.det(self.rotation)
+        length = np.linalg.norm(self.axis, axis=1)
+        for name, fault, wanted in (
+            ("rotation", np.abs(gram).max((1, 2)) > _ROUNDING, "orthonormal"),
+            ("rotation", turned < 0, "right-handed"),
+            ("axis", np.abs(length - 1) > _ROUNDING, "of length 1"),
+        ):
+            if fault.any():
+                joint = self.joints[int(np.argmax(fault))]
+                raise RobotError(f"{name} of joint {joint!r} is not {wanted}")
+        if self.revolute.dtype != bool:
+            raise RobotError("revolute holds more than True and False")
+        if np.linalg.norm(self.gravity) > _MOST_GRAVITY:
+            raise RobotError(
+                f"gravity is {self.gravity} m/s²; valid is up to {_MOST_GRAVITY:g}"
+            )
 
     @property
     def size(self) -> int:

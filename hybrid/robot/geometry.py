@@ -11,6 +11,7 @@ import numpy as np
 
 from hybrid.errors import RobotError
 from hybrid.robot.chain import Array, Chain
+from hybrid.robot.mjcf import compiled
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
@@ -132,7 +133,7 @@ def _urdf_points(shape: Any) -> Iterator[tuple[Array, float]]:
 def _from_mjcf(robot: Robot) -> Iterator[Piece]:
     import mujoco
 
-    model: Any = mujoco.MjModel.from_xml_path(robot.path)
+    model: Any = compiled(robot.path)
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)

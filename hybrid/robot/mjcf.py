@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hybrid.errors import HybridWarning, RobotError
+from hybrid.names import printable
 from hybrid.robot.chain import Chain
 from hybrid.robot.selection import serial_joints
 from hybrid.robot.spatial import inertial_about, rotation_from_axis_angle
@@ -29,13 +30,7 @@ def read_mjcf(path: Path, joints: tuple[str, ...] | None) -> dict[str, Any]:
     Raises:
         RobotError: The file does not compile, or holds no serial arm.
     """
-    import mujoco
-
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise RobotError(f"{path}: not a readable MJCF ({reason})") from error
+    model = compiled(path)
     names = [model.joint(j).name or f"joint_{j + 1}" for j in range(model.njnt)]
     for name, kind in zip(names, model.jnt_type, strict=True):
         if kind not in (_SLIDE, _HINGE):
@@ -66,6 +61,30 @@ def read_mjcf(path: Path, joints: tuple[str, ...] | None) -> dict[str, Any]:
         "kd": kd[index],
         "timestep": float(model.opt.timestep),
     }
+
+
+def compiled(path: str | Path) -> Any:
+    """MuJoCo's model of a file; of what MuJoCo warns, it is a fault.
+
+    Raises:
+        RobotError: The file does not compile.
+    """
+    import mujoco
+
+    # Without a listener MuJoCo leaves a log in the folder that one happens to be in.
+    said: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(said.append)
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        said.append(str(error))
+    finally:
+        mujoco.set_mju_user_warning(before)
+    if said:
+        reason = printable(" ".join(" ".join(said).split()))
+        raise RobotError(f"{path}: not a readable MJCF ({reason})")
+    return model
 
 
 def _warn_left_out(model: Any, path: Path) -> None:

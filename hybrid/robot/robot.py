@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybrid.errors import RobotError
+from hybrid.names import name_fault
 from hybrid.robot.chain import Array, Chain
+from hybrid.robot.measure import check_demand
 from hybrid.robot.mjcf import read_mjcf
 from hybrid.robot.urdf import read_urdf
 
@@ -59,6 +61,8 @@ class Robot:
     timestep: float = np.nan
 
     def __post_init__(self) -> None:
+        if self.name and (fault := name_fault(self.name)):
+            raise RobotError(f"arm {fault}")
         for name, none in (("a_max", np.inf), *((x, np.nan) for x in _SERVO)):
             if getattr(self, name).size == 0:
                 object.__setattr__(self, name, np.full(self.chain.size, none))
@@ -66,6 +70,9 @@ class Robot:
             x = getattr(self, name)
             if x.shape != (self.chain.size,) or np.isnan(x).any():
                 raise RobotError(f"{name} needs one value for each of {self.joints}")
+        if (self.q_min > self.q_max).any():
+            joint = self.joints[int(np.argmax(self.q_min > self.q_max))]
+            raise RobotError(f"q_min of joint {joint!r} is above its q_max")
         for name in _SERVO:
             x = getattr(self, name)
             if x.shape != (self.chain.size,) or (x < 0).any():
@@ -96,8 +103,16 @@ class Robot:
             )
         if not path.is_file():
             raise RobotError(f"{path}: no such robot file")
+        check_demand(path)
         reader = _READERS[path.suffix.lower()]
-        return cls(**reader(path, joints), path=str(path))
+        try:
+            return cls(**reader(path, joints), path=str(path))
+        except RobotError as error:
+            if str(path) in str(error):
+                raise
+            raise RobotError(f"{path}: {error}") from error
+        except UnicodeDecodeError as error:
+            raise RobotError(f"{path}: a name in it is not UTF-8 ({error})") from error
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -166,29 +181,21 @@ class Robot:
         """
         try:
             chain = dict(content["chain"])
-            arrays = {
-                key: np.array(value, dtype=bool if key == "revolute" else float)
-                for key, value in chain.items()
-                if key != "joints"
+            joints, turning = tuple(chain.pop("joints")), chain.pop("revolute")
+            if not all(isinstance(x, bool) for x in turning):
+                raise RobotError(f"revolute is {turning}; valid are true and false")
+            arrays = {key: _numbers(key, value) for key, value in chain.items()}
+            own = {
+                name: _numbers(name, content[name], none=_none(name))
+                for name in (*_VECTORS, *_SERVO)
             }
-            limits = {
-                name: np.array(
-                    [_infinite(name) if x is None else x for x in content[name]]
-                )
-                for name in _VECTORS
-            }
-            gains = {  # older files have none; None becomes NaN
-                name: np.array(content[name], dtype=float)
-                for name in _SERVO
-                if name in content
-            }
+            step = _numbers("timestep", [content["timestep"]], none=np.nan)
             return cls(
-                name=str(content["name"]),
-                path=str(content["path"]),
-                chain=Chain(joints=tuple(chain["joints"]), **arrays),
-                **limits,
-                **gains,
-                timestep=float(content.get("timestep") or np.nan),
+                name=content["name"],
+                path=Path(content["path"]).name,  # beside the model, wherever that is
+                chain=Chain(joints=joints, revolute=np.array(turning), **arrays),
+                **own,
+                timestep=float(step[0]),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise RobotError(f"not a saved robot: {error!r}") from error
@@ -196,8 +203,9 @@ class Robot:
     def fingerprint(self) -> str:
         """Short hash of kinematics and joint order, to tell one arm from another."""
         digest = hashlib.sha256("|".join(self.joints).encode())
-        for values in (self.chain.rotation, self.chain.translation, self.chain.axis):
-            digest.update(np.round(values, 9).tobytes())
+        chain = self.chain
+        for values in (chain.rotation, chain.translation, chain.axis, chain.revolute):
+            digest.update(np.round(values.astype(float), 9).tobytes())
         return digest.hexdigest()[:16]
 
 
@@ -210,5 +218,16 @@ def _plain(values: Any) -> Any:
     return list(values)
 
 
-def _infinite(name: str) -> float:
-    return -np.inf if name == "q_min" else np.inf
+def _numbers(name: str, values: Any, *, none: float | None = None) -> Array:
+    """Numbers in lists as an array; ``none`` stands for those that are not there."""
+    found = np.array(values)
+    if none is not None:
+        found = np.array([none if x is None else x for x in values])
+    if found.dtype.kind not in "if":
+        raise RobotError(f"{name} holds more than numbers")
+    return found.astype(float)
+
+
+def _none(name: str) -> float:
+    """What it means that a limit or a gain is not there."""
+    return np.nan if name in _SERVO else -np.inf if name == "q_min" else np.inf

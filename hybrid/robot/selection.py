@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from hybrid.errors import HybridWarning, RobotError
+from hybrid.robot.chain import MOST_JOINTS
 
 
 def serial_joints(
@@ -31,6 +32,8 @@ def serial_joints(
         kept = _longest_chain(parents)
     else:
         kept = _chosen_chain(parents, joints, path)
+    if len(kept) > MOST_JOINTS:
+        raise RobotError(f"{path}: {len(kept)} joints; valid are up to {MOST_JOINTS}")
     frozen = [name for name in parents if name not in kept]
     if frozen:
         warnings.warn(
@@ -47,13 +50,15 @@ def _longest_chain(parents: Mapping[str, str | None]) -> tuple[str, ...]:
     for name, parent in parents.items():
         children.setdefault(parent, []).append(name)
 
-    def depth(name: str) -> int:
-        return 1 + max((depth(child) for child in children.get(name, [])), default=0)
+    depth: dict[str, int] = {}  # of the longest chain from each joint on
+    for name in reversed(list(parents)):  # children stand behind their parents
+        below = [depth[child] for child in children.get(name, [])]
+        depth[name] = 1 + max(below, default=0)
 
     chain: list[str] = []
     here = children.get(None, [])
     while here:
-        depths = [depth(name) for name in here]
+        depths = [depth[name] for name in here]
         if len(here) > 1 and depths.count(max(depths)) > 1 and chain:
             break
         chain.append(here[depths.index(max(depths))])

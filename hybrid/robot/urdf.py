@@ -80,7 +80,9 @@ def _drake_tags(path: Path) -> tuple[dict[str, float], dict[str, float]]:
                 continue
             gear = actuator.find("drake_gear_ratio")
             ratio = 1.0 if gear is None else float(gear.attrib["value"])
-            armature[joint.attrib["name"]] = float(rotor.attrib["value"]) * ratio**2
+            armature[joint.attrib["name"]] = (
+                float(rotor.attrib["value"]) * ratio * ratio
+            )
         for element in root.iter("joint"):
             limit = element.find("limit")
             if limit is not None and "drake_acceleration" in limit.attrib:
