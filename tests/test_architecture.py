@@ -25,6 +25,7 @@ FLOORS = (
     {"compensator"},
     {"search"},
     {"plant"},
+    {"inspect"},
     {"dynamics"},
     {"effects"},
     {"signals"},
