@@ -63,24 +63,28 @@ def run(args: Namespace, screen: Screen) -> None:
 
     from hybrid.identify import DynamicModel
     from hybrid.identify.online import OnlineIdentifier, Sample
-    from hybrid.recording import check_recording, read
+    from hybrid.inspect import check_recordings
+    from hybrid.recording import read
     from hybrid.report.columns import write_columns, writer_of
 
     writer_of(args.out)
     model = DynamicModel.load(args.model)
     joints = model.robot.joints
-    recording = check_recording(read(args.recording, joints=joints), model.robot)
+    pieces = check_recordings([read(args.recording, joints=joints)], model.robot)
+    times, q, tau = (
+        np.concatenate([getattr(x, name) for x in pieces]) for name in ("t", "q", "tau")
+    )
     inputs = [args.model, args.model.with_suffix(".safetensors"), args.recording]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
-    rate = (len(recording.t) - 1) / recording.duration
+    rate = (len(pieces[0].t) - 1) / pieces[0].duration
     tracker = OnlineIdentifier.from_model(model, rate=rate, prior=args.prior)
     every, rows, taken = max(1, round(rate / _PER_SECOND)), [], []
     changes: list[dict[str, float]] = []
-    with screen.working(f"tracking {len(recording.t):,} samples"):
-        for k, t in enumerate(recording.t.tolist()):
+    with screen.working(f"tracking {len(times):,} samples"):
+        for k, t in enumerate(times.tolist()):
             start = perf_counter_ns()
-            change = tracker.update(Sample(t, recording.q[k], recording.tau[k]))
+            change = tracker.update(Sample(t, q[k], tau[k]))
             taken.append(perf_counter_ns() - start)
             if change:
                 changes.append(vars(change) | {"mass": tracker.taken[0]})
@@ -94,7 +98,7 @@ def run(args: Namespace, screen: Screen) -> None:
     content = {
         "robot": model.robot.name,
         "joints": joints,
-        "samples": len(recording.t),
+        "samples": len(times),
         "changes": changes,
         "parameters": [p.as_dict() for p in parameters],
         "noise": tracker.noise,
