@@ -65,16 +65,17 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.identify import DynamicModel
+    from hybrid.inspect import check_recordings
     from hybrid.online import OnlineIdentifier, Sample
-    from hybrid.recording import check_recording, read, unbroken
+    from hybrid.recording import read
     from hybrid.report.columns import write_columns, writer_of
 
     writer_of(args.out)
     model = DynamicModel.load(args.model)
     joints = model.robot.joints
     recording = read(args.recording, joints=joints).in_order(joints)
-    for piece in unbroken(recording):
-        check_recording(piece, model.robot)
+    check_recordings([recording], model.robot)
+    times, q, tau = recording.t, recording.q, recording.tau
     inputs = [args.model, args.recording]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
@@ -82,10 +83,10 @@ def run(args: Namespace, screen: Screen) -> None:
     tracker = OnlineIdentifier.from_model(model, rate=rate, prior=prior)
     every, rows, taken = max(1, round(rate / _PER_SECOND)), [], []
     changes: list[dict[str, float]] = []
-    with screen.working(f"tracking {len(recording.t):,} samples"):
-        for k, t in enumerate(recording.t.tolist()):
+    with screen.working(f"tracking {len(times):,} samples"):
+        for k, t in enumerate(times.tolist()):
             start = perf_counter_ns()
-            change = tracker.update(Sample(t, recording.q[k], recording.tau[k]))
+            change = tracker.update(Sample(t, q[k], tau[k]))
             taken.append(perf_counter_ns() - start)
             if change:
                 changes.append(vars(change) | {"mass": tracker.taken[0]})
@@ -99,7 +100,7 @@ def run(args: Namespace, screen: Screen) -> None:
     content = {
         "robot": model.robot.name,
         "joints": joints,
-        "samples": len(recording.t),
+        "samples": len(times),
         "health": vars(tracker.health),
         "changes": changes,
         "parameters": [p.as_dict() for p in parameters],

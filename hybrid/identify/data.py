@@ -18,7 +18,8 @@ from hybrid.identify.cross_products import (
     sampled_chunks,
 )
 from hybrid.identify.problem import Problem, part
-from hybrid.recording import Recording, check_recording
+from hybrid.inspect import check_recordings
+from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
@@ -222,11 +223,25 @@ def prepare_motions(
             shortest.
         RecordingError: A recording does not fit the arm.
     """
+    return motions_of(taken(robot, recordings), cutoff)
+
+
+def taken(
+    robot: Robot, recordings: Sequence[Recording | Motion]
+) -> list[Recording | Motion]:
+    """Logs as every verb takes them, see :func:`check_recordings`; motions as are."""
     if not recordings:
         raise IdentificationError("no recording given; at least one is needed")
-    logs = [
-        check_recording(x, robot) if isinstance(x, Recording) else x for x in recordings
-    ]
+    logs: list[Recording | Motion] = []
+    for x in recordings:
+        logs += check_recordings([x], robot) if isinstance(x, Recording) else [x]
+    return logs
+
+
+def motions_of(
+    logs: Sequence[Recording | Motion], cutoff: float | None
+) -> tuple[list[Motion], float]:
+    """Filter and differentiate logs that were checked; see :func:`prepare_motions`."""
     if cutoff is None:
         chosen = [choose_cutoff(x) for x in logs if isinstance(x, Recording)]
         cutoff = float(np.median(chosen)) if chosen else np.inf
@@ -246,8 +261,7 @@ def prepare_motions(
 
 
 def prepare(
-    robot: Robot,
-    recordings: Sequence[Recording | Motion],
+    logs: Sequence[Recording | Motion],
     cutoff: float | None,
     *,
     highest: float | None = None,
@@ -259,12 +273,11 @@ def prepare(
     motions that it has not seen.
 
     Args:
-        robot: The arm.
-        recordings: Logs of it, or motions made from such.
+        logs: Logs that were checked, see :func:`taken`, or motions made from such.
         cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
         highest: Cut-off for which motions are thinned, [Hz]; the same if not given.
     """
-    motions, cutoff = prepare_motions(robot, recordings, cutoff)
+    motions, cutoff = motions_of(logs, cutoff)
     motions = [thinned(m, highest or cutoff) for m in motions if m.mask.any()]
     if not motions:
         raise IdentificationError("no usable sample: every one is masked")

@@ -72,7 +72,7 @@ def linear_effects(size: int) -> list[Effect]:
 
 def prepared(
     robot: Robot,
-    recordings: Sequence[Recording | Motion],
+    logs: Sequence[Recording | Motion],
     extra: Sequence[Effect],
     robust: bool,
 ) -> Data:
@@ -85,21 +85,21 @@ def prepared(
 
     Args:
         robot: The arm.
-        recordings: Logs, or motions made from them, which keep their own.
+        logs: Logs that were checked, or motions made from them, which keep their own.
         extra: Effects of the user.
         robust: Weigh down stretches that do not fit.
     """
     problem = build_problem(robot.chain, (*linear_effects(robot.size), *extra))
-    best, least = prepare(robot, recordings, None), np.inf
+    best, least = prepare(logs, None), np.inf
     highest = best.cutoff
-    if not any(isinstance(x, Recording) for x in recordings):
+    if not any(isinstance(x, Recording) for x in logs):
         return best
     shortest = min(float(m.t[-1] - m.t[0]) for m in best.motions)
     for halvings in range(_MOST_HALVINGS + 1):
         cutoff = highest / 2**halvings
         if cutoff * shortest < FEWEST_PERIODS * FOLDS:
             break
-        data = prepare(robot, recordings, cutoff, highest=highest)
+        data = prepare(logs, cutoff, highest=highest)
         products = data.products(problem)
         found = settle(products, "wls", robust=robust)
         theta = without_folds(products, found.weight, folds=FOLDS, share=found.share)

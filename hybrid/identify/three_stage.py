@@ -12,7 +12,7 @@ from typing import Literal
 
 from hybrid.effects import Effect
 from hybrid.errors import HybridWarning, IdentificationError
-from hybrid.identify.data import prepare
+from hybrid.identify.data import prepare, taken
 from hybrid.identify.fit import Fit
 from hybrid.identify.identification import Identification, prepared
 from hybrid.identify.least_squares import ESTIMATORS, Estimator
@@ -64,10 +64,11 @@ def identify(
             excites the arm poorly, or consistent links fit worse.
     """
     _check_choices(estimator, stages)
+    logs = taken(robot, recordings)
     data = (
-        prepared(robot, recordings, effects, robust)
+        prepared(robot, logs, effects, robust)
         if cutoff is None
-        else prepare(robot, recordings, cutoff)
+        else prepare(logs, cutoff)
     )
     terms = Identification(robot, data, estimator, tuple(effects), robust, seed)
     held_out = terms.plain()

@@ -1,0 +1,127 @@
+"""Rows that do not follow from those before: glitches, jumps, held and repeated rows.
+
+An arm has mass: between two samples its position changes hardly otherwise than between
+the two before. What is out and back within a sample, or elsewhere from one to the next,
+is of the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.inspect.doubt import Doubt
+from hybrid.inspect.samples import STILL, usual_step
+from hybrid.recording import Recording
+from hybrid.recording.recording import row_words
+
+Array = NDArray[np.float64]
+
+_LEAP = 10.0  # times a large step of the joint, and times any step nearby
+_TICKS = 10.0  # steps of an encoder: fewer are its noise
+_NEARBY = 5  # samples to either side
+_ALIKE = 0.2  # relative difference from that shape
+_TURN = 0.1  # rad
+_HELD, _SURE = 3, 0.9  # rows; share of new rows that come so far apart
+_REPEATED = 50  # rows
+
+
+def doubts_of_rows(recording: Recording) -> Iterator[Doubt]:
+    """Rows that no moving arm can have made.
+
+    Args:
+        recording: The log.
+    """
+    yield from _repeated(recording)
+    yield from _held(recording)
+    for joint, x in enumerate(recording.q.T):
+        yield from _glitches(recording, joint, x)
+        yield from _jumps(recording, joint, x)
+
+
+def _glitches(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
+    """Single positions that stand out: second differences 1, −2, 1 times a size."""
+    bend = np.diff(x, 2)
+    size = np.abs(bend)
+    half = -bend / 2
+    shape = [np.abs(np.roll(bend, k) - half) < _ALIKE * size for k in (-1, 1)]
+    beyond = _largest(size, range(3, _NEARBY + 1), both=True)
+    far = max(_TICKS * _tick(x), _LEAP * float(np.quantile(size, 0.75)), 2 * STILL)
+    found = shape[0] & shape[1] & (size > _LEAP * beyond) & (size > far)
+    for row in (np.flatnonzero(found)[:1] + 1).tolist():
+        text = (
+            f"{recording.place('q', joint, row)}: glitch: {x[row]:.6g} between "
+            f"{x[row - 1]:.6g} and {x[row + 1]:.6g}, the first of {found.sum()}"
+        )
+        remedy = "valid are positions as the joint passed them: leave such rows out"
+        yield Doubt("q", (joint,), text, remedy, "error", int(found.sum()))
+
+
+def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
+    """Positions that are elsewhere from one sample to the next."""
+    size = np.abs(np.diff(x))
+    beside = _largest(size, range(1, _NEARBY + 1), both=True)
+    far = max(_TICKS * _tick(x), 2 * usual_step(x))
+    found = (size > _LEAP * beside) & (size > far)
+    # From standstill on the way: an encoder was frozen, which is told apart.
+    before, after = (
+        _largest(size, way * np.arange(1, _NEARBY + 1), both=False) for way in (1, -1)
+    )
+    found &= (before > 0) == (after > 0)
+    for k in np.flatnonzero(found)[:1].tolist():
+        turn = abs(float(size[k]) - 2 * np.pi) < _TURN
+        what = "a turn of the encoder is not counted" if turn else "logs put together?"
+        text = (
+            f"{recording.place('q', joint, k + 1)}: jumps from {x[k]:.6g} to "
+            f"{x[k + 1]:.6g} within a sample: {what}"
+        )
+        remedy = "valid are positions as the joint passed them"
+        yield Doubt("q", (joint,), text, remedy, "error", float(size[k]))
+
+
+def _largest(size: Array, lags: Iterable[int], *, both: bool) -> Array:
+    """Largest of some samples before (lags above zero) or after each, shape (N,)."""
+    signed = [s * k for k in lags for s in ((1, -1) if both else (1,))]
+    return np.asarray(np.max([np.roll(size, k) for k in signed], axis=0))
+
+
+def _tick(x: Array) -> float:
+    """Resolution of an encoder, from its smallest step."""
+    steps = np.abs(np.diff(x))
+    return float(np.min(steps[steps > 0], initial=np.inf))
+
+
+def _held(recording: Recording) -> Iterator[Doubt]:
+    """Rows that are written several times each."""
+    parts = [recording.q]
+    if recording.has_torque:
+        parts.append(recording.tau)
+    for name, rows in (("every channel", np.hstack(parts)), ("q", recording.q)):
+        fresh = np.flatnonzero(np.any(np.diff(rows, axis=0) != 0, axis=1))
+        apart = np.diff(fresh)
+        if len(apart) < _REPEATED:
+            continue
+        step = int(np.median(apart))
+        if step >= _HELD and float(np.mean(apart % step == 0)) > _SURE:
+            text = f"{name} holds each sample for {step} rows"
+            remedy = f"valid is one row for each sample: keep every {step}th"
+            yield Doubt("q", (), text, remedy, "error", step)
+            return
+
+
+def _repeated(recording: Recording) -> Iterator[Doubt]:
+    """The log once more within itself."""
+    rows = np.hstack([recording.q, recording.tau])
+    start = int(np.argmax(np.abs(recording.q - recording.q[0]).max(axis=1) > STILL))
+    again = np.flatnonzero((rows[start + 1 :] == rows[start]).all(axis=1)) + start + 1
+    for k in again.tolist():
+        count = min(_REPEATED, len(rows) - k)
+        same = np.array_equal(rows[k : k + count], rows[start : start + count])
+        moves = np.ptp(rows[k : k + count, : recording.size], axis=0).max() > STILL
+        if count == _REPEATED and same and moves:
+            text = f"from {row_words(k - start)} on the log repeats its first rows"
+            remedy = "valid is each motion once: split the log there"
+            yield Doubt("q", (), text, remedy, "error", k - start)
+            return

@@ -1,0 +1,172 @@
+"""Order, sign, unit of angle and clock of a log, held against what arms can do.
+
+Of all ways to read a log the right one leaves least torque that no arm of real masses
+explains. With s the share of its variance that is left of each joint's torque, a
+reading is better than the plain one by
+
+    gain = ½ Σ log(s_plain / s_read),
+
+the logarithm of how much smaller the volume of what is left becomes. Two designs are
+asked: masses anywhere (what no arm does, no robot file excuses), and those of the file
+in any measure, which tells more but may itself be wrong: what only they tell is a
+warning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.inspect.doubt import Doubt, Severity
+from hybrid.inspect.masses import Columns, file_masses, unit_masses
+from hybrid.inspect.reading import Reading, readings
+from hybrid.inspect.state import State
+from hybrid.recording import Recording
+from hybrid.robot.chain import Chain
+
+Array = NDArray[np.float64]
+
+_SURE = 0.5  # gain; of logs that are right, no other reading reached 0.3
+_ALIKE = 0.2  # loss of gain by which two readings may differ and be as good
+_USUAL = 0.003  # of the variance: what friction of another law leaves anyway
+_SEVERITIES: dict[str, Severity] = {"any": "error", "file": "warning"}
+_FINALISTS = 6  # readings that are asked with joints weighed anew
+_DISTURBS = 0.02  # of what one joint leaves, in what others do: they share their links
+_MOST = 4  # things that are wrong with one log
+_STILL = 1e-3  # rad or m
+
+
+@dataclass(eq=False)
+class _Bench:
+    """One log, and how well both designs explain it by any reading.
+
+    Attributes:
+        chain: The arm.
+        state: The log as read so far.
+        masses: Parameters of the masses of each design.
+    """
+
+    chain: Chain
+    state: State
+    masses: dict[str, Array]
+    _columns: dict[tuple[str, object], Columns] = field(default_factory=dict)
+    _left: dict[object, Array] = field(default_factory=dict)
+
+    def left(self, reading: Reading, design: str, rounds: int = 2) -> Array:
+        """Shares of torque that a reading leaves, shape (n,)."""
+        key = design, reading.motion
+        if key not in self._columns:
+            moved = reading.moved(self.state)
+            self._columns[key] = Columns(self.chain, moved, self.masses[design])
+        asked = key, reading, rounds
+        if asked not in self._left:
+            left = self._columns[key].left(*reading.torque, rounds=rounds)
+            # So little, a file that is right leaves as well.
+            self._left[asked] = np.maximum(left, _USUAL) if design == "file" else left
+        return self._left[asked]
+
+    def gain(
+        self, plain: Reading, reading: Reading, design: str, rounds: int = 2
+    ) -> float:
+        """How much better a reading is than the plain one."""
+        before = self.left(plain, design, rounds)
+        return _gain(before, self.left(reading, design, rounds))
+
+    def best_order(self, plain: Reading) -> NDArray[np.intp]:
+        """Which column of torque suits each joint best, shape (n,)."""
+        from scipy.optimize import linear_sum_assignment
+
+        left = self._columns["any", plain.motion].left_alone()
+        return np.asarray(linear_sum_assignment(np.log(left))[1])
+
+
+def doubts_of_physics(
+    recording: Recording, chain: Chain, state: State
+) -> Iterator[Doubt]:
+    """What of order, sign, unit and clock is wrong with a log, the surest first.
+
+    Args:
+        recording: The log, for names.
+        chain: The arm.
+        state: Samples of the log.
+    """
+    masses = {"any": unit_masses(chain)}
+    if chain.inertial.any():
+        masses["file"] = file_masses(chain)
+    for _ in range(_MOST):
+        found = _likelier(_Bench(chain, state, masses))
+        if found is None:
+            return
+        reading, before, after, severity = found
+        yield _doubt(recording, reading, before, after, severity)
+        state = reading.of(state)
+
+
+def _likelier(
+    bench: _Bench,
+) -> tuple[Reading, Array, Array, Severity] | None:
+    """The reading that is better than the plain one, if any is by far.
+
+    Returns:
+        It, the shares left before and after, and how serious it is.
+    """
+    n = bench.chain.size
+    plain = Reading((), (), "", np.arange(n), np.ones(n))
+    before = {design: bench.left(plain, design) for design in bench.masses}
+    hopeful = [d for d, x in before.items() if _gain(x, np.minimum(x, _USUAL)) > _SURE]
+    if not hopeful:
+        return None
+    moving = np.flatnonzero(np.ptp(bench.state.q, axis=0) > _STILL).tolist()
+    ways = list(readings(bench.chain, moving, bench.best_order(plain)))
+    for design in bench.masses:
+        gains = [bench.gain(plain, way, design, 1) for way in ways]
+        finalists = [ways[k] for k in np.argsort(gains)[: -_FINALISTS - 1 : -1]]
+        best = max(finalists, key=lambda way: bench.gain(plain, way, design))
+        if bench.gain(plain, best, design) > _SURE:
+            after = bench.left(best, design)
+            return best, before[design], after, _SEVERITIES[design]
+        # What no arm can do is not asked of the file.
+        ways = [w for w, gain in zip(ways, gains, strict=True) if gain > -_ALIKE]
+        if not ways or "file" not in hopeful:
+            break
+    return None
+
+
+def _gain(before: Array, after: Array) -> float:
+    least = _DISTURBS * float(before.mean())
+    ratio = np.maximum(before, least) / np.maximum(after, least)
+    return float(0.5 * np.log(ratio).sum())
+
+
+def _doubt(
+    recording: Recording,
+    reading: Reading,
+    before: Array,
+    after: Array,
+    severity: Severity,
+) -> Doubt:
+    """A reading in words, with what it leaves at the joint where it tells most."""
+    places = [
+        " and ".join(recording.place(channel, j) for channel in reading.channels)
+        for j in reading.joints
+    ]
+    if reading.channels == ("t",):
+        what = f"time looks {reading.looks_like}"
+    elif len(places) > 2 and len(places) == recording.size:
+        what = f"{' and '.join(reading.channels)} look {reading.looks_like}"
+    else:
+        verb = "looks" if len(places) * len(reading.channels) == 1 else "look"
+        what = f"{' and '.join(places)} {verb} {reading.looks_like}"
+    j = int(np.argmax(before / after))
+    whose = "an arm of real masses" if severity == "error" else "the file's links"
+    gain = float(np.exp(_gain(before, after)))
+    text = (
+        f"{what}: read so, {whose} leave{'s' * (severity == 'error')} "
+        f"{after[j]:.2g} of the variance of {recording.place('tau', j)} unexplained, "
+        f"as logged {before[j]:.2g}"
+    )
+    remedy = "valid are rad, N·m and s, by the robot file's axes, in its order"
+    return Doubt(reading.channels[0], reading.joints, text, remedy, severity, gain)

@@ -1,0 +1,106 @@
+"""Unit of torque, from what the robot file's links ask for.
+
+Each torque is a sum of the file's, times a scale, and of friction, rotor and offset.
+Files are wrong by a factor of two or so, payloads add to it; units by ten or more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.dynamics.regressor import inverse_dynamics
+from hybrid.inspect.doubt import Doubt, Severity
+from hybrid.inspect.state import State
+from hybrid.recording import Recording
+from hybrid.robot import Robot
+
+Array = NDArray[np.float64]
+
+_TELLS = 0.25  # of the variance that friction leaves: less, and the scale is no scale
+_ODD, _WRONG = 3.0, 10.0  # factors: beyond what files and tools do; beyond doubt
+_UNITS = {1e-3: "kN·m", 1e3: "mN·m"}
+_UNIT = 3.0  # factor by which a scale may miss a unit
+_FARTHEST = 5.0  # times the rating: gear or unit missing, not overload
+_GEARS = 500.0  # a higher ratio of a gear is rare
+
+
+def scales(robot: Robot, state: State) -> Array:
+    """Measured torque over that of the file's links, shape (n,); NaN if not told."""
+    file = (
+        inverse_dynamics(robot.chain, robot.chain.inertial, state.q, state.v, state.a)
+        + robot.chain.armature * state.a
+    )
+    found = np.full(robot.size, np.nan)
+    for j in range(robot.size):
+        v, a = state.v[:, j], state.a[:, j]
+        beside = [np.ones_like(v), v, np.tanh(v / (0.02 * max(np.abs(v).max(), 1e-12)))]
+        if not robot.chain.armature[j]:
+            beside.append(a)
+        basis = np.linalg.qr(np.stack(beside, axis=1))[0]
+        x, y = (z - basis @ (basis.T @ z) for z in (file[:, j], state.tau[:, j]))
+        if x @ x > 1e-6 * (file[:, j] @ file[:, j]) and y @ y > 0:
+            tells = (x @ y) ** 2 / (x @ x) / (y @ y)
+            found[j] = x @ y / (x @ x) if tells > _TELLS else np.nan
+    return found
+
+
+def doubts_of_scale(
+    recording: Recording, robot: Robot, state: State
+) -> Iterator[Doubt]:
+    """Torques in another unit, or of the motor side.
+
+    Args:
+        recording: The log, for names.
+        robot: The arm.
+        state: Samples of the log.
+    """
+    each = scales(robot, state)
+    told = np.log(each[each > 0])
+    if not len(told):
+        yield from _above_rating(recording, robot)
+        return
+    usual = float(np.exp(np.median(told)))
+    off = max(usual, 1 / usual)
+    # A unit is of all joints: what a tool adds at the wrist leaves the others.
+    if np.all(told * np.sign(np.log(usual)) > np.log(_ODD)):
+        # Without gravity inertia alone tells, and it goes with the square of time.
+        text = (
+            f"tau is {usual:.3g} times what the robot file's links ask for"
+            f"{_unit(usual)}"
+        )
+        remedy = (
+            "valid are N·m at the joint: check the unit of torque, the clock, and the "
+            "masses of the file"
+        )
+        severity: Severity = "error" if off > _WRONG and len(told) > 1 else "warning"
+        yield Doubt("tau", (), text, remedy, severity, usual)
+
+
+def _above_rating(recording: Recording, robot: Robot) -> Iterator[Doubt]:
+    """Torques far above the rating, where the file's links tell no scale."""
+    peak = np.max(np.abs(recording.tau), axis=0)
+    rated = np.where(robot.tau_max > 0, robot.tau_max, np.inf)
+    far = np.flatnonzero(peak > _FARTHEST * rated).tolist()
+    if far:
+        places = ", ".join(
+            f"{recording.place('tau', k)} {peak[k]:.4g} of {rated[k]:.4g}" for k in far
+        )
+        text = (
+            f"torque above {_FARTHEST:g} times the rating ({places}): in milliamps? or "
+            "is the rating that of the motor side"
+        )
+        remedy = "valid are N·m at the joint"
+        yield Doubt("tau", tuple(far), text, remedy, evidence=float(max(peak / rated)))
+
+
+def _unit(scale: float) -> str:
+    """What a scale looks like, in words."""
+    for factor, unit in _UNITS.items():
+        if 1 / _UNIT < scale / factor < _UNIT:
+            return f": it looks like {unit}"
+    if 1 / _GEARS < scale < 1 / _WRONG:
+        return f": it looks like torque of the motor side of a gear 1:{1 / scale:.0f}"
+    return ""
