@@ -18,7 +18,7 @@ export OPENBLAS_NUM_THREADS = 1
 .DEFAULT_GOAL := demo
 
 demo: $(INSTALLED)
-	$(BIN)/python experiments/demo.py
+	$(BIN)/python experiments/demo.py --out reports/demo
 
 test: $(INSTALLED)
 	$(BIN)/pytest -n 2 --dist worksteal

@@ -12,7 +12,6 @@ still named.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,6 +20,7 @@ from typing import Any
 import numpy as np
 from advice_cases import CASES, MODEL, class_at, recorded, repeated, true_effect
 from advice_report import write_report
+from outputs import command_line
 from rich.console import Console
 
 from hybrid import Effect, Robot
@@ -58,15 +58,16 @@ def pairs_of(robot: Robot, true: Effect, seed: int) -> Iterator[dict[str, Any]]:
 
 def main() -> None:
     """Measure all cases, say what came out, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "advice")
     parser.add_argument("--seeds", type=int, default=3)
-    seeds, console, pairs = parser.parse_args().seeds, Console(), list[dict[str, Any]]()
+    args, console, pairs = parser.parse_args(), Console(), list[dict[str, Any]]()
     robot = Robot.load(MODEL)
-    for seed in range(seeds):
+    for seed in range(args.seeds):
         for case in CASES:
             pairs += pairs_of(robot, true_effect(robot, *case), seed)
             console.print(*case, seed, len(pairs))
-    console.print(write_report(pairs, f"python experiments/advice.py --seeds {seeds}"))
+    command = f"python experiments/advice.py --seeds {args.seeds}"
+    console.print(write_report(args.out, pairs, command))
 
 
 if __name__ == "__main__":

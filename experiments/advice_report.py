@@ -10,7 +10,6 @@ from hybrid.benchmark.measures import Ratio
 from hybrid.files import atomic_path
 from hybrid.report import Table, markdown_table, provenance, write_results
 
-REPORT = Path(__file__).parents[1] / "reports" / "advice"
 COLUMNS = ("true", "rival", "joint", "seed", "promise", "split", "right", "separation")
 SEEN = ("split", "right")
 KINDS = {
@@ -21,10 +20,11 @@ KINDS = {
 }
 
 
-def write_report(pairs: Sequence[Mapping[str, Any]], command: str) -> str:
-    """Write ``reports/advice/`` and sum it up.
+def write_report(out: Path, pairs: Sequence[Mapping[str, Any]], command: str) -> str:
+    """Write the report and sum it up.
 
     Args:
+        out: Folder for it.
         pairs: One mapping a pair of true effect and rival.
         command: What reproduces it.
     """
@@ -42,14 +42,14 @@ def write_report(pairs: Sequence[Mapping[str, Any]], command: str) -> str:
     rows = tuple((*(_cell(p, c) for c in COLUMNS), p["advice"]) for p in pairs)
     table = markdown_table(Table((*COLUMNS, "advice"), rows))
     content = {"provenance": provenance(command=command), "pairs": list(pairs)}
-    write_results(REPORT / "results.json", content)
+    write_results(out / "results.json", content)
     text = (
         "Pairs of the true effect and one that a short recording could not tell from "
         "it, before and after the true arm has run the advised experiment. *Split*: no "
         "longer in one class; *rightly*: and the true effect is still named. Shares "
         "with 95 % intervals of Wilson."
     )
-    with atomic_path(REPORT / "table.md") as path:
+    with atomic_path(out / "table.md") as path:
         path.write_text(f"{text}\n\n{summary}\n{table}\n    {command}\n", "utf-8")
     return summary
 

@@ -10,9 +10,9 @@ run again.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
+from outputs import command_line
 from rich.console import Console
 
 from hybrid.benchmark.case import TUNED, Case, plan
@@ -22,7 +22,6 @@ from hybrid.report import numbers_table, provenance
 
 ROOT = Path(__file__).parents[1]
 LOG = ROOT / "build" / "blind_diagnosis.jsonl"  # delete it when the diagnosis changes
-REPORT = ROOT / "reports" / "blind_diagnosis"
 KNOWN = tuple(f"models/{name}.xml" for name in TUNED)
 NEW = ("ur5", "panda", "models/scara.xml", "z1", "xarm7", "ur10")
 
@@ -43,7 +42,7 @@ def cases_of(count: int, seed: int) -> list[Case]:
 
 def main() -> None:
     """Run the cases, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "blind_diagnosis")
     parser.add_argument("--cases", type=int, default=600)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1)
@@ -58,7 +57,7 @@ def main() -> None:
     command = (
         f"python experiments/blind_diagnosis.py --cases {args.cases} --seed {args.seed}"
     )
-    write_benchmark(rows, REPORT, tuned=TUNED, how=provenance(command=command))
+    write_benchmark(rows, args.out, tuned=TUNED, how=provenance(command=command))
     console.print(numbers_table(targets_table(by_robot(rows, TUNED))))
 
 

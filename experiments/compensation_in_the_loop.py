@@ -12,14 +12,15 @@ and half its smallest push.
 
 from __future__ import annotations
 
-import argparse
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from compensation import CONTROL, load_arm
 from compensation_loop import guide, track
-from compensation_models import REPORT, diagnosed_effects, fitted_models
+from compensation_models import diagnosed_effects, fitted_models
 from compensation_observer import residual, smallest_force, threshold
+from outputs import command_line
 from rich.console import Console
 
 from hybrid import simulate
@@ -33,11 +34,11 @@ from hybrid.report.measures import measures_figure, measures_table
 MEASURES = {"tracking": "mrad", "hand": "% of rated torque", "push": "N"}
 
 
-def measure(seed: int) -> dict[str, Any]:
+def measure(seed: int, kept: Path) -> dict[str, Any]:
     """All four models in all three tasks."""
     robot, plant = load_arm()
     logs = simulate(plant, trajectories=3, duration=6.0, seed=seed)
-    models = fitted_models(robot, logs, diagnosed_effects(robot, plant))
+    models = fitted_models(robot, logs, diagnosed_effects(robot, plant, kept))
     motions, noise, pushes = np.random.default_rng((seed, 1)).spawn(3)
     references = [
         random_fourier(robot, duration=5.0, rate=CONTROL, rng=motions, fill=0.6)
@@ -65,21 +66,22 @@ def measure(seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Measure all seeds, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "compensation_in_the_loop")
     parser.add_argument("--seeds", type=int, default=10)
-    count, console, runs = parser.parse_args().seeds, Console(width=200), []
-    for seed in range(count):
-        runs.append(measure(seed))
+    args, console, runs = parser.parse_args(), Console(width=200), []
+    for seed in range(args.seeds):
+        runs.append(measure(seed, args.out / "diagnosed.json"))
         command = f"python experiments/compensation_in_the_loop.py --seeds {seed + 1}"
         console.print({k: np.round(runs[-1][k], 2).tolist() for k in MEASURES})
         values = {name: np.array([run[name] for run in runs]) for name in MEASURES}
         table = measures_table(runs[0]["models"], values, MEASURES, first=1)
         save_figure(
-            measures_figure(runs[0]["models"], values, MEASURES), REPORT / "figure.png"
+            measures_figure(runs[0]["models"], values, MEASURES),
+            args.out / "figure.png",
         )
         content = {"provenance": provenance(command=command), "runs": runs}
-        write(REPORT / "results.json", content)
-        with atomic_path(REPORT / "table.md") as path:
+        write(args.out / "results.json", content)
+        with atomic_path(args.out / "table.md") as path:
             text = f"{table.caption}.\n\n{markdown_table(table)}\n    {command}\n"
             path.write_text(text)
     console.print(numbers_table(table))

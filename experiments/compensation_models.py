@@ -8,9 +8,9 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
-from coman import ROOT
 from compensation import nominal_model
 
 from hybrid import DynamicModel, Effect, Recording, Robot, identify, simulate
@@ -21,8 +21,6 @@ from hybrid.files import write_json
 from hybrid.plant import Plant
 from hybrid.report import write_results
 
-REPORT = ROOT / "reports" / "compensation_in_the_loop"
-KEPT = REPORT / "diagnosed.json"
 # Effects that the three stages fit by themselves, or have a law in place of. A gain of
 # the torque that all numbers of a link share is in those numbers.
 IN_STAGES = (
@@ -33,23 +31,28 @@ IN_STAGES = (
 )  # fmt: skip
 
 
-def diagnosed_effects(robot: Robot, plant: Plant) -> list[Effect]:
+def diagnosed_effects(robot: Robot, plant: Plant, kept: Path) -> list[Effect]:
     """What a diagnosis names on logs of its own, and the stages do not fit anyway.
 
     An arm is diagnosed once; later fits find the gains anew. It takes minutes, so that
-    the answer is kept beside the results; delete that file to diagnose again.
+    the answer is kept in a file; delete it to diagnose again.
+
+    Args:
+        robot: The arm as its file has it.
+        plant: The true arm.
+        kept: File of the answer.
     """
-    if KEPT.exists():
-        content = json.loads(KEPT.read_text("utf-8"))
-        kept = [effect_from_dict(item, robot.joints) for item in content]
-        return [effect for effect in kept if not _at_bound(effect)]
+    if kept.exists():
+        content = json.loads(kept.read_text("utf-8"))
+        effects = [effect_from_dict(item, robot.joints) for item in content]
+        return [effect for effect in effects if not _at_bound(effect)]
     logs = simulate(plant, trajectories=3, duration=8.0, seed=1000)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
         named = examine(robot, logs).effects
     new = [e for e in named if e.id not in IN_STAGES and not e.not_in_loop]
-    write_results(KEPT.with_name("named.json"), {"named": [e.id for e in named]})
-    write_json(KEPT, [effect.as_dict(robot.joints) for effect in new])
+    write_results(kept.with_name("named.json"), {"named": [e.id for e in named]})
+    write_json(kept, [effect.as_dict(robot.joints) for effect in new])
     return [effect for effect in new if not _at_bound(effect)]
 
 

@@ -11,16 +11,16 @@ was learned. Medians and spread over seeds.
 
 from __future__ import annotations
 
-import argparse
 import warnings
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coman import ROOT
 from compensation import kinds_of_motion, load_arm
 from compensation_learned import learned
 from compensation_models import diagnosed_effects
+from outputs import command_line
 from rich.console import Console
 
 from hybrid import identify, simulate, validate
@@ -31,11 +31,10 @@ from hybrid.report import write_results as write
 from hybrid.report.measures import measures_figure, measures_table
 from hybrid.signals import motion_from_recording
 
-REPORT = ROOT / "reports" / "compensation_transfer"
 MEASURES = dict.fromkeys(("seen before", "payload", "faster", "learned"), "N·m")
 
 
-def measure(seed: int) -> dict[str, Any]:
+def measure(seed: int, kept: Path) -> dict[str, Any]:
     """Errors of all three on the three kinds of motions."""
     robot, plant = load_arm()
     logs = simulate(plant, trajectories=4, fill=0.6, duration=8.0, seed=seed)
@@ -43,7 +42,7 @@ def measure(seed: int) -> dict[str, Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
         stages = ("rigid", "friction", "ripple")
-        named = diagnosed_effects(robot, plant)
+        named = diagnosed_effects(robot, plant, kept)
         full = identify(robot, logs, stages=stages, effects=named).model
         plain = identify(robot, logs, stages=stages[:1]).model.simpler["LS"]
     rotors = tuple(e for e in plain.effects if e.id == "armature")
@@ -66,23 +65,23 @@ def measure(seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Measure all seeds, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "compensation_transfer")
     parser.add_argument("--seeds", type=int, default=3)
-    count, console, runs = parser.parse_args().seeds, Console(width=220), []
-    command = f"python experiments/compensation_transfer.py --seeds {count}"
-    for seed in range(count):
-        runs.append(measure(seed))
+    args, console, runs = parser.parse_args(), Console(width=220), []
+    command = f"python experiments/compensation_transfer.py --seeds {args.seeds}"
+    for seed in range(args.seeds):
+        runs.append(measure(seed, args.out / "diagnosed.json"))
         console.print({k: np.round(runs[-1][k], 3).tolist() for k in MEASURES})
     values = {name: np.array([run[name] for run in runs]) for name in MEASURES}
     table = measures_table(runs[0]["models"], values, MEASURES)
     save_figure(
-        measures_figure(runs[0]["models"], values, MEASURES), REPORT / "figure.png"
+        measures_figure(runs[0]["models"], values, MEASURES), args.out / "figure.png"
     )
     write(
-        REPORT / "results.json",
+        args.out / "results.json",
         {"provenance": provenance(command=command), "runs": runs},
     )
-    with atomic_path(REPORT / "table.md") as path:
+    with atomic_path(args.out / "table.md") as path:
         text = f"{table.caption}.\n\n{markdown_table(table)}\n    {command}\n"
         path.write_text(text)
     console.print(numbers_table(table))

@@ -12,14 +12,15 @@ in a batch), numbers to store. Medians over seeds and joints.
 
 from __future__ import annotations
 
-import argparse
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
-from coman import ROOT, simulate_run
+from coman import simulate_run
 from compensator_choice import choice
 from compensator_learners import COLUMNS, LEARNERS, samples, score
+from outputs import command_line
 from rich.console import Console
 
 from hybrid import identify
@@ -28,11 +29,10 @@ from hybrid.files import atomic_path
 from hybrid.report import Table, markdown_table, numbers_table, provenance
 from hybrid.report import write_results as write
 
-REPORT = ROOT / "reports" / "compensators"
 JOINTS = (0, 2, 3)
 
 
-def report(values: np.ndarray, command: str, count: int) -> Table:
+def report(out: Path, values: np.ndarray, command: str, count: int) -> Table:
     """Write results and table; values are (seeds · joints, learners, columns)."""
     middle, low, high = (f(values, axis=0) for f in (np.median, np.min, np.max))
     rows = []
@@ -42,8 +42,8 @@ def report(values: np.ndarray, command: str, count: int) -> Table:
     caption = f"Medians over {count} seeds and {len(JOINTS)} joints; times of one core"
     table = Table(("", *COLUMNS, "error, lowest–highest"), tuple(rows), caption)
     content = {"provenance": provenance(command=command), "columns": COLUMNS}
-    write(REPORT / "results.json", {**content, "values": values, "names": [*LEARNERS]})
-    with atomic_path(REPORT / "table.md") as path:
+    write(out / "results.json", {**content, "values": values, "names": [*LEARNERS]})
+    with atomic_path(out / "table.md") as path:
         said = choice(values)
         text = f"{caption}.\n\n{markdown_table(table)}\n{said}\n\n    {command}\n"
         path.write_text(text)
@@ -52,9 +52,10 @@ def report(values: np.ndarray, command: str, count: int) -> Table:
 
 def main() -> None:
     """Measure, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "compensators")
     parser.add_argument("--seeds", type=int, default=3)
-    count, console, found = parser.parse_args().seeds, Console(width=120), []
+    args, console, found = parser.parse_args(), Console(width=120), []
+    count = args.seeds
     command = f"python experiments/compensators.py --seeds {count}"
     for seed in range(count):
         run = simulate_run(seed, trajectories=3, duration=8.0)
@@ -71,7 +72,7 @@ def main() -> None:
                 ]
                 rows.append(score(learn, *both))
             found.append(rows)
-    console.print(numbers_table(report(np.array(found), command, count)))
+    console.print(numbers_table(report(args.out, np.array(found), command, count)))
 
 
 if __name__ == "__main__":

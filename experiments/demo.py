@@ -1,9 +1,9 @@
 """From simulated logs to a validated model of a six-axis arm, in about a minute.
 
 What appears: progress, then the torque error of every stage on motions that no fit has
-seen, joint by joint, beside the noise that no model can predict. ``reports/demo/``
-receives a page to read (index.html), its figures, the numbers (results.json), and the
-model itself (model.json, with its arrays beside it).
+seen, joint by joint, beside the noise that no model can predict. The folder that
+``--out`` names receives a page to read (index.html), its figures, the numbers
+(results.json), and the model itself (model.json, with its arrays beside it).
 
     make demo
 """
@@ -14,14 +14,15 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
-from coman import ROOT, identify_and_validate, noise_floor, simulate_run
+from coman import identify_and_validate, noise_floor, simulate_run
+from outputs import command_line
 from rich.console import Console
 
 from hybrid.report import numbers_table, provenance, table_from_validation
 from hybrid.report.identification import write_identification
 
-REPORT = ROOT / "reports" / "demo"
 SEED = 0
 console = Console(highlight=False)
 
@@ -39,6 +40,7 @@ def step(text: str) -> Iterator[None]:
 
 def main() -> None:
     """Simulate, identify, validate, show, and write the report."""
+    out: Path = command_line(__doc__, "demo").parse_args().out
     with step("1/3 simulating twelve motions of 10 s in MuJoCo"):
         run = simulate_run(SEED)
     with step("2/3 identifying from six, validating on the other six (30-90 s)"):
@@ -47,9 +49,7 @@ def main() -> None:
     validation = replace(validation, noise_floor=floor)  # known here, elsewhere guessed
     with step("3/3 drawing figures, writing the report"):
         made = provenance(command="make demo", seed=SEED)
-        lead = write_identification(
-            REPORT, fit, validation, run.scoring, provenance=made
-        )
+        lead = write_identification(out, fit, validation, run.scoring, provenance=made)
     console.print()
     # A pipe has no width; the table needs one.
     wide = Console(width=max(console.width, 100), highlight=False)
@@ -57,7 +57,7 @@ def main() -> None:
     for text in fit.left_out:
         console.print(f"Left out, as it does not help: {text}.")
     console.print(lead)
-    console.print(f"Page, figures, numbers and model: {REPORT.relative_to(ROOT)}/")
+    console.print(f"Page, figures, numbers and model: {out}/")
 
 
 if __name__ == "__main__":

@@ -15,36 +15,33 @@ stands beside.
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 from diagnosis_acceptance_case import JOINTS, run
 from diagnosis_acceptance_report import summary, table
+from outputs import command_line
 from rich.console import Console
 
 from hybrid.files import atomic_path
 from hybrid.report import markdown_table, numbers_table, provenance, write_results
 
-REPORT = Path(__file__).parents[1] / "reports" / "diagnosis_acceptance"
-
 
 def main() -> None:
     """Run both plants for all seeds, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "diagnosis_acceptance")
     parser.add_argument("--seeds", type=int, default=5)
-    seeds = parser.parse_args().seeds
+    args = parser.parse_args()
+    seeds = args.seeds
     cases = [(k, quiet) for quiet in (False, True) for k in JOINTS]
     runs = [run(k, s, quiet) for k, quiet in cases for s in range(seeds)]
     shown, text = table(runs), "\n".join(f"- {line}" for line in summary(runs))
     Console(width=140).print(numbers_table(shown), text, highlight=False)
     command = f"python experiments/diagnosis_acceptance.py --seeds {seeds}"
-    with atomic_path(REPORT / "table.md") as path:
+    with atomic_path(args.out / "table.md") as path:
         path.write_text(
             f"{shown.caption}.\n\n{markdown_table(shown)}\n{text}\n\n    {command}\n"
         )
     content = {"provenance": provenance(command=command)}
     write_results(
-        REPORT / "results.json", content | {"runs": [x.as_dict() for x in runs]}
+        args.out / "results.json", content | {"runs": [x.as_dict() for x in runs]}
     )
 
 

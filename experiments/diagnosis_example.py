@@ -2,7 +2,7 @@
 
 A COMAN-like arm has torque ripple at two joints and Stribeck friction at a third that
 its simulator has not, and links 2 % off. What appears is the verdict; the page, a table
-of truth and findings and, with Chromium, pictures go to ``reports/diagnosis_example/``.
+of truth and findings and, with Chromium, pictures go to the folder of ``--out``.
 
     python experiments/diagnosis_example.py
 """
@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from coman import ROOT
+from outputs import command_line
 from PIL import Image, ImageChops
 
 from hybrid import Robot, simulate
@@ -28,7 +29,7 @@ from hybrid.plant import Plant
 from hybrid.recording import write
 from hybrid.report import Table, markdown_table
 
-ARM, REPORT = ROOT / "models" / "coman_like.xml", ROOT / "reports" / "diagnosis_example"
+ARM = ROOT / "models" / "coman_like.xml"
 TRUE = (
     TorqueRipple((0,), {"sine": 2.2, "cosine": 1.0, "periods": 12.0}),
     TorqueRipple((1,), {"sine": 1.6, "cosine": -1.5, "periods": 20.0}),
@@ -62,28 +63,31 @@ def table(findings: list[dict]) -> Table:
     return Table(tuple(header.split()), tuple(rows))
 
 
-def photograph(browser: str, name: str, scratch: Path) -> None:
+def photograph(browser: str, out: Path, name: str, scratch: Path) -> None:
     """A picture of the whole page, without the empty space below it, in few colours."""
-    page, shot, (width, height) = REPORT / "report.html", scratch / "s.png", SIZES[name]
+    page, shot = (out / "report.html").resolve(), scratch / "s.png"
+    width, height = SIZES[name]
     flags = f"--headless --no-sandbox --hide-scrollbars --window-size={width},{height}"
     flags += f" --screenshot={shot} --user-data-dir={scratch}/profile {page.as_uri()}"
     subprocess.run([browser, *flags.split()], check=True, stderr=-3)
     image = Image.open(shot).convert("RGB")
     bottom = min(ImageChops.invert(image).getbbox()[3] + 40, height)
     few = image.crop((0, 0, width, bottom)).quantize(48)
-    few.save(REPORT / f"{name}.png", optimize=True)
+    few.save(out / f"{name}.png", optimize=True)
 
 
 def main() -> None:
     """Simulate, diagnose, compare with the truth, and photograph."""
+    out: Path = command_line(__doc__, "diagnosis_example").parse_args().out
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     with TemporaryDirectory() as scratch:
         record(Path(scratch))
-        hybrid(f"diagnose --robot {ARM} --recordings {scratch} --out {REPORT}".split())
-        found = json.loads((REPORT / "diagnosis.json").read_text("utf-8"))["findings"]
-        (REPORT / "table.md").write_text(markdown_table(table(found)), "utf-8")
+        args = f"--robot={ARM}", f"--recordings={scratch}", f"--out={out}"
+        hybrid(["diagnose", *args])
+        found = json.loads((out / "diagnosis.json").read_text("utf-8"))["findings"]
+        (out / "table.md").write_text(markdown_table(table(found)), "utf-8")
         for name in SIZES if browser else ():
-            photograph(browser, name, Path(scratch))
+            photograph(browser, out, name, Path(scratch))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ with the rigid body unknown. A figure shows the way down.
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from friction_solvers import GENERATIONS, LAWS, SEARCHES, full, searched, separa
 from improved_stribeck_report import write_report
 from joint_friction_logs import RATE, RIPPLE, TRUE, improved, one_joint
 from joint_friction_together import all_joints_at_once
+from outputs import command_line
 
 from hybrid.robot.chain import Array
 
@@ -68,12 +68,13 @@ def study(joint: int, seeds: int) -> dict[str, Any]:
 
 def main() -> None:
     """Study the joints, print and write the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "improved_stribeck")
     parser.add_argument("--seeds", type=int, default=5)
-    seeds = parser.parse_args().seeds
+    args = parser.parse_args()
+    seeds: int = args.seeds
     joints = [study(joint, seeds) for joint in range(3)]
     together = all_joints_at_once(np.random.default_rng(7))
-    write_report(joints, together, GENERATIONS, f"--seeds {seeds}")
+    write_report(args.out, joints, together, GENERATIONS, f"--seeds {seeds}")
 
 
 if __name__ == "__main__":

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from improved_stribeck_figure import way_down
 from improved_stribeck_solvers import solvers_table, together_table
-from joint_friction_logs import NAMES, ROOT
+from joint_friction_logs import NAMES
 from rich.console import Console
 
 from hybrid.files import atomic_path
 from hybrid.report import numbers_table, provenance, save_figure, write_results
 from hybrid.report.table import Table, markdown_table
 
-REPORT = ROOT / "reports" / "improved_stribeck"
 PUBLISHED = {  # % of squares removed, joints 1–3
     "Coulomb + viscous": (28.6, 17.7, 33.6),
     "Stribeck": (16.3, 11.8, 17.3),
@@ -60,6 +60,7 @@ def _removed(joints: Sequence[dict[str, Any]]) -> Table:
 
 
 def write_report(
+    out: Path,
     joints: Sequence[dict[str, Any]],
     together: dict[str, Any],
     generations: int,
@@ -78,8 +79,8 @@ def write_report(
     ]
     for table in tables:
         console.print(numbers_table(table))
-    save_figure(way_down(joints), REPORT / "figure.png")
-    with atomic_path(REPORT / "table.md") as path:
+    save_figure(way_down(joints), out / "figure.png")
+    with atomic_path(out / "table.md") as path:
         path.write_text(
             "\n".join(f"{t.caption}.\n\n{markdown_table(t)}" for t in tables)
             + f"\n    {command}\n"
@@ -88,7 +89,7 @@ def write_report(
         for run in (run for runs in found.values() for run in runs):
             run["history"] = run["history"][::25]  # the figure has drawn every step
     write_results(
-        REPORT / "results.json",
+        out / "results.json",
         {
             "provenance": provenance(command=command),
             "joints": joints,

@@ -13,13 +13,13 @@ plus 1 m times orientation error. So is the tabu search's first radius: of 1.5, 
 
 from __future__ import annotations
 
-import argparse
 import time
 from typing import Any
 
 import numpy as np
 from kinematic_calibration_report import write_report
 from mh6 import LABELS, MODEL, TRUE, UNITS, UPPER, measure, pose_errors, random_poses
+from outputs import command_line
 
 from hybrid.calibrate import Measurements
 from hybrid.calibrate.solve import solve
@@ -74,16 +74,17 @@ def efficiency(q: Array, outliers: float, seeds: int) -> dict[str, float]:
 
 def main() -> None:
     """Search, solve, compare, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__, "kinematic_calibration")
     parser.add_argument("--seeds", type=int, default=5)
-    seeds: int = parser.parse_args().seeds
+    args = parser.parse_args()
+    seeds: int = args.seeds
     q = random_poses(70, np.random.default_rng(POSES))
     fit, test = measure(q[:50], 0, 0, 0), measure(q[50:], 0, 0, 0)
     runs = [searched(fit, seed) for seed in range(FIRST, FIRST + seeds)]
     began = time.perf_counter()
     exact = solve(MODEL, fit, LABELS, UNITS), time.perf_counter() - began
     bounds = {share: efficiency(q[:50], share, 100) for share in (0.0, 0.05)}
-    write_report(runs, exact, test, bounds, f"--seeds {seeds}")
+    write_report(args.out, runs, exact, test, bounds, f"--seeds {seeds}")
 
 
 if __name__ == "__main__":

@@ -16,10 +16,9 @@ from hybrid.files import atomic_path
 from hybrid.report import numbers_table, provenance, save_figure, write_results
 from hybrid.report.table import markdown_table
 
-REPORT = Path(__file__).parents[1] / "reports" / "kinematic_calibration"
-
 
 def write_report(
+    out: Path,
     runs: Runs,
     exact: tuple[Solution, float],
     test: Measurements,
@@ -39,9 +38,9 @@ def write_report(
     for table in tables:
         Console(width=140, highlight=False).print(numbers_table(table))
     text = "\n".join(f"{x.caption}\n\n{markdown_table(x)}" for x in tables)
-    with atomic_path(REPORT / "table.md") as temporary:
+    with atomic_path(out / "table.md") as temporary:
         temporary.write_text(f"{text}\n{note}\n    {command}\n", encoding="utf-8")
-    save_figure(way_down(runs, solution, test), REPORT / "figure.png")
+    save_figure(way_down(runs, solution, test), out / "figure.png")
     ours = {"x": solution.x, "seconds": seconds, "iterations": solution.iterations}
     for run in runs:  # the figure has drawn every step
         for found in (x for x in run.values() if isinstance(x, dict)):
@@ -49,4 +48,4 @@ def write_report(
     content = {"labels": LABELS, "true": TRUE, "published": PUBLISHED, "search": runs}
     content |= {"least_squares": ours | {"evaluations": solution.evaluations}}
     content |= {"bounds": bounds, "provenance": provenance(command=command)}
-    write_results(REPORT / "results.json", content)
+    write_results(out / "results.json", content)

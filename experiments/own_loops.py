@@ -11,7 +11,6 @@ friction nor rotors, as most do: these have to be found at every joint besides.
 
 from __future__ import annotations
 
-import argparse
 import warnings
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -22,6 +21,7 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+from outputs import command_line
 from own_fault import KINDS
 from own_loop import OwnLoop
 from own_motion import Make
@@ -41,7 +41,6 @@ from hybrid.report import (
 )
 from hybrid.robot import Robot
 
-REPORT = Path(__file__).parents[1] / "reports" / "own_loops"
 RECORDINGS = 4
 LEFT_OUT = ("coulomb", "viscous", "armature")  # of a bare file
 
@@ -101,7 +100,7 @@ def outcome(found: dict[str, Any], left_out: Collection[str] = ()) -> str:
 
 def main() -> None:
     """Run all kinds on all arms, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "own_loops")
     parser.add_argument("--arms", default="models/scara.xml,ur5,panda")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--bare", action="store_true", help="no friction in the file")
@@ -129,8 +128,7 @@ def main() -> None:
     count = Counter(_short(r["outcome"]) for r in runs)
     command = f"python experiments/own_loops.py --arms {args.arms} --seed {args.seed}"
     command += " --bare" * args.bare
-    folder = REPORT.with_name("own_loops_bare") if args.bare else REPORT
-    write_report(folder, table, counted(count), command, runs)
+    write_report(args.out, table, counted(count), command, runs)
 
 
 def by_condition(

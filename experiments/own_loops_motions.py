@@ -9,12 +9,11 @@ with the outcomes of ``own_loops``.
 
 from __future__ import annotations
 
-import argparse
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from pathlib import Path
 from typing import Any
 
+from outputs import command_line
 from own_fault import KINDS
 from own_loops import by_condition, outcome, run, write_report
 from own_motion import Make, again, visits
@@ -22,7 +21,6 @@ from rich.console import Console
 
 from hybrid.plant import random_fourier
 
-REPORT = Path(__file__).parents[1] / "reports" / "own_loops_motions"
 MOTIONS = "pose to pose", "joint by joint", "one path"
 
 
@@ -41,7 +39,7 @@ def answers(arm: str, seed: int, kind: str) -> list[dict[str, Any]]:
 
 def main() -> None:
     """Run all kinds, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "own_loops_motions")
     parser.add_argument("--arm", default="ur5")
     parser.add_argument("--seed", type=int, default=9)
     parser.add_argument("--workers", type=int, default=2)
@@ -53,7 +51,7 @@ def main() -> None:
             console.print(found[0]["true"][0], said, highlight=False)
     table, summary = by_condition(runs, MOTIONS, args.arm)
     command = f"python experiments/own_loops_motions.py --arm {args.arm}"
-    write_report(REPORT, table, summary, f"{command} --seed {args.seed}", runs)
+    write_report(args.out, table, summary, f"{command} --seed {args.seed}", runs)
 
 
 if __name__ == "__main__":

@@ -8,15 +8,15 @@ the same. Some leave next to no trace at the joint that they fall on, and are co
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
+from outputs import command_line
 from own_fault import IN_COMMAND, KINDS
-from own_loops import REPORT, counted, run, write_report
+from own_loops import counted, run, write_report
 from rich.console import Console
 
 from hybrid.report import Table
@@ -52,7 +52,7 @@ def draw(arms: list[str], count: int, seed: int) -> Iterator[tuple[Any, ...]]:
 
 def main() -> None:
     """Diagnose all pairs, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "own_loops_pairs")
     parser.add_argument("--arms", default="models/scara.xml,ur5,z1")
     parser.add_argument("--count", type=int, default=36)
     parser.add_argument("--seed", type=int, default=41)
@@ -74,9 +74,7 @@ def main() -> None:
     count["something false"] = sum("and" in r["outcome"] for r in runs)
     command = "python experiments/own_loops_pairs.py"
     command += f" --arms {args.arms} --count {args.count} --seed {args.seed}"
-    write_report(
-        REPORT.with_name("own_loops_pairs"), table, counted(count), command, runs
-    )
+    write_report(args.out, table, counted(count), command, runs)
 
 
 if __name__ == "__main__":

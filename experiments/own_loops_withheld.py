@@ -8,15 +8,15 @@ fault. Right is to abstain, or to name one that is declared its equivalent.
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from outputs import command_line
 from own_fault import IN_COMMAND, KINDS
-from own_loops import REPORT, counted, run, write_report
+from own_loops import counted, run, write_report
 from rich.console import Console
 
 from hybrid.benchmark.score import EQUIVALENT
@@ -41,7 +41,7 @@ def withhold(arm: str, seed: int, kind: str) -> dict[str, Any]:
 
 def main() -> None:
     """Withhold all kinds on all arms, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "own_loops_withheld")
     parser.add_argument("--arms", default="models/scara.xml,ur5")
     parser.add_argument("--seed", type=int, default=31)
     parser.add_argument("--workers", type=int, default=2)
@@ -64,9 +64,7 @@ def main() -> None:
     count = Counter(x.split(" (")[0] for x in outcomes)
     command = "python experiments/own_loops_withheld.py"
     command += f" --arms {args.arms} --seed {args.seed}"
-    write_report(
-        REPORT.with_name("own_loops_withheld"), table, counted(count), command, runs
-    )
+    write_report(args.out, table, counted(count), command, runs)
 
 
 if __name__ == "__main__":

@@ -11,12 +11,12 @@ three ways to do so is scored. The KR300 has two logs.
 
 from __future__ import annotations
 
-import argparse
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from outputs import command_line
 from real_arms_data import ARMS, Arm, Score
 from real_arms_report import arm_table, ratio_figure
 from rich.console import Console
@@ -32,8 +32,6 @@ from hybrid.report import (
     write_results,
 )
 from hybrid.signals import motion_from_recording
-
-REPORT = Path(__file__).parents[1] / "reports" / "real_arms"
 
 
 def measure(arm: Arm, data: Path) -> Iterator[Score]:
@@ -53,14 +51,14 @@ def measure(arm: Arm, data: Path) -> Iterator[Score]:
 
 def main() -> None:
     """Measure all arms, print the tables, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "real_arms")
     parser.add_argument("data", type=Path, help="folder with a folder for each arm")
-    data, console, scores = parser.parse_args().data, Console(width=130), []
+    args, console, scores = parser.parse_args(), Console(width=130), []
     text = ""
     warnings.simplefilter("ignore", HybridWarning)  # columns of the logs not needed
     for arm in ARMS:
         found = []
-        for score in measure(arm, data):
+        for score in measure(arm, args.data):
             found.append(score)
             console.print(score.said(), highlight=False)
         table = arm_table(found)
@@ -69,12 +67,12 @@ def main() -> None:
         text += "".join(f"- {x.said()}\n" for x in found) + "\n"
         scores += found
     command = "python experiments/real_arms.py DATA_FOLDER"
-    with atomic_path(REPORT / "table.md") as path:
+    with atomic_path(args.out / "table.md") as path:
         path.write_text(f"{text}    {command}\n", encoding="utf-8")
-    save_figure(ratio_figure(scores), REPORT / "figure.png")
+    save_figure(ratio_figure(scores), args.out / "figure.png")
     content = {"provenance": provenance(command=command)}
     content["scores"] = [x.as_dict() for x in scores]
-    write_results(REPORT / "results.json", content)
+    write_results(args.out / "results.json", content)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ all effects found. What is known of these arms from elsewhere stands beside it i
 
 from __future__ import annotations
 
-import argparse
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
+from outputs import command_line
 from real_arms_data import ARMS, Arm
 from real_arms_diagnosis_report import (
     Score,
@@ -40,7 +40,6 @@ from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.report import numbers_table, provenance, save_figure, write_results
 
-REPORT = Path(__file__).parents[1] / "reports" / "real_arms"
 COMMAND = "python experiments/real_arms_diagnosis.py DATA_FOLDER"
 
 
@@ -61,21 +60,21 @@ def measure(arm: Arm, data: Path) -> Score:
 
 def main() -> None:
     """Diagnose all arms, print what is found, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "real_arms")
     parser.add_argument("data", type=Path, help="folder with a folder for each arm")
-    data, console, text = parser.parse_args().data, Console(width=120), ""
+    args, console, text = parser.parse_args(), Console(width=120), ""
     warnings.simplefilter("ignore", HybridWarning)  # columns of the logs not needed
     content: dict[str, Any] = {"provenance": provenance(command=COMMAND), "arms": {}}
     for arm in ARMS:
-        score = measure(arm, data)
+        score = measure(arm, args.data)
         console.print(said(score), highlight=False, markup=False)
         console.print(numbers_table(gap_table(score)))
         text += in_words(score)
         content["arms"][arm.name] = score.as_dict()
-        save_figure(gap_figure(score), REPORT / f"diagnosis_{arm.name.lower()}.png")
-    with atomic_path(REPORT / "diagnosis_table.md") as path:
+        save_figure(gap_figure(score), args.out / f"diagnosis_{arm.name.lower()}.png")
+    with atomic_path(args.out / "diagnosis_table.md") as path:
         path.write_text(f"{text}    {COMMAND}\n", encoding="utf-8")
-    write_results(REPORT / "diagnosis.json", content)
+    write_results(args.out / "diagnosis.json", content)
 
 
 if __name__ == "__main__":

@@ -10,9 +10,8 @@ half the payload with wrong friction. A figure shows the way of the searches.
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
+from outputs import command_line
 from space_robot import motion
 from space_robot_ours import track, with_noise
 from space_robot_report import write_report
@@ -45,14 +44,15 @@ def tracked(data: tuple[Array, ...], runs: int) -> dict[str, tuple[Array, float]
 
 def main() -> None:
     """Run everything, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "space_robot")
     parser.add_argument("--runs", type=int, default=50)
-    count, data = parser.parse_args().runs, motion()
+    args, data = parser.parse_args(), motion()
+    count: int = args.runs
     runs = {
         name: [recursive_search(data, seed, *options) for seed in range(count)]
         for name, options in VARIANTS.items()
     }
-    write_report(runs, plain(data), tracked(data, count), f"--runs {count}")
+    write_report(args.out, runs, plain(data), tracked(data, count), f"--runs {count}")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ from hybrid.robot.chain import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-REPORT = Path(__file__).parents[1] / "reports" / "space_robot"
 PUBLISHED = {
     "published recursive DE, best": [
         6.7255,
@@ -80,6 +79,7 @@ def _figure(runs: dict[str, list[Run]]) -> Figure:
 
 
 def write_report(
+    out: Path,
     runs: dict[str, list[Run]],
     plain: dict[str, Array],
     ours: dict[str, tuple[Array, float]],
@@ -102,10 +102,10 @@ def write_report(
     table = Table(header, tuple(rows), caption)
     Console(width=210).print(numbers_table(table))
     command = f"python experiments/space_robot_online.py {options}"
-    with atomic_path(REPORT / "table.md") as path:
+    with atomic_path(out / "table.md") as path:
         path.write_text(f"{caption}.\n\n{markdown_table(table)}\n    {command}\n")
-    save_figure(_figure(runs), REPORT / "figure.png")
+    save_figure(_figure(runs), out / "figure.png")
     content = {"provenance": provenance(command=command), "true": TRUE}
     content |= {name: [run.path[-1] for run in each] for name, each in runs.items()}
     content |= {name: points for name, (points, _) in ours.items()}
-    write_results(REPORT / "results.json", content)
+    write_results(out / "results.json", content)

@@ -10,11 +10,11 @@ least squares, 9.32 by reweighted least squares, 6.14 with all stages: −35.6 %
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 import numpy as np
-from coman import ROOT, STAGES, identify_and_validate, noise_floor, simulate_run
+from coman import STAGES, identify_and_validate, noise_floor, simulate_run
+from outputs import command_line
 from rich.console import Console
 
 from hybrid.files import atomic_path
@@ -28,7 +28,6 @@ from hybrid.report import (
 from hybrid.report.study import Study
 
 PUBLISHED = {"LS": 9.53, "IRLS": 9.32, "+ remainder": 6.14}  # N·m, mean over the joints
-REPORT = ROOT / "reports" / "three_stage_coman"
 
 
 def measure(seed: int) -> dict[str, Any]:
@@ -50,10 +49,10 @@ def measure(seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Measure all seeds, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "three_stage_coman")
     parser.add_argument("--seeds", type=int, default=10)
-    count, console, runs = parser.parse_args().seeds, Console(width=200), []
-    for seed in range(count):
+    args, console, runs = parser.parse_args(), Console(width=200), []
+    for seed in range(args.seeds):
         runs.append(measure(seed))
         first, last = (np.mean(runs[-1]["rms"][k]) for k in (0, -1))
         left_out = "; ".join(("", *runs[-1]["left_out"]))
@@ -66,13 +65,13 @@ def main() -> None:
         floor=np.array([run["noise_floor"] for run in runs]),
         published=PUBLISHED,
     )
-    command = f"python experiments/three_stage_coman.py --seeds {count}"
+    command = f"python experiments/three_stage_coman.py --seeds {args.seeds}"
     table = study.table()
     console.print(numbers_table(table))
-    save_figure(study.figure(), REPORT / "figure.png")
+    save_figure(study.figure(), args.out / "figure.png")
     content = {"provenance": provenance(command=command), "stages": STAGES}
-    write_results(REPORT / "results.json", content | {"runs": runs})
-    with atomic_path(REPORT / "table.md") as path:
+    write_results(args.out / "results.json", content | {"runs": runs})
+    with atomic_path(args.out / "table.md") as path:
         path.write_text(f"{table.caption}.\n\n{markdown_table(table)}\n    {command}\n")
 
 

@@ -12,13 +12,13 @@ limits into the file; run it again until none is better.
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from outputs import command_line
 from rich.console import Console
 from tune_thresholds_cases import TRIALS, checked_cases
 
@@ -30,7 +30,6 @@ from hybrid.report import Table, markdown_table, provenance, write_results
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "hybrid" / "diagnose" / "thresholds.json"
-REPORT = ROOT / "reports" / "thresholds"
 STRATA = ("single", "withheld", "none", "pair", "unknown")
 WRONG = 2.0  # a false cause costs this, a right answer gives one
 NAMES = ("as it is", *(f"{name} {value:g}" for name, value in TRIALS[1:]))
@@ -52,7 +51,7 @@ def best(worths: np.ndarray) -> int:
 
 def main() -> None:
     """Answer all cases, choose, score nested, and write if asked to."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "thresholds")
     parser.add_argument("--cases", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1)
@@ -86,8 +85,8 @@ def main() -> None:
         f"python experiments/tune_thresholds.py --cases {args.cases} --seed {args.seed}"
     )
     content = {"provenance": provenance(command=command), "names": NAMES}
-    write_results(REPORT / "results.json", content | {"worths": worths})
-    with atomic_path(REPORT / "table.md") as path:
+    write_results(args.out / "results.json", content | {"worths": worths})
+    with atomic_path(args.out / "table.md") as path:
         path.write_text(
             f"{heading}.\n\n{markdown_table(table)}\n{said}\n\n    {command}\n"
         )

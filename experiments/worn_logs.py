@@ -9,17 +9,16 @@ table of kinds and logs appears, with the outcomes of ``own_loops``.
 
 from __future__ import annotations
 
-import argparse
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from time import process_time
 from typing import Any
 
 import numpy as np
+from outputs import command_line
 from own_fault import KINDS
 from own_loop import OwnLoop
 from own_loops import RECORDINGS, by_condition, named, outcome, write_report
@@ -30,7 +29,6 @@ from hybrid.benchmark.robots import load_arm
 from hybrid.errors import HybridWarning
 from hybrid.recording import Recording
 
-REPORT = Path(__file__).parents[1] / "reports" / "worn_logs"
 EACH = 5  # samples of 500 Hz to one of 100 Hz
 NOISE, STEP = 0.02, 0.005  # of the rated torque
 COUNT = 1.5e-3  # rad, of an encoder of 4096 lines
@@ -97,7 +95,7 @@ def run(arm: str, kind: str, seed: int) -> list[dict[str, Any]]:
 
 def main() -> None:
     """Run all kinds, print the table, write the report."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__, "worn_logs")
     parser.add_argument("--arm", default="models/scara.xml")
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--workers", type=int, default=2)
@@ -110,7 +108,7 @@ def main() -> None:
             console.print(found[0]["true"][0], outcomes, highlight=False)
     table, summary = by_condition(runs, tuple(WEAR), args.arm)
     command = f"python experiments/worn_logs.py --arm {args.arm} --seed {args.seed}"
-    write_report(REPORT, table, summary, command, runs)
+    write_report(args.out, table, summary, command, runs)
 
 
 if __name__ == "__main__":
