@@ -40,7 +40,7 @@ from hybrid.identify.problem import build_problem
 from hybrid.signals import Sampler
 
 COMPONENTS = (1, 2, 4, 8, 16, 32)
-_CANDIDATES = 49  # thresholds: quantiles of the speed, 2 % apart
+_CANDIDATES = 24  # thresholds tried at a time: quantiles of the speed
 _MOST_ROUNDS, _SETTLED = 10, 0.005  # relative change of what is left
 # Torque left repeats itself from sample to sample, and BIC takes all for independent.
 _APART = 0.1  # s
@@ -256,14 +256,19 @@ def regimes(speed: Array, columns: Array, tau: Array) -> tuple[float, Array]:
     Returns:
         λ [rad/s], and the gains below it, then those above, shape (10,).
     """
-    found = []
-    for threshold in np.quantile(speed, np.linspace(0, 1, _CANDIDATES + 2)[1:-1]):
-        slow = speed < threshold
-        parts = [nnls(columns[part], tau[part]) for part in (slow, ~slow)]
-        squares = sum(left**2 for _, left in parts)
-        gains = np.concatenate([x for x, _ in parts])
-        found.append((float(squares), float(threshold), gains))
-    _, threshold, gains = min(found, key=lambda x: x[0])
+    low, high = 0.0, 1.0  # shares of the samples
+    for _ in range(2):  # coarsely, then between the neighbours of the best
+        found = []
+        for share in np.linspace(low, high, _CANDIDATES + 2)[1:-1]:
+            threshold = np.quantile(speed, share)
+            slow = speed < threshold
+            parts = [nnls(columns[part], tau[part]) for part in (slow, ~slow)]
+            gains = np.concatenate([x for x, _ in parts])
+            squares = sum(left**2 for _, left in parts)
+            found.append((squares, share, float(threshold), gains))
+        _, share, threshold, gains = min(found, key=lambda x: x[0])
+        step = (high - low) / (_CANDIDATES + 1)
+        low, high = share - step, share + step
     return threshold, gains
 
 
