@@ -44,6 +44,7 @@ _CANDIDATES = 24  # thresholds tried at a time: quantiles of the speed
 _MOST_ROUNDS, _SETTLED = 10, 0.005  # relative change of what is left
 # Torque left repeats itself from sample to sample, and BIC takes all for independent.
 _APART = 0.1  # s
+PLAIN = tuple(name.upper() for name in ESTIMATORS)
 _LINEAR = (TorqueOffset, Coulomb, Viscous)
 _GAINS = ("coulomb_positive", "coulomb_negative", "cubic", "quadratic", "linear")
 
@@ -120,36 +121,57 @@ def published_chain(
     data, joints = prepare(robot, recordings, cutoff), range(robot.size)
     rotors = [*(Armature((j,)) for j in joints), *effects]
     linear = [cls((j,)) for cls in _LINEAR for j in joints]
-    models = {
-        name.upper(): rigid(robot, data, [*rotors, *linear], name)
-        for name in ESTIMATORS
-    }
+    everything = [*rotors, *linear]
+    models = {name.upper(): rigid(robot, data, everything, name) for name in ESTIMATORS}
     body, size = _only(models["IRLS"], rotors), np.inf
     learned: ArmRemainder | None = None
-    counts: Sequence[int | None] = (None,) * robot.size
     for rounds in range(1, _MOST_ROUNDS + 1):  # noqa: B007
-        rest = left_by(replace(body, remainder=learned), data)
-        friction = [threshold_friction(data, rest, j) for j in joints]
-        bent = replace(body, effects=(*body.effects, *friction))
-        models.setdefault("+ threshold friction", bent)
-        learned = mixtures(left_by(bent, data), counts, seed)
-        counts = [part.regression.components for part in learned.parts]
-        model = replace(bent, remainder=learned)
-        models.setdefault("+ mixture", model)
+        bent, model = later_stages(data, body, learned, seed)
+        models.setdefault("published + friction", bent)
+        models.setdefault("published + mixture", model)
         before, size = size, left_by(model, data).rms
         if settled := before - size < _SETTLED * size:
             break
         known = [model.predict(m) - body.predict(m) for m in data.motions]
-        body = rigid(robot, data, rotors, "irls", known)
-    models["iterated"] = model
-    thresholds = tuple(e.values["threshold"] for e in friction)
-    return Chain(models, tuple(counts), thresholds, rounds, settled)
+        body, learned = rigid(robot, data, rotors, "irls", known), model.remainder
+    models["published, iterated"] = model
+    laws = [e for e in model.effects if isinstance(e, RegimeFriction)]
+    thresholds = tuple(law.values["threshold"] for law in laws)
+    return Chain(models, components(model.remainder), thresholds, rounds, settled)
+
+
+def later_stages(
+    data: Data, body: DynamicModel, learned: ArmRemainder | None, seed: int
+) -> tuple[DynamicModel, DynamicModel]:
+    """Friction around a rigid body and what was learned; and the mixtures anew.
+
+    Args:
+        data: What to fit on.
+        body: Stage one alone.
+        learned: Mixtures of the round before; their sizes stay.
+        seed: Seed of the mixtures' starts.
+
+    Returns:
+        The model with friction, and with friction and mixtures.
+    """
+    rest, joints = (
+        left_by(replace(body, remainder=learned), data),
+        range(body.robot.size),
+    )
+    friction = (threshold_friction(data, rest, j) for j in joints)
+    bent = replace(body, effects=(*body.effects, *friction))
+    counts = components(learned) if learned else [None for _ in joints]
+    return bent, replace(bent, remainder=mixtures(left_by(bent, data), counts, seed))
+
+
+def components(learned: ArmRemainder) -> tuple[int, ...]:
+    """How many components each joint's mixture has."""
+    return tuple(part.regression.components for part in learned.parts)
 
 
 def beside(chain: Chain, ours: DynamicModel) -> dict[str, DynamicModel]:
     """Models of the chain, then the rungs of our ladder below its last, by name."""
-    rungs = {k: x for k, x in ours.simpler.items() if k not in chain.models}
-    return chain.models | {f"ours {name}": model for name, model in rungs.items()}
+    return chain.models | {k: x for k, x in ours.simpler.items() if k not in PLAIN}
 
 
 def rigid(
@@ -272,17 +294,17 @@ def regimes(speed: Array, columns: Array, tau: Array) -> tuple[float, Array]:
     return threshold, gains
 
 
-def mixtures(rest: Rest, components: Sequence[int | None], seed: int) -> ArmRemainder:
+def mixtures(rest: Rest, counts: Sequence[int | None], seed: int) -> ArmRemainder:
     """Stage three: a mixture of every joint over what is left of its torque.
 
     Args:
         rest: Torque left.
-        components: How many each joint has, or None to choose them by BIC.
+        counts: Components of each joint, or None to choose them by BIC.
         seed: Seed of the starts.
     """
     n, parts = rest.tau.shape[1], []
     apart = max(1, round(_APART * rest.rate))
-    for joint, count in enumerate(components):
+    for joint, count in enumerate(counts):
         moving = np.flatnonzero(rest.moving[:, joint])[::apart]
         regression = GaussianMixtureRegression.fit(
             np.stack([rest.q[moving, joint], rest.v[moving, joint]], axis=1),

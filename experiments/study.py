@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from published_chain import PLAIN
 
 from hybrid.report.style import BLACK, BLUE, GREY, RED, clean, legend, new_figure
 from hybrid.report.table import Table
@@ -25,8 +26,8 @@ class Study:
 
     Attributes:
         joints: Joint names, n of them.
-        stages: Names of the stages, K of them; those of our ladder begin with "ours".
-            All are compared with the better of LS and WLS.
+        stages: Names of the stages, K of them; those of the published chain begin
+            with "published". All are compared with the better of LS and WLS.
         rms: RMS torque error, shape (S, K, n), [N·m].
         relative: RMS error over RMS torque, shape (S, K, n).
         floor: RMS of the noise that no model predicts, shape (S, n), [N·m].
@@ -39,6 +40,24 @@ class Study:
     relative: Array
     floor: Array
     published: Mapping[str, float]
+
+    @classmethod
+    def of(
+        cls, runs: Sequence[Mapping[str, Any]], published: Mapping[str, float]
+    ) -> Self:
+        """Put runs together; a stage that one left out has the errors before it.
+
+        Args:
+            runs: ``joints``, ``noise_floor``, and by stage ``rms`` and ``relative``.
+            published: Mean RMS of a publication, by stage, [N·m].
+        """
+        stages = max((tuple(run["rms"]) for run in runs), key=len)
+        floor = np.array([run["noise_floor"] for run in runs])
+        both = (
+            np.array([_filled(run[key], stages) for run in runs])
+            for key in ("rms", "relative")
+        )
+        return cls(runs[0]["joints"], stages, *both, floor, published)
 
     @property
     def mean(self) -> Array:
@@ -102,10 +121,11 @@ class Study:
         share = 100 * (1 - self.cut)
         floor = 100 * self.floor.mean(axis=1) / self.plain
         clean(axes, grid="y")
-        ours = np.array([name.startswith("ours") for name in self.stages])
+        theirs = np.array([name.startswith("published") for name in self.stages])
+        plain = np.array([name in PLAIN for name in self.stages])
         for x, ink, name in (
-            (np.flatnonzero(~ours), RED, "published chain"),
-            (np.flatnonzero(ours), BLUE, "our ladder"),
+            (np.flatnonzero(plain | ~theirs), BLUE, "our ladder"),
+            (np.flatnonzero(plain | theirs), RED, "published chain"),
         ):
             axes.plot(x, share[:, x].T, color=GREY, linewidth=0.6, alpha=0.5)
             axes.plot(x, np.median(share, axis=0)[x], "o-", color=ink, label=name)
@@ -127,14 +147,22 @@ class Study:
     def _draw_joints(self, axes: Axes) -> None:
         x, ratio = np.arange(len(self.joints)), self.rms / self.floor[:, None]
         clean(axes, grid="y")
-        last = [k for k, name in enumerate(self.stages) if not name.startswith("ours")]
-        for k, ink, shift in ((0, GREY, -0.2), (last[-1], RED, 0.0), (-1, BLUE, 0.2)):
+        theirs = [k for k, x in enumerate(self.stages) if x.startswith("published")]
+        inks = (0, GREY, -0.2), (theirs[-1], RED, 0.0), (-1, BLUE, 0.2)
+        for k, ink, shift in inks:
             axes.plot(x + shift, ratio[:, k].T, ".", color=ink, markersize=3, alpha=0.5)
             axes.plot(x + shift, np.median(ratio[:, k], axis=0), "o", color=ink)
         axes.axhline(1.0, color=BLACK, linestyle=":")
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel("RMS error / noise floor (grey: LS)", fontsize=8)
         axes.set_xticks(x, self.joints, rotation=35, ha="right")
+
+
+def _filled(rows: Mapping[str, Array], stages: Sequence[str]) -> list[Array]:
+    found: list[Array] = []
+    for name in stages:
+        found.append(rows[name] if name in rows else found[-1])
+    return found
 
 
 def _numbers(values: Array) -> list[str]:

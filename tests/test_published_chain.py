@@ -104,26 +104,30 @@ def planar():
     quiet = Noise.correlated(np.full(2, 0.05), 0.3)
     logs = simulate(robot, [*laws, *hidden], trajectories=8, seed=1, noise=quiet)
     chain = published_chain(robot, logs[:4])
-    last = chain.models["iterated"]
+    last = chain.models["published, iterated"]
     rows = validate(replace(last, simpler=chain.models), logs[4:]).rows
     return chain, {row.name: row.rms for row in rows}
 
 
 def test_the_mixture_learns_on_other_motions_what_no_effect_describes(planar):
     _, rms = planar
-    before, after = rms["+ threshold friction"], rms["+ mixture"]
+    before, after = rms["published + friction"], rms["published + mixture"]
     assert (after < before).all() and after.mean() < 0.8 * before.mean()
 
 
 def test_iteration_lowers_the_error_on_other_motions_and_settles(planar):
     chain, rms = planar
     assert chain.settled and 1 < chain.rounds
-    assert rms["iterated"].mean() <= rms["+ mixture"].mean()
+    assert rms["published, iterated"].mean() <= rms["published + mixture"].mean()
 
 
 def test_every_gain_of_the_chain_is_friction(planar):
     chain, _ = planar
-    laws = [e for e in chain.models["iterated"].effects if e.id == "regime_friction"]
+    laws = [
+        e
+        for e in chain.models["published, iterated"].effects
+        if e.id == "regime_friction"
+    ]
     assert len(laws) == 2
     assert all((e.gain_values >= 0).all() for e in laws)
     assert chain.thresholds == tuple(e.values["threshold"] for e in laws)

@@ -14,7 +14,7 @@ from hybrid.errors import HybridWarning
 from hybrid.report import provenance
 from hybrid.report.identification import write_identification
 
-STAGES = ("LS", "iterated", "ours")
+STAGES = ("LS", "published", "ours")
 
 
 @pytest.fixture
@@ -51,9 +51,20 @@ def test_the_figure_of_a_study_has_both_ways_down_and_three_dots_for_each_joint(
     way_down, joints = study.figure().axes
     lines = {line.get_label(): line.get_ydata() for line in way_down.lines}
     np.testing.assert_allclose(lines["published chain"], [100, 90])
-    np.testing.assert_allclose(lines["our ladder"], [40])
+    np.testing.assert_allclose(lines["our ladder"], [100, 40])
     dots = [line.get_ydata() for line in joints.lines if line.get_marker() == "o"]
     np.testing.assert_allclose(dots, [[10, 10], [9, 9], [4, 4]])
+
+
+def test_a_rung_that_a_run_left_out_has_the_errors_below_it():
+    one = {"LS": np.ones(2), "+ ripple": np.full(2, 0.5), "ours": np.full(2, 0.4)}
+    runs = [
+        {"joints": ("a", "b"), "rms": rms, "relative": rms, "noise_floor": np.ones(2)}
+        for rms in (one, {"LS": np.ones(2), "ours": np.full(2, 0.3)})
+    ]
+    study = Study.of(runs, {})
+    assert study.stages == tuple(one)
+    np.testing.assert_allclose(study.mean, [[1, 0.5, 0.4], [1, 1, 0.3]])
 
 
 def test_plain_least_squares_is_the_better_of_both(study):

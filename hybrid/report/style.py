@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -31,11 +32,20 @@ STAGES = {
     "+ ripple": "#4a97c9",
     "+ remainder": "#08519c",
 }
+# Models to stand beside these, which have names of their own.
+_BESIDE = ("#fdd0a2", "#fd8d3c", "#d94801", "#8c2d04")
 # On top of a broad grey line; the last prediction, the best one, is dark blue.
 BEST = "#08519c"
 OTHERS = ("#e69f00", "#56b4e9")
 
 WIDTH = 7.2  # inches: the text width of a page
+
+
+def stage_inks(names: Sequence[str]) -> dict[str, str]:
+    """A colour for each model, by name; the last is the best."""
+    others = [name for name in names[:-1] if name not in STAGES]
+    inks = dict(zip(others, cycle(_BESIDE), strict=False))
+    return STAGES | inks | {names[-1]: BEST}
 
 
 def new_figure(height: float) -> Figure:
