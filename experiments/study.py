@@ -141,8 +141,8 @@ class Study:
         axes.axhline(np.median(floor), color=BLACK, linestyle=":", label="noise floor")
         axes.set_ylim(0, 1.05 * share.max())
         axes.set_ylabel("mean RMS error [% of plain LS]", fontsize=8)
-        names = [name.replace(" ", "\n").replace("+\n", "+ ") for name in self.stages]
-        axes.set_xticks(np.arange(len(names)), names, fontsize=7)
+        names = [x.removeprefix("published").strip(" ,") for x in self.stages]
+        axes.set_xticks(np.arange(len(names)), names, fontsize=7, rotation=20)
 
     def _draw_joints(self, axes: Axes) -> None:
         x, ratio = np.arange(len(self.joints)), self.rms / self.floor[:, None]
@@ -176,7 +176,9 @@ def _spread(values: Array) -> list[str]:
 
 
 def _cut_range(cut: Array) -> str:
-    return f"{100 * cut.min():.1f}–{100 * cut.max():.1f} %" if np.any(cut) else ""
+    if not np.any(cut):
+        return ""
+    return f"{100 * cut.min():.1f} to {100 * cut.max():.1f} %".replace("-", "−")
 
 
 def _percent(cut: float) -> str:

@@ -40,7 +40,7 @@ def test_the_table_of_a_study_shows_medians_spread_and_what_was_published(study)
     assert last["shoulder"] == "1.600"
     assert last["lowest–highest"] == "0.750–1.500"
     assert last["vs LS"] == "−60.0 %"
-    assert last["least–most"] == "50.0–75.0 %"
+    assert last["least–most"] == "50.0 to 75.0 %"
     assert last["× floor"] == "4.00"
     assert last["published mean"] == "6.00 (−25.0 %)"
     assert rows["noise floor"]["mean"] == "0.300"

@@ -33,12 +33,13 @@ STAGES = {
     "+ remainder": "#08519c",
 }
 # Models to stand beside these, which have names of their own.
-_BESIDE = ("#fdd0a2", "#fd8d3c", "#d94801", "#8c2d04")
+_BESIDE = ("#cbc9e2", "#9e9ac8", "#6a51a3", "#3f007d")
 # On top of a broad grey line; the last prediction, the best one, is dark blue.
 BEST = "#08519c"
 OTHERS = ("#e69f00", "#56b4e9")
 
 WIDTH = 7.2  # inches: the text width of a page
+_NAMES_A_LINE = 7  # of a legend, at most
 
 
 def stage_inks(names: Sequence[str]) -> dict[str, str]:
@@ -109,7 +110,7 @@ def finish(figure: Figure, bottom: Sequence[Axes], label: str) -> None:
 
 
 def legend(figure: Figure, handles: Sequence[Any], *, enlarge: float = 3.0) -> None:
-    """One line of names above all axes.
+    """Lines of names above all axes, mostly one.
 
     Args:
         figure: The figure.
@@ -119,7 +120,7 @@ def legend(figure: Figure, handles: Sequence[Any], *, enlarge: float = 3.0) -> N
     figure.legend(
         handles=handles,
         loc="outside upper left",
-        ncols=len(handles),
+        ncols=-(-len(handles) // -(-len(handles) // _NAMES_A_LINE)),
         frameon=False,
         fontsize=8,
         markerscale=enlarge,
