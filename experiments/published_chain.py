@@ -10,7 +10,10 @@
    joint; the number of components by BIC.
 
 All three are repeated on the torque less what the others explain until it settles.
-Nothing is held out in the chain, and no stage is refused.
+Nothing is held out in the chain, and no stage is refused. Where the print is silent: λ
+is a quantile of the speed; mixtures learn from samples 0.1 s apart, which hardly repeat
+each other, as BIC takes all for independent (from all samples it takes 32 components,
+the most there are, and errs more); they fade to zero outside their data.
 """
 
 from __future__ import annotations
@@ -42,8 +45,7 @@ from hybrid.signals import Sampler
 COMPONENTS = (1, 2, 4, 8, 16, 32)
 _CANDIDATES = 24  # thresholds tried at a time: quantiles of the speed
 _MOST_ROUNDS, _SETTLED = 10, 0.005  # relative change of what is left
-# Torque left repeats itself from sample to sample, and BIC takes all for independent.
-_APART = 0.1  # s
+_APART = 0.1  # s between the samples that mixtures learn from
 PLAIN = tuple(name.upper() for name in ESTIMATORS)
 _LINEAR = (TorqueOffset, Coulomb, Viscous)
 _GAINS = ("coulomb_positive", "coulomb_negative", "cubic", "quadratic", "linear")
@@ -154,10 +156,8 @@ def later_stages(
     Returns:
         The model with friction, and with friction and mixtures.
     """
-    rest, joints = (
-        left_by(replace(body, remainder=learned), data),
-        range(body.robot.size),
-    )
+    joints = range(body.robot.size)
+    rest = left_by(replace(body, remainder=learned), data)
     friction = (threshold_friction(data, rest, j) for j in joints)
     bent = replace(body, effects=(*body.effects, *friction))
     counts = components(learned) if learned else [None for _ in joints]
