@@ -3,8 +3,9 @@
 A table appears for a UR10, a Stäubli TX40 and a KUKA KR300: RMS torque error on moving
 samples that no fit has seen, beside least squares with Coulomb, viscous and offset
 friction, once as this package does it and once measured independently, with another
-program. UR10 and TX40 have one log each: every third block is held out, and each of the
-three ways to do so is scored. The KR300 has two logs.
+program, and beside each stage of the published chain. UR10 and TX40 have one log each:
+every third block is held out, and each of the three ways to do so is scored. The KR300
+has two logs.
 
     python experiments/real_arms.py DATA_FOLDER
 """
@@ -13,10 +14,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from outputs import command_line
+from published_chain import beside, published_chain
 from real_arms_data import ARMS, Arm, Score
 from real_arms_report import arm_table, ratio_figure
 from rich.console import Console
@@ -44,7 +47,11 @@ def measure(arm: Arm, data: Path) -> Iterator[Score]:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", HybridWarning)
             fit = identify(robot, [fitting], effects=arm.effects, cutoff=arm.cutoff)
-        validation = validate(fit.model, [scoring], standing=standing)
+        chain = published_chain(
+            robot, [fitting], effects=arm.effects, cutoff=arm.cutoff
+        )
+        both = replace(fit.model, simpler=beside(chain, fit.model))
+        validation = validate(both, [scoring], standing=standing)
         said = tuple(str(x.message) for x in caught)
         yield Score(arm, held_out, fit, validation, said)
 

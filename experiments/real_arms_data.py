@@ -12,7 +12,7 @@ import numpy as np
 from hybrid import Fit, Motion
 from hybrid.effects import Effect
 from hybrid.effects.transmission_coupling import TransmissionCoupling
-from hybrid.identify import Validation
+from hybrid.identify import Validation, ValidationRow
 from hybrid.robot.chain import Array
 
 
@@ -74,8 +74,13 @@ class Score:
     @property
     def ratio(self) -> Array:
         """RMS of the last stage over that of plain least squares, shape (n,)."""
-        rows = self.validation.rows
-        return np.asarray(rows[-1].rms / rows[0].rms)
+        return np.asarray(self.validation.rows[-1].rms / self.plain.rms)
+
+    @property
+    def plain(self) -> ValidationRow:
+        """The better of least squares and weighted least squares."""
+        plain = [x for x in self.validation.rows if x.name in ("LS", "WLS")]
+        return min(plain, key=lambda row: row.mean)
 
     def said(self) -> str:
         """What the identification says of itself."""

@@ -2,18 +2,19 @@
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from study import Study
 
 from hybrid import Robot, identify, simulate, validate
 from hybrid.effects.coulomb import Coulomb
 from hybrid.errors import HybridWarning
 from hybrid.report import provenance
 from hybrid.report.identification import write_identification
-from hybrid.report.study import Study
 
-STAGES = ("LS", "IRLS", "+ friction")
+STAGES = ("LS", "published", "ours")
 
 
 @pytest.fixture
@@ -21,7 +22,7 @@ def study():
     share = np.array([[1.0, 0.9, 0.5], [1.0, 1.1, 0.4], [1.0, 0.8, 0.25]])
     rms = share[:, :, None] * np.array([4.0, 2.0])  # (3 seeds, 3 stages, 2 joints)
     floor = np.tile([0.4, 0.2], (3, 1))
-    published = {"LS": 8.0, "+ friction": 6.0}
+    published = {"LS": 8.0, "ours": 6.0}
     return Study(("shoulder", "elbow"), STAGES, rms, 0.1 * rms, floor, published)
 
 
@@ -35,24 +36,41 @@ def test_the_table_of_a_study_shows_medians_spread_and_what_was_published(study)
     table = study.table()
     assert {len(row) for row in table.rows} == {len(table.header)}
     rows = {row[0]: dict(zip(table.header, row, strict=True)) for row in table.rows}
-    last = rows["+ friction"]
+    last = rows["ours"]
     assert last["shoulder"] == "1.600"
     assert last["lowest–highest"] == "0.750–1.500"
     assert last["vs LS"] == "−60.0 %"
-    assert last["least–most"] == "50.0–75.0 %"
+    assert last["least–most"] == "50.0 to 75.0 %"
     assert last["× floor"] == "4.00"
     assert last["published mean"] == "6.00 (−25.0 %)"
     assert rows["noise floor"]["mean"] == "0.300"
     assert "3 seeds" in table.caption
 
 
-def test_the_figure_of_a_study_has_a_line_for_each_seed_and_a_dot_for_each_joint(study):
+def test_the_figure_of_a_study_has_both_ways_down_and_three_dots_for_each_joint(study):
     way_down, joints = study.figure().axes
-    shown = [line for line in way_down.lines if len(line.get_xdata()) == len(STAGES)]
-    assert len(shown) == 3 + 1  # and their median
-    np.testing.assert_allclose(shown[-1].get_ydata(), [100, 90, 40])
-    np.testing.assert_allclose(joints.lines[-2].get_ydata(), [4.0, 4.0])
-    assert "noise floor" in joints.get_ylabel()
+    lines = {line.get_label(): line.get_ydata() for line in way_down.lines}
+    np.testing.assert_allclose(lines["published chain"], [100, 90])
+    np.testing.assert_allclose(lines["our ladder"], [100, 40])
+    dots = [line.get_ydata() for line in joints.lines if line.get_marker() == "o"]
+    np.testing.assert_allclose(dots, [[10, 10], [9, 9], [4, 4]])
+
+
+def test_a_rung_that_a_run_left_out_has_the_errors_below_it():
+    one = {"LS": np.ones(2), "+ ripple": np.full(2, 0.5), "ours": np.full(2, 0.4)}
+    runs = [
+        {"joints": ("a", "b"), "rms": rms, "relative": rms, "noise_floor": np.ones(2)}
+        for rms in (one, {"LS": np.ones(2), "ours": np.full(2, 0.3)})
+    ]
+    study = Study.of(runs, {})
+    assert study.stages == tuple(one)
+    np.testing.assert_allclose(study.mean, [[1, 0.5, 0.4], [1, 1, 0.3]])
+
+
+def test_plain_least_squares_is_the_better_of_both(study):
+    weighted = replace(study, stages=("LS", "WLS", "ours"))
+    np.testing.assert_allclose(weighted.plain, [2.7, 3.0, 2.4])
+    np.testing.assert_allclose(weighted.cut[:, 2], 1 - study.mean[:, 2] / [2.7, 3, 2.4])
 
 
 def test_the_report_of_an_identification_is_complete_and_says_how_to_repeat_it(

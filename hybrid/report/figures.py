@@ -21,13 +21,13 @@ from hybrid.report.style import (
     OTHERS,
     PALE,
     RED,
-    STAGES,
     check_shape,
     clean,
     finish,
     legend,
     new_figure,
     panels,
+    stage_inks,
 )
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ def rms_figure(validation: Validation) -> Figure:
     figure = new_figure(height=4.6)
     above, below = figure.subplots(2, 1, sharex=True)
     rms = np.array([np.append(row.rms, row.mean) for row in validation.rows])
+    inks = stage_inks([row.name for row in validation.rows])
     share = np.array([row.relative for row in validation.rows])
     share = 100 * np.column_stack([share, share.mean(axis=1)])  # (stages, n + 1)
     # The last group, the mean, stands apart from the joints.
@@ -62,7 +63,7 @@ def rms_figure(validation: Validation) -> Figure:
         clean(axes, grid="y")
         bars = []
         for k, (row, height) in enumerate(zip(validation.rows, values, strict=True)):
-            ink = STAGES.get(row.name, BEST)
+            ink = inks[row.name]
             left = x - 0.42 + k * width
             bars.append(
                 axes.bar(

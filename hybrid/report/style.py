@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -31,11 +32,21 @@ STAGES = {
     "+ ripple": "#4a97c9",
     "+ remainder": "#08519c",
 }
+# Models to stand beside these, which have names of their own.
+_BESIDE = ("#cbc9e2", "#9e9ac8", "#6a51a3", "#3f007d")
 # On top of a broad grey line; the last prediction, the best one, is dark blue.
 BEST = "#08519c"
 OTHERS = ("#e69f00", "#56b4e9")
 
 WIDTH = 7.2  # inches: the text width of a page
+_NAMES_A_LINE = 7  # of a legend, at most
+
+
+def stage_inks(names: Sequence[str]) -> dict[str, str]:
+    """A colour for each model, by name; the last is the best."""
+    others = [name for name in names[:-1] if name not in STAGES]
+    inks = dict(zip(others, cycle(_BESIDE), strict=False))
+    return STAGES | inks | {names[-1]: BEST}
 
 
 def new_figure(height: float) -> Figure:
@@ -99,7 +110,7 @@ def finish(figure: Figure, bottom: Sequence[Axes], label: str) -> None:
 
 
 def legend(figure: Figure, handles: Sequence[Any], *, enlarge: float = 3.0) -> None:
-    """One line of names above all axes.
+    """Lines of names above all axes, mostly one.
 
     Args:
         figure: The figure.
@@ -109,7 +120,7 @@ def legend(figure: Figure, handles: Sequence[Any], *, enlarge: float = 3.0) -> N
     figure.legend(
         handles=handles,
         loc="outside upper left",
-        ncols=len(handles),
+        ncols=-(-len(handles) // -(-len(handles) // _NAMES_A_LINE)),
         frameon=False,
         fontsize=8,
         markerscale=enlarge,

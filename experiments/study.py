@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from published_chain import PLAIN
 
-from hybrid.names import figure_text
 from hybrid.report.style import BLACK, BLUE, GREY, RED, clean, legend, new_figure
 from hybrid.report.table import Table
 
@@ -26,7 +26,8 @@ class Study:
 
     Attributes:
         joints: Joint names, n of them.
-        stages: Names of the stages, K of them; all are compared with the first.
+        stages: Names of the stages, K of them; those of the published chain begin
+            with "published". All are compared with the better of LS and WLS.
         rms: RMS torque error, shape (S, K, n), [N·m].
         relative: RMS error over RMS torque, shape (S, K, n).
         floor: RMS of the noise that no model predicts, shape (S, n), [N·m].
@@ -40,6 +41,24 @@ class Study:
     floor: Array
     published: Mapping[str, float]
 
+    @classmethod
+    def of(
+        cls, runs: Sequence[Mapping[str, Any]], published: Mapping[str, float]
+    ) -> Self:
+        """Put runs together; a stage that one left out has the errors before it.
+
+        Args:
+            runs: ``joints``, ``noise_floor``, and by stage ``rms`` and ``relative``.
+            published: Mean RMS of a publication, by stage, [N·m].
+        """
+        stages = max((tuple(run["rms"]) for run in runs), key=len)
+        floor = np.array([run["noise_floor"] for run in runs])
+        both = (
+            np.array([_filled(run[key], stages) for run in runs])
+            for key in ("rms", "relative")
+        )
+        return cls(runs[0]["joints"], stages, *both, floor, published)
+
     @property
     def mean(self) -> Array:
         """Mean RMS over the joints, shape (S, K), [N·m]."""
@@ -47,8 +66,14 @@ class Study:
 
     @property
     def cut(self) -> Array:
-        """Share of the first stage's mean RMS that is gone, shape (S, K)."""
-        return np.asarray(1.0 - self.mean / self.mean[:, :1])
+        """Share of plain least squares' mean RMS that is gone, shape (S, K)."""
+        return np.asarray(1.0 - self.mean / self.plain[:, None])
+
+    @property
+    def plain(self) -> Array:
+        """Mean RMS of the better of LS and WLS, shape (S,), [N·m]."""
+        plain = [name in ("LS", "WLS") for name in self.stages]
+        return np.asarray(self.mean[:, plain].min(axis=1))
 
     @property
     def above_floor(self) -> Array:
@@ -76,10 +101,10 @@ class Study:
             *_numbers(self.floor),
             *_spread(self.floor.mean(axis=1)),
         ]
-        floor += ["", _percent(np.median(1 - self.floor.mean(1) / self.mean[:, 0]))]
+        floor += ["", _percent(np.median(1 - self.floor.mean(1) / self.plain))]
         rows.append((*floor, "", "1.00", ""))
         header = ("", *self.joints, "mean", "lowest–highest", "relative")
-        header += (f"vs {self.stages[0]}", "least–most", "× floor", "published mean")
+        header += ("vs LS", "least–most", "× floor", "published mean")
         caption = f"Held-out RMS torque error, N·m: medians over {len(self.rms)} seeds"
         return Table(header, tuple(rows), caption)
 
@@ -93,35 +118,51 @@ class Study:
         return figure
 
     def _draw_way_down(self, axes: Axes) -> None:
-        x, share = np.arange(len(self.stages)), 100 * (1 - self.cut)
-        floor = 100 * self.floor.mean(axis=1) / self.mean[:, 0]
+        share = 100 * (1 - self.cut)
+        floor = 100 * self.floor.mean(axis=1) / self.plain
         clean(axes, grid="y")
-        axes.plot(x, share.T, color=GREY, linewidth=0.6, alpha=0.5)
-        axes.lines[0].set_label("one seed each")
-        axes.plot(x, np.median(share, axis=0), "o-", color=BLUE, label="median")
+        theirs = np.array([name.startswith("published") for name in self.stages])
+        plain = np.array([name in PLAIN for name in self.stages])
+        for x, ink, name in (
+            (np.flatnonzero(plain | ~theirs), BLUE, "our ladder"),
+            (np.flatnonzero(plain | theirs), RED, "published chain"),
+        ):
+            axes.plot(x, share[:, x].T, color=GREY, linewidth=0.6, alpha=0.5)
+            axes.plot(x, np.median(share, axis=0)[x], "o-", color=ink, label=name)
         if self.published:
             values = np.array([*self.published.values()])
             at = [self.stages.index(name) for name in self.published]
             axes.plot(
-                at, 100 * values / values[0], "D--", color=RED, linewidth=1.0,
-                markersize=5, label="published",
+                at, 100 * values / values[0], "D--", color=BLACK, linewidth=0.8,
+                markersize=4, label="the same on another arm, as published",
             )  # fmt: skip
         # A band: every seed has a first stage of its own, and so a floor against it.
         axes.axhspan(floor.min(), floor.max(), color=BLACK, alpha=0.08, linewidth=0)
         axes.axhline(np.median(floor), color=BLACK, linestyle=":", label="noise floor")
         axes.set_ylim(0, 1.05 * share.max())
-        axes.set_ylabel(f"mean RMS error [% of {self.stages[0]}]", fontsize=8)
-        axes.set_xticks(x, [name.replace("+ ", "+\n") for name in self.stages])
+        axes.set_ylabel("mean RMS error [% of plain LS]", fontsize=8)
+        names = [x.removeprefix("published").strip(" ,") for x in self.stages]
+        axes.set_xticks(np.arange(len(names)), names, fontsize=7, rotation=20)
 
     def _draw_joints(self, axes: Axes) -> None:
-        x, ratio = np.arange(len(self.joints)), self.rms[:, -1] / self.floor
+        x, ratio = np.arange(len(self.joints)), self.rms / self.floor[:, None]
         clean(axes, grid="y")
-        axes.plot(x, ratio.T, "o", color=GREY, markersize=3, alpha=0.6)
-        axes.plot(x, np.median(ratio, axis=0), "o", color=BLUE)
+        theirs = [k for k, x in enumerate(self.stages) if x.startswith("published")]
+        inks = (0, GREY, -0.2), (theirs[-1], RED, 0.0), (-1, BLUE, 0.2)
+        for k, ink, shift in inks:
+            axes.plot(x + shift, ratio[:, k].T, ".", color=ink, markersize=3, alpha=0.5)
+            axes.plot(x + shift, np.median(ratio[:, k], axis=0), "o", color=ink)
         axes.axhline(1.0, color=BLACK, linestyle=":")
-        axes.set_ylim(bottom=min(0.9, 0.95 * float(ratio.min())))
-        axes.set_ylabel("RMS error of the last stage / noise floor", fontsize=8)
-        axes.set_xticks(x, [*map(figure_text, self.joints)], rotation=35, ha="right")
+        axes.set_ylim(bottom=0.0)
+        axes.set_ylabel("RMS error / noise floor (grey: LS)", fontsize=8)
+        axes.set_xticks(x, self.joints, rotation=35, ha="right")
+
+
+def _filled(rows: Mapping[str, Array], stages: Sequence[str]) -> list[Array]:
+    found: list[Array] = []
+    for name in stages:
+        found.append(rows[name] if name in rows else found[-1])
+    return found
 
 
 def _numbers(values: Array) -> list[str]:
@@ -135,7 +176,9 @@ def _spread(values: Array) -> list[str]:
 
 
 def _cut_range(cut: Array) -> str:
-    return f"{100 * cut.min():.1f}–{100 * cut.max():.1f} %" if np.any(cut) else ""
+    if not np.any(cut):
+        return ""
+    return f"{100 * cut.min():.1f} to {100 * cut.max():.1f} %".replace("-", "−")
 
 
 def _percent(cut: float) -> str:
