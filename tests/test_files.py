@@ -12,7 +12,13 @@ from pathlib import Path
 import pytest
 
 from hybrid import files
-from hybrid.files import atomic_folder, atomic_path, read_json, write_json
+from hybrid.files import (
+    atomic_folder,
+    atomic_path,
+    read_json,
+    read_yaml,
+    write_json,
+)
 
 needs_fork = pytest.mark.skipif(
     not hasattr(os, "fork") or sys.platform == "win32", reason="needs POSIX"
@@ -266,3 +272,23 @@ def test_a_path_is_written_beside_and_moved(tmp_path):
         assert temporary.suffix == ".csv" and temporary.parent == tmp_path
         assert not (tmp_path / "x.csv").exists()
     assert [x.name for x in tmp_path.iterdir()] == ["x.csv"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[" * 40 + "]" * 40, "more than 32 levels"),
+        ("a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n", "has references"),
+        (
+            "a: !!python/object/apply:os.getcwd []\n",
+            "determine a constructor",
+        ),
+        ("x" * 200_000, "bytes; valid are up to"),
+        ("a: [", "while parsing"),
+    ],
+)
+def test_yaml_beyond_measure_is_refused(tmp_path, text, words):
+    (tmp_path / "x.yaml").write_text(text)
+    with pytest.raises(ValueError, match=words) as error:
+        read_yaml(tmp_path / "x.yaml")
+    assert "\n" not in str(error.value)
