@@ -48,27 +48,31 @@ def read_rows(path: Path) -> dict[str, Row]:
     """What earlier runs found, by the mutant's key."""
     if not path.exists():
         return {}
-    return {row["key"]: row for row in map(json.loads, path.read_text().splitlines())}
+    rows = map(json.loads, path.read_text().splitlines())
+    return {row["key"]: row for row in rows if row["outcome"] != "broken"}
 
 
 def campaign(mutants: Sequence[Mutant], minutes: float) -> list[Row]:
-    """Outcomes that the log has, and those of as many others as time allows."""
+    """Outcomes that the log has, and those of as many others as time allows.
+
+    What survived its tests as they were counts as survived until it is tried anew.
+    """
     WORK.mkdir(parents=True, exist_ok=True)
     log = WORK / "mutants.jsonl"
-    done, rows, left = read_rows(log), [], []
+    done, found, left = read_rows(log), {}, []
     hashes = {m.path: tests_digest(chosen_tests(m.path)) for m in mutants}
     for mutant in mutants:
         row = done.get(mutant.key)
-        if row and _valid(row, digest(mutant.source()), hashes[mutant.path]):
-            rows.append(row)
-        else:
+        if row and row["source"] == digest(mutant.source()):
+            found[mutant.key] = row
+        if not _valid(found.get(mutant.key), hashes[mutant.path]):
             left.append(mutant)
     if not left or minutes <= 0:
-        return rows
+        return list(found.values())
     end = time.monotonic() + 60 * minutes
     with Sandbox(WORK / "baseline.json") as sandbox, log.open("a") as out:
         for mutant, (outcome, seconds) in sandbox.outcomes(left):
-            row = {
+            row = found[mutant.key] = {
                 "key": mutant.key,
                 "path": mutant.path,
                 "outcome": outcome,
@@ -77,18 +81,16 @@ def campaign(mutants: Sequence[Mutant], minutes: float) -> list[Row]:
                 "source": digest(mutant.source()),
                 "tests": hashes[mutant.path],
             }
-            rows.append(row)
             print(f"{outcome:9} {seconds:6.1f} s  {mutant.path}", flush=True)
             print(json.dumps(row), file=out, flush=True)
             if time.monotonic() > end:
                 break
-    return rows
+    return list(found.values())
 
 
-def _valid(row: Row, source: str, tests: str) -> bool:
-    """Whether an outcome still holds."""
-    known = row["outcome"] in DETECTED or row["tests"] == tests
-    return known and row["source"] == source and row["outcome"] != "broken"
+def _valid(row: Row | None, tests: str) -> bool:
+    """Whether an outcome needs no other try."""
+    return bool(row) and (row["outcome"] in DETECTED or row["tests"] == tests)
 
 
 def table(rows: list[Row], reasons: dict[str, str]) -> Table:

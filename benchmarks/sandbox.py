@@ -259,6 +259,9 @@ def _waited(child: int, limit: float) -> Outcome:
         time.sleep(0.01)
     seconds = usage.ru_utime + usage.ru_stime
     if os.WIFSIGNALED(status):
-        by_time = os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL)
-        return "timeout" if by_time else "killed", seconds
+        if seconds > 0.9 * limit:
+            return "timeout", seconds
+        # Of a process that got no processor, nothing is known.
+        stalled = os.WTERMSIG(status) == signal.SIGKILL
+        return "broken" if stalled else "killed", seconds
     return _OUTCOMES.get(os.waitstatus_to_exitcode(status), "broken"), seconds

@@ -10,7 +10,7 @@ from hybrid.signals import Sampler, motion_from_recording
 from hybrid.signals.cutoff import choose_cutoff
 from hybrid.signals.filters import butterworth, central_difference, filter_reach
 from hybrid.signals.periodic import average_periods, fourier_fit
-from hybrid.signals.streaming import StreamingDerivative, StreamingLowPass
+from hybrid.signals.streaming import StreamingLowPass
 
 
 def record(q, rate, tau=None):
@@ -20,58 +20,6 @@ def record(q, rate, tau=None):
 
 
 # --- sample by sample -----------------------------------------------------------------
-
-
-@pytest.mark.parametrize("rate, cutoff", [(1000.0, 20.0), (250.0, 30.0)])
-def test_derivatives_of_a_quartic_are_exact_from_the_first_full_window_on(rate, cutoff):
-    stream = StreamingDerivative(rate, cutoff, 2)
-    length, delay = 2 * stream.delay + 1, stream.delay
-    t = np.arange(3 * length) / rate
-    c = np.array([[1.0, -2.0], [0.5, 3.0], [2.0, 1.0], [-4.0, 0.3], [1.5, -1.0]])
-    powers = t[:, None] ** np.arange(5)
-    q, k = powers @ c, np.arange(1, 5)
-    v = powers[:, :4] @ (k[:, None] * c[1:])
-    a = powers[:, :3] @ ((k[1:] * k[:-1])[:, None] * c[2:])
-    out = [stream.push(q[i], 10 * q[i]) for i in range(len(t))]
-    assert [x is None for x in out] == [i < length - 1 for i in range(len(t))]
-    for i in range(length - 1, len(t)):
-        position, speed, acceleration, other = out[i]
-        at = i - delay
-        np.testing.assert_allclose(position, q[at], rtol=1e-9)
-        np.testing.assert_allclose(speed, v[at], rtol=1e-7, atol=1e-7)
-        np.testing.assert_allclose(acceleration, a[at], rtol=1e-5, atol=1e-5)
-        np.testing.assert_array_equal(other, 10 * q[at])
-
-
-def test_what_is_passed_on_is_a_copy():
-    stream = StreamingDerivative(250.0, 30.0, 1)
-    length = 2 * stream.delay + 1
-    out = None
-    for i in range(length):
-        out = stream.push(np.full(1, i), np.full(1, i))
-    kept = out[3].copy()
-    for _ in range(2 * length):
-        stream.push(np.full(1, 99.0), np.full(1, 99.0))
-    np.testing.assert_array_equal(out[3], kept)
-
-
-def test_the_window_is_as_long_as_the_cutoff_asks_and_the_pass_band_reaches_it():
-    delays = [StreamingDerivative(1000.0, f, 1).delay for f in (5.0, 10.0, 20.0, 40.0)]
-    assert delays == sorted(delays, reverse=True) and delays[-1] >= 3
-    for cutoff in (10.0, 20.0):
-        stream = StreamingDerivative(1000.0, cutoff, 1)
-        angle = 2 * np.pi * cutoff / 1000 * np.arange(-stream.delay, stream.delay + 1)
-        gain = stream._weights[0] @ np.cos(angle)
-        assert 0.95 < gain < 1.02
-        high = stream._weights[0] @ np.cos(5 * angle)
-        assert abs(high) < 0.3
-
-
-@pytest.mark.parametrize("rate, cutoff", [(99.0, 20.0), (100.0, 20.0), (0.0, 1.0)])
-def test_a_rate_below_five_cutoffs_is_too_low(rate, cutoff):
-    with pytest.raises(RecordingError, match="is a rate above"):
-        StreamingDerivative(rate, cutoff, 1)
-    StreamingDerivative(101.0, 20.0, 1)
 
 
 def test_a_low_pass_is_settled_on_its_first_sample_and_filters_as_butterworth():
