@@ -18,7 +18,7 @@ from hybrid.errors import HybridError
 from hybrid.export import export, read_manifest
 from hybrid.files import write_json
 from hybrid.identify import DynamicModel
-from hybrid.identify.model_file import content_digest
+from hybrid.model.model_file import content_digest
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording, read, write

@@ -23,6 +23,7 @@ FLOORS = (
     {"online"},
     {"identify"},
     {"excitation"},
+    {"model"},
     {"compensator"},
     {"search"},
     {"plant"},

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hybrid.identify.cone import nearest_above
-from hybrid.identify.pseudo_inertia import stacked, unstacked
+from hybrid.dynamics.cone import nearest_above
+from hybrid.dynamics.pseudo_inertia import stacked, unstacked
 
 
 def least_of(n, numbers, floor=0.0):

@@ -11,6 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hybrid.dynamics import inverse_dynamics
+from hybrid.dynamics.pseudo_inertia import (
+    inertial_from_pseudo,
+    is_consistent,
+    nominal_bodies,
+    pseudo_inertia,
+)
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_offset import TorqueOffset
@@ -19,12 +25,6 @@ from hybrid.errors import IdentificationError
 from hybrid.identify.consistency import physically_consistent
 from hybrid.identify.cross_products import accumulate
 from hybrid.identify.problem import build_problem
-from hybrid.identify.pseudo_inertia import (
-    inertial_from_pseudo,
-    is_consistent,
-    nominal_bodies,
-    pseudo_inertia,
-)
 from hybrid.robot import Robot
 from hybrid.robot.spatial import inertial_about
 from hybrid.signals import Motion

@@ -34,7 +34,7 @@ from hybrid.errors import EffectError, HybridError, ModelFileError
 from hybrid.export import FORMATS, export, program_from_model, read_manifest
 from hybrid.export.manifest import model_digest
 from hybrid.identify import DynamicModel
-from hybrid.identify.model_file import content_from_model
+from hybrid.model.model_file import content_from_model
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot

@@ -9,12 +9,12 @@ import pytest
 from simulated import arm, motions, quiet, with_torque
 
 from hybrid.dynamics import inverse_dynamics
+from hybrid.dynamics.pseudo_inertia import is_consistent
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, IdentificationError, RecordingError
 from hybrid.identify import identify, predict, validate
-from hybrid.identify.pseudo_inertia import is_consistent
 from hybrid.plant import Plant, random_fourier
 from hybrid.recording import Recording
 from hybrid.robot import Robot

@@ -20,12 +20,12 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import ModelFileError, RobotError
 from hybrid.identify import DynamicModel
-from hybrid.identify.model_file import SCHEMA
 from hybrid.identify.problem import build_problem
+from hybrid.model.model_file import SCHEMA
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
-model_file = sys.modules["hybrid.identify.model_file"]
+model_file = sys.modules["hybrid.model.model_file"]
 
 
 def some_model(seed=0) -> DynamicModel:

@@ -42,7 +42,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace, screen: Screen) -> None:
     """Validate and show."""
     from hybrid.identify import DynamicModel, validate
-    from hybrid.identify.model import check_same_arm
+    from hybrid.model.dynamic_model import check_same_arm
     from hybrid.recording import read_all
     from hybrid.report import validation_table
 

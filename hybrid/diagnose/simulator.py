@@ -11,18 +11,18 @@ from scipy.linalg import block_diag
 from hybrid.diagnose.candidates import with_gains
 from hybrid.diagnose.explanation import Explanation
 from hybrid.dynamics import inverse_dynamics
-from hybrid.effects import Effect
-from hybrid.effects.armature import Armature
-from hybrid.effects.backlash import Backlash
-from hybrid.effects.elasticity import Elasticity
-from hybrid.effects.payload import LinkInertia
-from hybrid.identify.cone import nearest_above
-from hybrid.identify.pseudo_inertia import (
+from hybrid.dynamics.cone import nearest_above
+from hybrid.dynamics.pseudo_inertia import (
     inertial_per_stacked,
     is_consistent,
     nominal_bodies,
     stacked,
 )
+from hybrid.effects import Effect
+from hybrid.effects.armature import Armature
+from hybrid.effects.backlash import Backlash
+from hybrid.effects.elasticity import Elasticity
+from hybrid.effects.payload import LinkInertia
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 

@@ -11,7 +11,7 @@ from hybrid import __version__
 from hybrid.export.c_code import c_header, c_number
 from hybrid.export.manifest import UNITS_OF_KIND
 from hybrid.export.program import Program
-from hybrid.identify.model import DynamicModel
+from hybrid.model.dynamic_model import DynamicModel
 from hybrid.names import c_identifier
 
 _EXAMPLE = """\

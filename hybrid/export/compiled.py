@@ -12,7 +12,7 @@ import numpy as np
 
 from hybrid.errors import HybridError
 from hybrid.export.export import export
-from hybrid.identify.model import DynamicModel
+from hybrid.model.dynamic_model import DynamicModel
 from hybrid.names import c_identifier
 from hybrid.robot.chain import Array
 

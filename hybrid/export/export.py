@@ -12,7 +12,7 @@ from hybrid.export.onnx_graph import import_onnx, onnx_model
 from hybrid.export.program import program_from_model
 from hybrid.export.simulator import mjcf_text, urdf_text
 from hybrid.files import atomic_folder
-from hybrid.identify.model import DynamicModel
+from hybrid.model.dynamic_model import DynamicModel
 from hybrid.names import file_stem
 
 FORMATS = ("onnx", "torchscript", "c", "mjcf", "urdf", "json")

@@ -13,8 +13,8 @@ import numpy as np
 from hybrid import __version__
 from hybrid.errors import ModelFileError
 from hybrid.files import read_json, write_json
-from hybrid.identify.model import DynamicModel
-from hybrid.identify.model_file import content_from_model
+from hybrid.model.dynamic_model import DynamicModel
+from hybrid.model.model_file import content_from_model
 from hybrid.robot import Robot
 
 SCHEMA = "hybrid.export/2"

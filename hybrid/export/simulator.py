@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from hybrid.effects import Effect
 from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
-from hybrid.identify.model import DynamicModel
+from hybrid.model.dynamic_model import DynamicModel
 from hybrid.plant.arm import overrides
 from hybrid.plant.native import split_effects
 from hybrid.robot import Robot

@@ -1,9 +1,9 @@
 """From recordings to a dynamic model, and how well it predicts."""
 
 from hybrid.identify.fit import Fit
-from hybrid.identify.model import DynamicModel
 from hybrid.identify.three_stage import identify
 from hybrid.identify.validation import Validation, ValidationRow, predict, validate
+from hybrid.model.dynamic_model import DynamicModel
 
 __all__ = [
     "DynamicModel",

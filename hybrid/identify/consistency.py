@@ -18,14 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag, eigh
 
-from hybrid.errors import IdentificationError
-from hybrid.identify.cone import nearest_above
-from hybrid.identify.problem import Problem
-from hybrid.identify.pseudo_inertia import (
+from hybrid.dynamics.cone import nearest_above
+from hybrid.dynamics.pseudo_inertia import (
     inertial_per_stacked,
     nominal_bodies,
     stacked,
 )
+from hybrid.errors import IdentificationError
+from hybrid.identify.problem import Problem
 from hybrid.robot.chain import Array
 
 # Curvatures are relative to that of the direction which the data see best.

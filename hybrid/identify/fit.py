@@ -9,8 +9,8 @@ import numpy as np
 
 from hybrid.identify.cross_products import CrossProducts
 from hybrid.identify.least_squares import Estimate, weak_directions
-from hybrid.identify.model import DynamicModel
 from hybrid.identify.problem import Problem
+from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot.chain import Array
 
 # Gautier and Khalil 1992, doi 10.1177/027836499201100408: motions that identify well

@@ -37,12 +37,12 @@ from hybrid.identify.least_squares import (
     settle,
     without_folds,
 )
-from hybrid.identify.model import DynamicModel
 from hybrid.identify.prior import Prior, file_prior
 from hybrid.identify.problem import Problem, build_problem
 from hybrid.identify.remainder import Learned, fit_remainder
 from hybrid.identify.ripple import JUDGED, find_ripples, in_band
 from hybrid.identify.solution import Solution, to_be_found
+from hybrid.model.dynamic_model import DynamicModel
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array

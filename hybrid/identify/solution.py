@@ -16,9 +16,9 @@ from hybrid.identify.least_squares import (
     estimated,
     residual_covariance,
 )
-from hybrid.identify.model import DynamicModel
 from hybrid.identify.prior import Prior
 from hybrid.identify.problem import Problem
+from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 

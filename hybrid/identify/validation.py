@@ -10,7 +10,7 @@ import numpy as np
 
 from hybrid.errors import RecordingError
 from hybrid.identify.data import prepare_motions
-from hybrid.identify.model import DynamicModel, check_same_arm
+from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array

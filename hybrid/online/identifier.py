@@ -20,8 +20,8 @@ import numpy as np
 
 from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
-from hybrid.identify.model import DynamicModel
 from hybrid.identify.problem import build_problem
+from hybrid.model.dynamic_model import DynamicModel
 from hybrid.online.columns import Columns
 from hybrid.online.estimate import Estimate
 from hybrid.online.health import Health

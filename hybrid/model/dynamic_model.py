@@ -13,7 +13,7 @@ from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics import BaseParameters, RigidBody
 from hybrid.effects import Effect
 from hybrid.errors import ModelFileError
-from hybrid.identify.effect_torque import EffectTorque, effect_torque
+from hybrid.model.effect_torque import EffectTorque, effect_torque
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
@@ -119,7 +119,7 @@ class DynamicModel:
             ModelFileError: The path does not end in ``.json``, or the model holds what
                 none may have and could not be loaded.
         """
-        from hybrid.identify.model_file import write_model
+        from hybrid.model.model_file import write_model
 
         write_model(self, Path(path))
 
@@ -131,7 +131,7 @@ class DynamicModel:
             ModelFileError: The file is missing, damaged, edited or of another version,
                 or holds an effect that is not known here.
         """
-        from hybrid.identify.model_file import read_model
+        from hybrid.model.model_file import read_model
 
         return read_model(Path(path))
 

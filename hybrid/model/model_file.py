@@ -22,7 +22,7 @@ from hybrid.dynamics import BaseParameters
 from hybrid.effects import Effect, Scale, effect_from_dict
 from hybrid.errors import HybridError, ModelFileError
 from hybrid.files import read_json, write_json
-from hybrid.identify.model import DynamicModel
+from hybrid.model.dynamic_model import DynamicModel
 from hybrid.names import name_fault
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
@@ -34,7 +34,7 @@ _FARTHEST = 1e3  # times the largest plausible value of a parameter: no fit ends
 
 
 def write_model(model: DynamicModel, path: Path) -> None:
-    """See :meth:`hybrid.identify.model.DynamicModel.save`."""
+    """See :meth:`hybrid.model.dynamic_model.DynamicModel.save`."""
     if path.suffix != ".json":
         raise ModelFileError(f"{path}: a model is saved as .json")
     try:
@@ -59,7 +59,7 @@ def content_from_model(model: DynamicModel) -> dict[str, Any]:
 
 
 def read_model(path: Path) -> DynamicModel:
-    """See :meth:`hybrid.identify.model.DynamicModel.load`."""
+    """See :meth:`hybrid.model.dynamic_model.DynamicModel.load`."""
     try:
         return _read(read_json(path))
     except OSError as error:
