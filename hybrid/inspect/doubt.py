@@ -1,0 +1,65 @@
+"""What speaks against a log being what its columns say."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from hybrid.errors import HybridWarning, RecordingError
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """One reason to mistrust a log.
+
+    Attributes:
+        channel: Field of the recording: ``t``, ``q``, ``v``, ``tau`` or ``command``.
+        joints: Columns it is about, counted from 0; empty for all, and for the clock.
+        text: What the log looks like, and where, in words.
+        remedy: What is valid, or what to do.
+        severity: An ``error`` makes a wrong model of the log, a ``warning`` may.
+        evidence: How far what was read is off: a factor, a share or a count, as the
+            text says; NaN without one.
+    """
+
+    channel: str
+    joints: tuple[int, ...]
+    text: str
+    remedy: str = ""
+    severity: Literal["error", "warning"] = "warning"
+    evidence: float = np.nan
+
+    @property
+    def line(self) -> str:
+        """The whole as one line."""
+        return f"{self.text}; {self.remedy}" if self.remedy else self.text
+
+
+def is_error(doubt: Doubt) -> bool:
+    """Whether a doubt forbids to use the log."""
+    return doubt.severity == "error"
+
+
+def act_on(doubts: Iterable[Doubt], source: str) -> None:
+    """Refuse a log of which one doubt is an error, and warn of all others.
+
+    Args:
+        doubts: What was found, the weightiest first.
+        source: Where the log came from, for messages.
+
+    Raises:
+        RecordingError: The first error.
+
+    Warns:
+        HybridWarning: Every other doubt.
+    """
+    doubts = list(doubts)
+    place = source or "recording"
+    for doubt in filter(is_error, doubts):
+        raise RecordingError(f"{place}: {doubt.line}")
+    for doubt in doubts:
+        warnings.warn(f"{place}: {doubt.line}", HybridWarning, stacklevel=3)

@@ -1,0 +1,159 @@
+"""Order, sign, unit of angle and clock of a log, held against what arms can do.
+
+Of all ways to read a log the right one leaves least torque that no arm of real masses
+explains. With s the share of its variance that is left of each joint's torque, a
+reading is better than the plain one by
+
+    gain = ½ Σ log(s_plain / s_read),
+
+the logarithm of how much smaller the volume of what is left becomes. Two designs are
+asked: masses anywhere (what no arm does, no robot file excuses), and those of the file
+in any measure, which tells more but may itself be wrong: what only they tell is a
+warning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.inspect.doubt import Doubt
+from hybrid.inspect.masses import Columns, file_masses, unit_masses
+from hybrid.inspect.reading import Reading, readings
+from hybrid.inspect.state import State
+from hybrid.recording import Recording
+from hybrid.robot.chain import Chain
+
+Array = NDArray[np.float64]
+
+_SURE = 0.5  # gain; of logs that are right, no other reading reached 0.3
+_ALIKE = 0.2  # loss of gain by which two readings may differ and be as good
+_USUAL = 0.02  # of the variance: what friction of another law leaves anyway
+_MOST = 4  # things that are wrong with one log
+_STILL = 1e-3  # rad or m
+
+
+@dataclass(eq=False)
+class _Bench:
+    """One log, and how well both designs explain it by any reading.
+
+    Attributes:
+        chain: The arm.
+        state: The log as read so far.
+        masses: Parameters of the masses of each design.
+    """
+
+    chain: Chain
+    state: State
+    masses: dict[str, Array]
+    _columns: dict[tuple[str, object], Columns] = field(default_factory=dict)
+
+    def left(self, reading: Reading, design: str) -> Array:
+        """Shares of torque that a reading leaves, shape (n,)."""
+        key = design, reading.motion
+        if key not in self._columns:
+            moved = reading.moved(self.state)
+            self._columns[key] = Columns(self.chain, moved, self.masses[design])
+        return self._columns[key].left(*reading.torque)
+
+    def best_order(self, plain: Reading) -> NDArray[np.intp]:
+        """Which column of torque suits each joint best, shape (n,)."""
+        from scipy.optimize import linear_sum_assignment
+
+        left = self._columns["any", plain.motion].left_alone()
+        return np.asarray(linear_sum_assignment(np.log(left))[1])
+
+
+def doubts_of_physics(
+    recording: Recording, chain: Chain, state: State
+) -> Iterator[Doubt]:
+    """What of order, sign, unit and clock is wrong with a log, the surest first.
+
+    Args:
+        recording: The log, for names.
+        chain: The arm.
+        state: Samples of the log.
+    """
+    masses = {"any": unit_masses(chain)}
+    if chain.inertial.any():
+        masses["file"] = file_masses(chain)
+    for _ in range(_MOST):
+        found = _likelier(_Bench(chain, state, masses))
+        if found is None:
+            return
+        reading, before, after, severity = found
+        yield _doubt(recording, reading, before, after, severity)
+        state = reading.of(state)
+
+
+def _likelier(
+    bench: _Bench,
+) -> tuple[Reading, Array, Array, str] | None:
+    """The reading that is better than the plain one, if any is by far.
+
+    Returns:
+        It, the shares left before and after, and how serious it is.
+    """
+    n = bench.chain.size
+    plain = Reading((), (), "", np.arange(n), np.ones(n))
+    before = {design: bench.left(plain, design) for design in bench.masses}
+    hopeful = [d for d, x in before.items() if _gain(x, np.minimum(x, _USUAL)) > _SURE]
+    if not hopeful:
+        return None
+    moving = np.flatnonzero(np.ptp(bench.state.q, axis=0) > _STILL).tolist()
+    ways = list(readings(bench.chain, moving, bench.best_order(plain)))
+    after = [bench.left(way, "any") for way in ways]
+    gains = [_gain(before["any"], x) for x in after]
+    best = int(np.argmax(gains))
+    if gains[best] > _SURE:
+        return ways[best], before["any"], after[best], "error"
+    if "file" not in hopeful:
+        return None
+    usual = before["file"]
+    nearly = [
+        (x, way)
+        for way, gain in zip(ways, gains, strict=True)
+        if gain > -_ALIKE
+        if _gain(usual, x := bench.left(way, "file")) > _SURE
+    ]
+    if not nearly:
+        return None
+    left, way = max(nearly, key=lambda pair: _gain(usual, pair[0]))
+    return way, usual, left, "warning"
+
+
+def _gain(before: Array, after: Array) -> float:
+    return float(0.5 * np.log(before / after).sum())
+
+
+def _doubt(
+    recording: Recording, reading: Reading, before: Array, after: Array, severity: str
+) -> Doubt:
+    """A reading in words, with what it leaves at the joint where it tells most."""
+    places = [
+        " and ".join(recording.place(channel, j) for channel in reading.channels)
+        for j in reading.joints
+    ]
+    if reading.channels == ("t",):
+        what = f"time looks {reading.looks_like}"
+    elif len(places) > 2 and len(places) == recording.size:
+        what = f"{' and '.join(reading.channels)} look {reading.looks_like}"
+    else:
+        verb = "looks" if len(places) * len(reading.channels) == 1 else "look"
+        what = f"{' and '.join(places)} {verb} {reading.looks_like}"
+    j = int(np.argmax(before / after))
+    whose = "an arm of real masses" if severity == "error" else "the file's links"
+    gain = float(np.exp(_gain(before, after)))
+    text = (
+        f"{what}: read so, {whose} leave{'s' * (severity == 'error')} "
+        f"{after[j]:.2g} of the variance of {recording.place('tau', j)} unexplained, "
+        f"as logged {before[j]:.2g}"
+    )
+    remedy = "valid are rad, N·m and s, by the robot file's axes, in its order"
+    return Doubt(
+        reading.channels[0], reading.joints, text, remedy,
+        "error" if severity == "error" else "warning", gain,
+    )  # fmt: skip

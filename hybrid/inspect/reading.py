@@ -1,0 +1,122 @@
+"""Ways in which a log may have been written, other than its columns say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.inspect.state import State
+from hybrid.robot.chain import Chain
+
+Array = NDArray[np.float64]
+
+_ROUND = "to count the other way round"
+_DEGREE = np.pi / 180
+_CLOCKS = {
+    1e-3: "in milliseconds",
+    1e-6: "in microseconds",
+    1e-9: "in nanoseconds",
+    0.1: "scaled by 10",
+    0.25: "scaled by 4",
+    0.5: "scaled by 2",
+    2.0: "scaled by 1/2",
+    4.0: "scaled by 1/4",
+    10.0: "scaled by 1/10",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """One way to read a log.
+
+    Attributes:
+        channels: What is read otherwise: ``q``, ``tau``, both, or ``t``.
+        joints: Columns that are, counted from 0.
+        looks_like: What is the matter with them if this is right, in words.
+        order: Which column is each joint's, shape (n,).
+        factor: What each column is to be multiplied by, shape (n,).
+        clock: True time over logged time.
+    """
+
+    channels: tuple[str, ...]
+    joints: tuple[int, ...]
+    looks_like: str
+    order: NDArray[np.intp]
+    factor: Array
+    clock: float = 1.0
+
+    @property
+    def motion(self) -> tuple[bytes, bytes, float]:
+        """What it makes of the motion; the same for readings that agree on that."""
+        if "q" in self.channels:
+            return self.order.tobytes(), self.factor.tobytes(), self.clock
+        return b"", b"", self.clock
+
+    @property
+    def torque(self) -> tuple[NDArray[np.intp], Array]:
+        """Which column of torque is each joint's, and its factor, (n,) each."""
+        if "tau" in self.channels:
+            return self.order, self.factor
+        return np.arange(len(self.order)), np.ones(len(self.order))
+
+    def moved(self, state: State) -> State:
+        """The log with its motion by this reading, its torque as it was."""
+        q, v, a = state.q, state.v / self.clock, state.a / self.clock**2
+        if "q" in self.channels:
+            q, v, a = (self.factor * x[:, self.order] for x in (q, v, a))
+        return replace(state, q=q, v=v, a=a)
+
+    def of(self, state: State) -> State:
+        """The log as it is by this reading."""
+        order, factor = self.torque
+        return replace(self.moved(state), tau=factor * state.tau[:, order])
+
+
+def readings(
+    chain: Chain, moving: list[int], best: NDArray[np.intp]
+) -> Iterator[Reading]:
+    """Other orders, signs, units and clocks that a log may be in, simple ones first.
+
+    Args:
+        chain: The arm.
+        moving: Joints that move; of others, positions say nothing.
+        best: Which column of torque suits each joint best, shape (n,).
+    """
+    n = chain.size
+    kept, ones = np.arange(n), np.ones(n)
+    for channels in (("tau",), ("q",), ("q", "tau")):
+        among = list(range(n)) if channels == ("tau",) else moving
+        for j in among:
+            yield Reading(channels, (j,), _ROUND, kept, np.where(kept == j, -1.0, 1.0))
+        for pair in combinations(among, 2):
+            order = kept.copy()
+            order[list(pair)] = order[list(pair[::-1])]
+            yield Reading(channels, pair, "swapped", order, ones)
+        for words, order in _orders(chain, best if channels == ("tau",) else kept):
+            joints = tuple(np.flatnonzero(order != kept).tolist())
+            if len(joints) > 2 and set(joints) <= set(among):
+                yield Reading(channels, joints, words, order, ones)
+    if n > 1:
+        yield Reading(("tau",), tuple(range(n)), _ROUND, kept, -ones)
+    turning = tuple(j for j in moving if chain.revolute[j])
+    for joints in dict.fromkeys([turning, *((j,) for j in turning)]):
+        factor = np.where(np.isin(kept, joints), _DEGREE, 1.0)
+        yield Reading(("q",), joints, "to be in degrees", kept, factor)
+    for clock, words in _CLOCKS.items():
+        yield Reading(("t",), (), words, kept, ones, clock)
+
+
+def _orders(
+    chain: Chain, best: NDArray[np.intp]
+) -> Iterator[tuple[str, NDArray[np.intp]]]:
+    """Orders in which columns are often written, and one that would suit."""
+    yield "to be in reverse order", np.arange(chain.size)[::-1].copy()
+    sorted_joints = sorted(chain.joints)
+    place = np.array([sorted_joints.index(joint) for joint in chain.joints])
+    yield "to be sorted by name", place
+    names = [chain.joints[k] for k in np.argsort(best)]
+    yield f"to be in the order {', '.join(names)}", best
