@@ -26,6 +26,7 @@ FLOORS = (
     {"compensator"},
     {"search"},
     {"plant"},
+    {"inspect"},
     {"dynamics"},
     {"effects"},
     {"signals"},

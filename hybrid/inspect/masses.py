@@ -69,6 +69,9 @@ class Columns:
         chain: The arm.
         state: M samples.
         masses: Parameters of each mass, shape (10n, P).
+
+    Attributes:
+        explained: Torque by the weights found last, shape (M, n), [N·m].
     """
 
     def __init__(self, chain: Chain, state: State, masses: Array) -> None:
@@ -80,6 +83,7 @@ class Columns:
         self._torque = state.tau
         self._right = np.einsum("imp,mc->icp", self._each, state.tau)
         self._squares = (state.tau**2).mean(axis=0)
+        self.explained = np.zeros_like(state.tau)
         self._size = np.maximum(state.tau.var(axis=0), _TINY * self._squares + _NONE)
 
     def left(self, order: NDArray[np.intp], factor: Array) -> Array:
@@ -102,6 +106,7 @@ class Columns:
             theta = _positive(np.tensordot(weight, normal, 1), weight @ right)
             rest = squares + ((normal @ theta - 2 * right) * theta).sum(axis=1)
             share = np.clip(rest / size, _LEAST, None)
+        self.explained = (self._each @ theta).T
         return np.asarray(share)
 
     def left_alone(self) -> Array:

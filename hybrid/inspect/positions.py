@@ -1,0 +1,123 @@
+"""Positions against joint limits: wrong unit, wrong order, or just outside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.inspect.doubt import Doubt
+from hybrid.recording import Recording
+from hybrid.robot import Robot
+
+Array = NDArray[np.float64]
+
+SLACK = 0.1  # rad or m: limits in robot files are rounded, encoders overshoot
+_TURNS = 4 * np.pi  # rad: an arm's joint does not go farther
+_TURNING = ((np.pi / 180, "degrees"), (1e-3, "milliradians"))
+_SLIDING = ((1e-3, "millimetres"),)
+
+
+def doubts_of_positions(recording: Recording, robot: Robot) -> Iterator[Doubt]:
+    """Hold positions against the limits of their joints.
+
+    Another unit is told by going half a turn beyond a limit, or past two turns, while
+    the value in that unit is plausible; another order by positions that fit the limits
+    of other joints but not those of their own.
+
+    Args:
+        recording: The log, its columns in the order of the robot's joints.
+        robot: The arm.
+    """
+    low, high = recording.q.min(axis=0), recording.q.max(axis=0)
+    beyond = _beyond(low, high, robot)  # (n, n): column i held against joint j
+    own = np.diagonal(beyond)
+    units = list(_units(recording, robot, own))
+    yield from units
+    outside = np.flatnonzero(own > SLACK)
+    if not outside.size or units:
+        return
+    first = outside[0]
+    row = int(np.argmax(_outside(recording.q[:, first], robot, first)))
+    text = (
+        f"{recording.place('q', first, row)}: "
+        f"{recording.q[row, first]:.6g} is outside the limits "
+        f"{robot.q_min[first]:.6g} to {robot.q_max[first]:.6g}"
+    )
+    order = _fitting_order(beyond)
+    joints = tuple(outside.tolist())
+    if order is not None:
+        names = [""] * recording.size
+        for column, joint in enumerate(order):
+            names[column] = robot.joints[joint]
+        text += (
+            f", but all positions fit if the columns are in the order "
+            f"{', '.join(names)}"
+        )
+        remedy = f"valid is {', '.join(robot.joints)}"
+        yield Doubt("q", joints, text, remedy, "error", float(own.max()))
+        return
+    others = [recording.place("q", k) for k in outside[1:]]
+    also = f"so are {', '.join(others)}" if others else ""
+    yield Doubt("q", joints, text, also, evidence=float(own.max()))
+
+
+def _outside(x: Array, robot: Robot, joint: int) -> Array:
+    return np.asarray(np.maximum(x - robot.q_max[joint], robot.q_min[joint] - x))
+
+
+def _beyond(low: Array, high: Array, robot: Robot) -> Array:
+    """How far column i goes beyond the limits of joint j, shape (n, n)."""
+    over = np.maximum(high[:, None] - robot.q_max, robot.q_min - low[:, None])
+    return np.asarray(np.maximum(over, 0.0))
+
+
+def _units(recording: Recording, robot: Robot, own: Array) -> Iterator[Doubt]:
+    """Positions of turning, then of sliding joints, far outside what these can do."""
+    peak = np.max(np.abs(recording.q), axis=0)
+    turning = robot.chain.revolute
+    reach = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
+    far = turning & ((own > np.pi) | (peak > _TURNS)), ~turning & (own > 10 * reach)
+    for suspect, kind, unit, smaller in (
+        (far[0], turning, "rad", _TURNING),
+        (far[1], ~turning, "m", _SLIDING),
+    ):
+        if not suspect.any():
+            continue
+        joint = int(np.argmax(np.where(suspect, peak, 0.0)))
+        row = int(np.argmax(np.abs(recording.q[:, joint])))
+        names = [name for x, name in smaller if _fits(recording.q * x, robot, kind)]
+        text = f"{recording.place('q', joint, row)}: {recording.q[row, joint]:.6g} "
+        text += f"looks like {names[0]}" if names else "is far outside the limits"
+        remedy = (
+            f"valid are {unit} within {robot.q_min[joint]:.6g} to "
+            f"{robot.q_max[joint]:.6g}"
+        )
+        # What turns without a limit may have turned often.
+        sure = bool(names) or bool(np.isfinite(reach[joint]))
+        yield Doubt(
+            "q",
+            tuple(np.flatnonzero(suspect).tolist()),
+            text,
+            remedy,
+            "error" if sure else "warning",
+            float(peak[joint]),
+        )
+
+
+def _fits(q: Array, robot: Robot, kind: NDArray[np.bool_]) -> bool:
+    """Whether positions of some joints are within limits and two turns."""
+    beyond = np.diagonal(_beyond(q.min(axis=0), q.max(axis=0), robot))
+    return bool(((beyond <= SLACK) & (np.abs(q).max(axis=0) <= _TURNS))[kind].all())
+
+
+def _fitting_order(beyond: Array) -> NDArray[np.intp] | None:
+    """Joint of each column if all positions then fit their limits, else None."""
+    from scipy.optimize import linear_sum_assignment
+
+    misfit = beyond > SLACK
+    # Of the orders that fit, the one that moves the fewest columns.
+    cost = 1000.0 * misfit + 1.0 - np.eye(len(beyond))
+    columns, joints = linear_sum_assignment(cost)
+    return None if misfit[columns, joints].any() else joints

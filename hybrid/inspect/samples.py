@@ -1,0 +1,173 @@
+"""Samples that no arm can have made: too few, dead, frozen, held, leaping, repeated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.inspect.doubt import Doubt
+from hybrid.recording import Recording
+from hybrid.recording.recording import row_words
+from hybrid.robot import Robot
+
+Array = NDArray[np.float64]
+
+SHORTEST = 1.0  # s: below, not even one slow move
+FEWEST = 100  # samples
+STILL = 1e-3  # rad: less travel is hum, not motion
+SLOWEST = 1.0  # Hz: no log of a moving arm has a sample less often
+FARTHEST_TORQUE = 5.0  # times the rating: gear or unit missing, not overload
+LARGEST = 1e9  # rad, rad/s, N·m: beyond any arm, and squares of it still are numbers
+_COARSEST = 0.01  # rad: no joint encoder resolves less
+_UNITS = (1e-3, "milli"), (1e-6, "micro"), (1e-9, "nano")
+_USUAL_RATE = 20.0, 2e4  # Hz
+
+
+def doubts_of_samples(recording: Recording, robot: Robot) -> Iterator[Doubt]:
+    """What is wrong with samples by themselves, errors first.
+
+    Args:
+        recording: The log, joints in the robot's order.
+        robot: The arm.
+    """
+    yield from _clock(recording)
+    yield from _size(recording)
+    yield from _motion(recording)
+    if recording.has_torque:
+        yield from _torque(recording, robot)
+    yield from _frozen(recording)
+
+
+def longest_run(x: Array) -> tuple[int, int]:
+    """Length and first index of the longest run of equal values of ``x``, (N,)."""
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(x)) + 1, [len(x)]])
+    lengths = np.diff(starts)
+    return int(lengths.max()), int(starts[np.argmax(lengths)])
+
+
+def usual_step(x: Array) -> float:
+    """Size of a large step of a position, shape (N,), between two samples.
+
+    Of a joint at rest, which mostly makes none, that of its encoder.
+    """
+    steps = np.abs(np.diff(x))
+    return max(float(np.quantile(steps, 0.99)), _tick(steps))
+
+
+def _tick(steps: Array) -> float:
+    """Resolution of an encoder, from the sizes of its steps."""
+    return float(np.min(steps[steps > 0], initial=_COARSEST))
+
+
+def _clock(recording: Recording) -> Iterator[Doubt]:
+    rate = recording.rate
+    if rate > SLOWEST:
+        return
+    for unit, name in _UNITS:
+        if _USUAL_RATE[0] < rate / unit < _USUAL_RATE[1]:
+            what = f"time looks to be in {name}seconds"
+            break
+    else:
+        what = "no arm is logged so rarely"
+    text = f"t: the median step is {1 / rate:.6g} s: {what}"
+    yield Doubt("t", (), text, "valid are seconds", "error", 1 / rate)
+
+
+def _size(recording: Recording) -> Iterator[Doubt]:
+    samples = len(recording.t)
+    if recording.duration < SHORTEST or samples < FEWEST:
+        text = f"too short: {samples} samples in {recording.duration:.3g} s"
+        remedy = f"valid are {FEWEST} samples and {SHORTEST:g} s or more"
+        yield Doubt("t", (), text, remedy, "error", samples)
+    for name, x in recording.channels.items():
+        if np.abs(x).max() > LARGEST:
+            row, joint = np.unravel_index(int(np.argmax(np.abs(x))), x.shape)
+            text = f"{recording.place(name, int(joint), int(row))}: {x[row, joint]:.6g}"
+            remedy = f"valid are numbers up to {LARGEST:g}"
+            yield Doubt(name, (int(joint),), text, remedy, "error", x[row, joint])
+
+
+def _motion(recording: Recording) -> Iterator[Doubt]:
+    travel = np.ptp(recording.q, axis=0)
+    if np.all(travel < STILL):
+        text = f"q: no joint moves more than {travel.max():.2g} rad"
+        remedy = f"valid is a log in which the arm moves by {STILL:g} rad or more"
+        yield Doubt("q", (), text, remedy, "error", float(travel.max()))
+    for joint in _indices(travel == 0):
+        yield Doubt("q", (joint,), f"{recording.place('q', joint)} is constant")
+    moves = _indices(travel >= STILL)
+    if len(moves) == 1 < recording.size - 1:
+        text = f"only {recording.place('q', moves[0])} moves"
+        remedy = "masses that only the other joints feel are not told by this log"
+        yield Doubt("q", (moves[0],), text, remedy, evidence=1)
+    for channel in ("v", "command"):
+        x = recording.channels.get(channel)
+        if x is None:
+            continue
+        for joint in _indices((np.ptp(x, axis=0) == 0) & (travel > STILL)):
+            where = recording.place(channel, joint)
+            text = f"{where} is constant while the joint moves"
+            yield Doubt(channel, (joint,), text)
+
+
+def _torque(recording: Recording, robot: Robot) -> Iterator[Doubt]:
+    tau = recording.tau
+    # A denormal number, squared, is zero.
+    dead = (np.ptp(tau, axis=0) == 0) | (np.abs(tau).max(axis=0) < 1 / LARGEST)
+    for joint in _indices(dead):
+        text = f"{recording.place('tau', joint)} is constant ({tau[0, joint]:g})"
+        remedy = "valid is a torque that was measured"
+        yield Doubt("tau", (joint,), text, remedy, "error")
+    peak = np.max(np.abs(tau), axis=0)
+    rated = np.where(robot.tau_max > 0, robot.tau_max, np.inf)
+    far = _indices(peak > FARTHEST_TORQUE * rated)
+    if far:
+        places = ", ".join(
+            f"{recording.place('tau', k)} {peak[k]:.4g} of {rated[k]:.4g}" for k in far
+        )
+        text = (
+            f"torque above {FARTHEST_TORQUE:g} times the rating ({places}): in "
+            "milliamps? or is the rating that of the motor side"
+        )
+        remedy = "valid are N·m at the joint"
+        yield Doubt("tau", tuple(far), text, remedy, evidence=float(max(peak / rated)))
+    for joint, x in enumerate(tau.T):
+        for limit in (float(x.min()), float(x.max())):
+            share = float(np.mean(x == limit))
+            # A peak that is visited is a sample or two; one that is cut off is flat.
+            if 0.01 < share and longest_run(np.where(x == limit, 0.0, x))[0] >= 3:
+                where = recording.place("tau", joint)
+                text = f"{where} stays at {limit:.6g} for {share:.1%}: saturated?"
+                yield Doubt("tau", (joint,), text, evidence=share)
+
+
+def _frozen(recording: Recording) -> Iterator[Doubt]:
+    samples = len(recording.t)
+    both = np.hstack([recording.q, recording.tau])
+    moved = np.any(np.diff(both, axis=0) != 0, axis=1)  # NaN differs from itself
+    length, row = longest_run(np.concatenate([[0], np.cumsum(moved)]))
+    if length > 10:
+        text = f"all channels repeat for {length} samples from {row_words(row)}"
+        yield Doubt("q", (), f"{text}: did the log stop?", evidence=length)
+    for joint, x in enumerate(recording.tau.T):
+        length, row = longest_run(x)
+        if length > max(50, 0.1 * samples):
+            where = recording.place("tau", joint, row)
+            text = f"{where}: frozen for {length} samples"
+            yield Doubt("tau", (joint,), text, evidence=length)
+    for joint, x in enumerate(recording.q.T):
+        length, row = longest_run(x)
+        # An arm at rest repeats its position too, but it does not jump out of it.
+        steps = np.abs(np.diff(x))
+        ends = [k for k in (row - 1, row + length - 1) if 0 <= k < len(steps)]
+        jump = max((float(steps[k]) for k in ends), default=0.0)
+        if length > 20 and jump > 5 * usual_step(x):
+            where = recording.place("q", joint, row)
+            text = f"{where}: frozen for {length} samples, then it jumps"
+            yield Doubt("q", (joint,), text, evidence=length)
+
+
+def _indices(condition: NDArray[np.bool_]) -> list[int]:
+    return [int(k) for k in np.flatnonzero(condition)]

@@ -1,0 +1,101 @@
+"""Unit of torque, from what the robot file's links ask for.
+
+Each torque is a sum of the file's, times a scale, and of friction, rotor and offset.
+Files are wrong by a factor of two or so, payloads add to it; units by ten or more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.dynamics.regressor import inverse_dynamics
+from hybrid.inspect.doubt import Doubt
+from hybrid.inspect.state import State
+from hybrid.recording import Recording
+from hybrid.robot import Robot
+
+Array = NDArray[np.float64]
+
+_TELLS = 0.25  # of the variance that friction leaves: less, and the scale is no scale
+_ODD, _WRONG = 3.0, 10.0  # factors: beyond what files and payloads do; beyond doubt
+_UNITS = {1e-3: "kN·m", 1e3: "mN·m"}
+_UNIT = 3.0  # factor by which a scale may miss a unit
+_GEARS = 500.0  # a higher ratio of a gear is rare
+_FAINT = 2e-3  # of the rated torque: dry friction of a geared drive alone is more
+
+
+def scales(robot: Robot, state: State) -> Array:
+    """Measured torque over that of the file's links, shape (n,); NaN if not told."""
+    file = inverse_dynamics(
+        robot.chain, robot.chain.inertial, state.q, state.v, state.a
+    ) + robot.chain.armature * state.a
+    found = np.full(robot.size, np.nan)
+    for j in range(robot.size):
+        v, a = state.v[:, j], state.a[:, j]
+        beside = [np.ones_like(v), v, np.tanh(v / (0.02 * max(np.abs(v).max(), 1e-12)))]
+        if not robot.chain.armature[j]:
+            beside.append(a)
+        basis = np.linalg.qr(np.stack(beside, axis=1))[0]
+        x, y = (z - basis @ (basis.T @ z) for z in (file[:, j], state.tau[:, j]))
+        if x @ x > 1e-6 * (file[:, j] @ file[:, j]) and y @ y > 0:
+            tells = (x @ y) ** 2 / (x @ x) / (y @ y)
+            found[j] = x @ y / (x @ x) if tells > _TELLS else np.nan
+    return found
+
+
+def doubts_of_scale(recording: Recording, robot: Robot, state: State) -> Iterator[Doubt]:
+    """Torques in another unit, or of the motor side, all of them or some.
+
+    Args:
+        recording: The log, for names.
+        robot: The arm.
+        state: Samples of the log.
+    """
+    each = scales(robot, state)
+    told = np.isfinite(each) & (each > 0)
+    usual = float(np.exp(np.median(np.log(each[told])))) if told.any() else 1.0
+    off = max(usual, 1 / usual)
+    if off > _ODD:
+        # Without gravity inertia alone tells, and it goes with the square of time.
+        text = (
+            f"tau is {usual:.3g} times what the robot file's links ask for"
+            f"{_unit(usual)}"
+        )
+        remedy = (
+            "valid are N·m at the joint: check the unit of torque, the clock, and the "
+            "masses of the file"
+        )
+        severity = "error" if off > _WRONG else "warning"
+        yield Doubt("tau", (), text, remedy, severity, usual)  # type: ignore[arg-type]
+    remedy = "valid are N·m at the joint"
+    for j in np.flatnonzero(told).tolist():
+        own = float(each[j] / usual)
+        # A payload adds a lot to what a wrist holds; nothing takes so much away.
+        if own < 1 / _WRONG or own > _WRONG**2:
+            text = (
+                f"{recording.place('tau', j)} is {each[j]:.3g} times what the robot "
+                f"file's links ask for, torques of others {usual:.3g} times{_unit(own)}"
+            )
+            yield Doubt("tau", (j,), text, remedy, "error", own)
+    peak = np.abs(state.tau).max(axis=0)
+    faint = (peak < _FAINT * robot.tau_max) & np.isfinite(robot.tau_max) & ~told
+    if off < _ODD:
+        for j in np.flatnonzero(faint & (np.ptp(state.q, axis=0) > 0.01)).tolist():
+            text = (
+                f"{recording.place('tau', j)} stays below {peak[j]:.2g} of "
+                f"{robot.tau_max[j]:.4g} rated: another unit, or of the motor side?"
+            )
+            yield Doubt("tau", (j,), text, remedy, "warning", peak[j])
+
+
+def _unit(scale: float) -> str:
+    """What a scale looks like, in words."""
+    for factor, unit in _UNITS.items():
+        if 1 / _UNIT < scale / factor < _UNIT:
+            return f": it looks like {unit}"
+    if 1 / _GEARS < scale < 1 / _WRONG:
+        return f": it looks like torque of the motor side of a gear 1:{1 / scale:.0f}"
+    return ""

@@ -1,0 +1,105 @@
+"""Measured speed against the slope of positions.
+
+Both are of one joint and one clock. A sensor may lag or be off by a few percent; a
+factor, a sign or another joint's speed are of the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.inspect.doubt import Doubt
+from hybrid.inspect.state import State
+from hybrid.recording import Recording
+
+Array = NDArray[np.float64]
+
+_WRONG, _ODD = 1.5, 1.1  # factors
+_FOLLOWS = 0.9  # correlation of a speed with the slope that it is of
+_STRANGE = 0.5  # correlation below which it is not
+_MOVES = 0.02  # rad or m
+_SAME = 1.05  # factor between joints that have one cause in common
+_UNITS = {
+    180 / np.pi: "speeds look to be in degrees per second",
+    30 / np.pi: "speeds look to be in revolutions per minute",
+    np.pi / 180: "positions look to be in degrees",
+    1e3: "time looks to be in milliseconds, or speeds",
+    1e6: "time looks to be in microseconds",
+    1e9: "time looks to be in nanoseconds",
+}
+
+
+def doubts_of_speeds(recording: Recording, state: State) -> Iterator[Doubt]:
+    """Where measured speeds contradict the positions.
+
+    Args:
+        recording: The log, for names.
+        state: Samples of the log.
+    """
+    if state.logged is None:
+        return
+    moving = np.flatnonzero(np.ptp(state.q, axis=0) > _MOVES).tolist()
+    moving = [j for j in moving if np.ptp(state.logged[:, j]) > 0]
+    slope, logged = state.v[:, moving], state.logged[:, moving]
+    squares = np.maximum((slope**2).sum(axis=0), 1e-300)
+    alike = (logged.T @ slope) / np.sqrt(
+        np.maximum((logged**2).sum(axis=0), 1e-300)[:, None] * squares
+    )  # (speed, slope)
+    factor = (logged * slope).sum(axis=0) / squares
+    followed = np.abs(np.diagonal(alike)) > _FOLLOWS
+    far = followed & (np.maximum(np.abs(factor), 1 / np.abs(factor)) > _WRONG)
+    common = far.all() and len(moving) > 1 and np.ptp(np.log(np.abs(factor))) < np.log(
+        _SAME
+    )
+    if common and (factor > 0).all():
+        yield _of_all(float(np.exp(np.log(factor).mean())))
+        return
+    for k, j in enumerate(moving):
+        yield from _of_joint(recording, j, float(factor[k]), alike[k], k, moving)
+
+
+def _of_all(factor: float) -> Doubt:
+    """A factor that all joints have in common, in words."""
+    near = [x for x in _UNITS if 1 / _SAME < factor / x < _SAME]
+    what = _UNITS[near[0]] if near else "the clock or the speeds look scaled by that"
+    text = f"v is {factor:.4g} times dq/dt at every joint: {what}"
+    channel = "v" if near and "speeds" in what and "time" not in what else "t"
+    if near and what.startswith("positions"):
+        channel = "q"
+    remedy = "valid are s, rad and rad/s of one clock"
+    return Doubt(channel, (), text, remedy, "error", factor)
+
+
+def _of_joint(
+    recording: Recording,
+    joint: int,
+    factor: float,
+    alike: Array,
+    own: int,
+    moving: list[int],
+) -> Iterator[Doubt]:
+    """What is wrong with the speed of one joint, if anything."""
+    place, slope = recording.place("v", joint), f"dq{joint + 1}/dt"
+    other = int(np.argmax(np.abs(alike)))
+    if abs(alike[own]) < _STRANGE and abs(alike[other]) > _FOLLOWS:
+        text = (
+            f"{place} looks like the speed of {recording.joints[moving[other]]}: it "
+            f"follows dq{moving[other] + 1}/dt, not {slope}"
+        )
+        remedy = "valid are columns of q and v in one order"
+        yield Doubt("v", (joint,), text, remedy, "error", float(alike[other]))
+    elif abs(alike[own]) < _STRANGE:
+        text = f"{place} does not follow {slope} (correlation {alike[own]:.2f})"
+        yield Doubt("v", (joint,), text, "", "warning", float(alike[own]))
+    elif factor < 0 and alike[own] < -_FOLLOWS:
+        text = f"{place} is {factor:.3g} times {slope}: one counts the other way round"
+        remedy = "valid are q and v of one sign"
+        yield Doubt("v", (joint,), text, remedy, "error", factor)
+    elif max(factor, 1 / max(factor, 1e-300)) > _ODD and alike[own] > _FOLLOWS:
+        wrong = max(factor, 1 / factor) > _WRONG
+        text = f"{place} is {factor:.3g} times {slope}"
+        remedy = "valid are rad/s of the joint"
+        yield Doubt("v", (joint,), text, remedy, "error" if wrong else "warning", factor)
