@@ -83,8 +83,8 @@ def _examined(
     found: list[Doubt] = []
     for doubts in (
         doubts_of_samples(recording, robot),
-        doubts_of_positions(recording, robot),
         doubts_of_rows(recording),
+        doubts_of_positions(recording, robot),
     ):
         found += doubts
         if any(map(is_error, found)):

@@ -7,14 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.inspect.doubt import Doubt
 from hybrid.inspect.masses import Columns, unit_masses
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
-from hybrid.robot.chain import Chain
+from hybrid.robot.chain import Array, Chain
 
 _TOUCHES = 0.1  # of the largest torque: one that never comes near zero has one sign
 _SURE = 0.5  # half the logarithm of the share that signs take off what is left
+_DRY = 0.3  # of the mean torque
 _TURNS = 8  # rounds in which signs and torques are found from each other
 
 
@@ -37,14 +39,12 @@ def doubts_of_magnitude(
         return
     masses, n = unit_masses(chain), chain.size
     plain = np.arange(n), np.ones(n)
-    columns = Columns(chain, state, masses)
-    before = columns.left(*plain)
-    signed, after = state, before
+    before = after = Columns(chain, state, masses).left(*plain)
+    likely = _likely_torque(chain, state)
     for _ in range(_TURNS):
-        sign = np.where(suspect & (columns.explained < 0), -1.0, 1.0)
-        signed = replace(state, tau=sign * state.tau)
-        columns = Columns(chain, signed, masses)
-        after = columns.left(*plain)
+        sign = np.where(suspect & (likely < 0), -1.0, 1.0)
+        columns = Columns(chain, replace(state, tau=sign * state.tau), masses)
+        after, likely = columns.left(*plain), columns.explained
     gain = 0.5 * np.log(before / after)
     for j in np.flatnonzero(suspect & (gain > _SURE)).tolist():
         text = (
@@ -54,3 +54,10 @@ def doubts_of_magnitude(
         )
         remedy = "valid is a torque with its sign"
         yield Doubt("tau", (j,), text, remedy, "error", float(np.exp(gain[j])))
+
+
+def _likely_torque(chain: Chain, state: State) -> Array:
+    """Torque of the file's links and of some dry friction, shape (M, n), [N·m]."""
+    file = inverse_dynamics(chain, chain.inertial, state.q, state.v, state.a)
+    fastest = np.maximum(np.abs(state.v).max(axis=0), 1e-12)
+    return file + _DRY * state.tau.mean(axis=0) * np.tanh(state.v / (0.1 * fastest))

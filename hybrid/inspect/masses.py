@@ -13,8 +13,6 @@ and a wrong clock ask for negative masses, or leave torque that no mass explains
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +25,7 @@ Array = NDArray[np.float64]
 _REACH = 0.25  # of the arm's length: how far masses of a link, or a tool, may be
 _CREEP = 0.02  # of the highest speed: below, dry friction changes its sign gradually
 _OWN = 5  # columns of each joint's drive: rotor, viscous, dry, offset either way
+_OFFSET = 0.1  # of an offset counts as left over
 _LEAST = 1e-3  # of a torque's variance: less left is as good as nothing
 _RANK = 1e-4  # of the largest singular value: below, columns are not told apart
 _RIDGE = 1e-8  # of a column's square
@@ -36,14 +35,12 @@ _TINY, _NONE = 1e-9, 1e-300
 def unit_masses(chain: Chain) -> Array:
     """Inertial parameters of masses of 1 kg at points of each link, shape (10n, P).
 
-    The points of a link are its origin, and corners and face centres of a cube about
-    it: sums of them have any mass and centre, and any inertia, within their reach.
+    The points of a link are its origin and the corners of an octahedron about it:
+    sums of them have any mass and centre, and any moments of inertia, within reach.
     """
     lengths = np.linalg.norm(chain.translation, axis=1)
     arm = float(lengths.sum()) or 1.0
-    axes = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
-    corners = np.array(list(product((-1.0, 1.0), repeat=3))) / np.sqrt(3)
-    directions = np.vstack([axes, corners])
+    directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
     columns = np.zeros((10 * chain.size, chain.size * len(directions)))
     for k in range(chain.size):
         beyond = lengths[k + 1] if k + 1 < chain.size else 0.0
@@ -77,23 +74,26 @@ class Columns:
     def __init__(self, chain: Chain, state: State, masses: Array) -> None:
         rigid = regressor(chain, state.q, state.v, state.a) @ masses
         columns = np.concatenate([rigid, _drives(state)], axis=2).transpose(1, 0, 2)
+        n = chain.size
         size = np.maximum(np.sqrt((columns**2).sum(axis=(0, 1))), _TINY)
         self._each = columns / size  # (n, M, P + 5n)
         self._normal = self._each.transpose(0, 2, 1) @ self._each
+        self._normal += _offset_costs(size, n, masses.shape[1]) * len(state.q)
         self._torque = state.tau
         self._right = np.einsum("imp,mc->icp", self._each, state.tau)
         self._squares = (state.tau**2).mean(axis=0)
         self.explained = np.zeros_like(state.tau)
         self._size = np.maximum(state.tau.var(axis=0), _TINY * self._squares + _NONE)
 
-    def left(self, order: NDArray[np.intp], factor: Array) -> Array:
+    def left(
+        self, order: NDArray[np.intp], factor: Array, *, rounds: int = 2
+    ) -> Array:
         """Share of each torque's variance that the best positive weights leave, (n,).
-
-        Joints are weighed by what the first of two fits leaves of them.
 
         Args:
             order: Which column of torque is each joint's, shape (n,).
             factor: What it is to be multiplied by, shape (n,).
+            rounds: Fits, from the second on with joints weighed by what the last left.
         """
         each, samples = np.arange(len(order)), len(self._torque)
         right = factor[:, None] * self._right[each, order] / samples
@@ -101,7 +101,7 @@ class Columns:
         size = factor**2 * self._size[order]
         normal = self._normal / samples
         share = np.ones(len(order))
-        for _ in range(2):
+        for _ in range(rounds):
             weight = 1.0 / (size * share)
             theta = _positive(np.tensordot(weight, normal, 1), weight @ right)
             rest = squares + ((normal @ theta - 2 * right) * theta).sum(axis=1)
@@ -134,6 +134,19 @@ def _drives(state: State) -> Array:
     each = np.arange(n)
     drive[:, each, each] = own
     return drive.reshape(samples, n, _OWN * n)
+
+
+def _offset_costs(size: Array, joints: int, masses: int) -> Array:
+    """Squares of offsets that count as left over, shape (n, P + 5n, P + 5n).
+
+    Torque that never changes may be held by an offset, but gravity is likelier.
+    """
+    costs = np.zeros((joints, len(size), len(size)))
+    for j in range(joints):
+        for k in (3, 4):
+            at = masses + _OWN * j + k
+            costs[j, at, at] = (_OFFSET / size[at]) ** 2
+    return costs
 
 
 def _positive(normal: Array, right: Array) -> Array:

@@ -16,6 +16,11 @@ Array = NDArray[np.float64]
 
 _ROUND = "to count the other way round"
 _DEGREE = np.pi / 180
+_UNITS = {
+    1e3: "to be in kN·m, or too small by as much",
+    1e2: "to be of the motor side of a gear, or too small by as much",
+    1e-3: "to be in mN·m, or too large by as much",
+}
 _CLOCKS = {
     1e-3: "in milliseconds",
     1e-6: "in microseconds",
@@ -102,6 +107,10 @@ def readings(
                 yield Reading(channels, joints, words, order, ones)
     if n > 1:
         yield Reading(("tau",), tuple(range(n)), _ROUND, kept, -ones)
+        for factor, words in _UNITS.items():
+            for j in range(n):
+                each = np.where(kept == j, factor, 1.0)
+                yield Reading(("tau",), (j,), words, kept, each)
     turning = tuple(j for j in moving if chain.revolute[j])
     for joints in dict.fromkeys([turning, *((j,) for j in turning)]):
         factor = np.where(np.isin(kept, joints), _DEGREE, 1.0)
