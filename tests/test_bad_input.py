@@ -9,7 +9,8 @@ import pytest
 from pyarrow import parquet
 
 from hybrid.errors import HybridWarning, RecordingError
-from hybrid.recording import Recording, check_recording, read, read_all, write
+from hybrid.inspect import check_recording
+from hybrid.recording import Recording, read, read_all, write
 from hybrid.robot import Chain, Robot
 
 DATA = Path(__file__).parents[2] / "shared" / "data"

@@ -9,7 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hybrid.diagnose.faults import find_faults
-from hybrid.recording import Recording, check_recording
+from hybrid.inspect import check_recording
+from hybrid.recording import Recording
 from hybrid.robot import Robot
 
 T = np.arange(0.0, 10.0, 0.004)

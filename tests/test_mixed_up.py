@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 from arms import MODELS
+from hybrid.diagnose.mixed_up import mixed_up
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.mixed_up import mixed_up
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.payload import Payload
 from hybrid.plant import Plant, simulate

@@ -142,7 +142,8 @@ WRONG: dict[str, Wrong] = {
     "torques reversed": Wrong(
         ordered(reverse, "tau"), ("tau",), ("reverse",), joints=3),
     "torques by name": Wrong(
-        ordered(by_name, "tau"), ("tau",), ("by name", "in the order", "swapped"), joints=3),
+        ordered(by_name, "tau"), ("tau",), ("by name", "in the order", "swapped"),
+        joints=3),
     "torques turned": Wrong(
         ordered(turned, "tau"), ("tau",), ("in the order",), joints=3),
     "positions reversed": Wrong(

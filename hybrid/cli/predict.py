@@ -42,26 +42,28 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.identify import DynamicModel, predict
-    from hybrid.recording import check_recording, read
+    from hybrid.inspect import check_recordings
+    from hybrid.recording import read
     from hybrid.report.columns import write_columns, writer_of
 
     writer_of(args.out)
     model = DynamicModel.load(args.model)
     joints = model.robot.joints
+    recording = read(args.recording, joints=joints, torque=False)
     # On the clock that the prediction will have.
-    recording = check_recording(
-        read(args.recording, joints=joints, torque=False), model.robot
-    )
+    pieces = check_recordings([recording], model.robot)
     inputs = [args.model, args.model.with_suffix(".safetensors"), args.recording]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
     with screen.working("predicting"):
-        tau = predict(model, recording)
+        tau = np.concatenate([predict(model, x) for x in pieces])
+    t = np.concatenate([x.t for x in pieces])
     columns = {f"tau_{joint}": tau[:, j] for j, joint in enumerate(joints)}
-    write_columns(args.out, {"time": recording.t, **columns})
+    write_columns(args.out, {"time": t, **columns})
     rms = None
     if recording.has_torque:
-        rms = np.sqrt(np.mean((recording.tau - tau) ** 2, axis=0))
+        measured = np.concatenate([x.tau for x in pieces])
+        rms = np.sqrt(np.mean((measured - tau) ** 2, axis=0))
     content = {"robot": model.robot.name, "joints": joints, "samples": len(tau)}
     write_record(args, how, {**content, "rms": rms})
     screen.say(f"{len(tau):,} samples of {len(joints)} joints in {args.out}")

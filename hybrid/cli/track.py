@@ -65,16 +65,16 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.identify import DynamicModel
+    from hybrid.inspect import check_recordings
     from hybrid.online import OnlineIdentifier, Sample
-    from hybrid.recording import check_recording, read, unbroken
+    from hybrid.recording import read
     from hybrid.report.columns import write_columns, writer_of
 
     writer_of(args.out)
     model = DynamicModel.load(args.model)
     joints = model.robot.joints
     recording = read(args.recording, joints=joints).in_order(joints)
-    for piece in unbroken(recording):
-        check_recording(piece, model.robot)
+    check_recordings([recording], model.robot)
     inputs = [args.model, args.model.with_suffix(".safetensors"), args.recording]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)

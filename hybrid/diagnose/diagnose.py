@@ -25,8 +25,7 @@ from hybrid.diagnose.grounds import (
 )
 from hybrid.diagnose.links import joined
 from hybrid.diagnose.locate import locate
-from hybrid.diagnose.logs import measured, since_first, without_holes
-from hybrid.diagnose.mixed_up import mixed_up
+from hybrid.diagnose.logs import measured, since_first
 from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.result import Result
 from hybrid.diagnose.settled import settled, unsure
@@ -37,6 +36,7 @@ from hybrid.diagnose.unseen import left_somewhere, left_unseen
 from hybrid.diagnose.vetted import torn, vetted
 from hybrid.diagnose.visited import not_excited
 from hybrid.effects.delay import Delay
+from hybrid.identify.data import taken
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -102,7 +102,7 @@ def examine(
     progress: Progress | None = None,
 ) -> Result:
     """:func:`diagnose` in torque, with everything that led to the answer."""
-    recordings = since_first(without_holes(recordings))
+    recordings = since_first(taken(robot, recordings))
     tell = progress or (lambda _: None)
     answer = partial(_examined, robot, recordings, cutoff, without, seed, tell)
     result = answer(clocks=Delay.id not in without)
@@ -135,7 +135,7 @@ def _examined(
     # Torque that is late at every joint is no term: it is taken back already.
     late = [Delay.id] if logged.clocks else []
     search = Search(gap, learn, without=[*without, *late])
-    grounds = too_little(gap) or mixed_up(gap), unlike(gap)
+    grounds = too_little(gap), unlike(gap)
     doubts = [x for x in grounds if x is not None]
     if not doubts:
         search.run()

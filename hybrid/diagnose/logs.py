@@ -1,4 +1,4 @@
-"""Logs as they are diagnosed: one clock, no holes, what a writer did taken back."""
+"""Logs as they are diagnosed: one clock, what a writer did taken back."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import partial
 from hybrid.diagnose.convention import Convention, find_convention
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.measure import measure_gap
-from hybrid.recording import Recording, unbroken
+from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
@@ -55,11 +55,3 @@ def since_first(
     """
     start = min((float(x.t[0]) for x in recordings), default=0.0)
     return [replace(x, t=x.t - start) for x in recordings]
-
-
-def without_holes(
-    recordings: Sequence[Recording | Motion],
-) -> list[Recording | Motion]:
-    """The same, each cut in several where it has a hole."""
-    parts = [unbroken(x) if isinstance(x, Recording) else (x,) for x in recordings]
-    return [x for several in parts for x in several]

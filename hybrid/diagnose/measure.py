@@ -13,7 +13,7 @@ from hybrid.diagnose.faults import Faults, find_faults
 from hybrid.diagnose.gap import Gap, simulated_torque
 from hybrid.dynamics import RigidBody
 from hybrid.errors import RecordingError
-from hybrid.identify.data import prepare_motions
+from hybrid.identify.data import motions_of
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
@@ -45,15 +45,14 @@ def measure_gap(
 
     Args:
         robot: The simulator as it stands, with the friction that its file declares.
-        recordings: Logs of the real arm, or motions made from such.
+        recordings: Logs of the real arm that were checked, or motions made from such.
         cutoff: Cut-off, [Hz]; from the spectrum if not given.
         correct: What to do to each motion first; see :mod:`.convention`.
 
     Raises:
-        IdentificationError: There is no recording.
-        RecordingError: A recording does not fit the arm, or has no torque.
+        RecordingError: A recording has no torque.
     """
-    motions, cutoff = prepare_motions(robot, recordings, cutoff)
+    motions, cutoff = motions_of(recordings, cutoff)
     motions = [correct(m) for m in motions] if correct else motions
     for motion in motions:
         if not np.isfinite(motion.tau).all():

@@ -18,7 +18,8 @@ from hybrid.identify.cross_products import (
     sampled_chunks,
 )
 from hybrid.identify.problem import Problem, part
-from hybrid.recording import Recording, check_recording
+from hybrid.inspect import check_recordings
+from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
@@ -224,9 +225,23 @@ def prepare_motions(
     """
     if not recordings:
         raise IdentificationError("no recording given; at least one is needed")
-    logs = [
-        check_recording(x, robot) if isinstance(x, Recording) else x for x in recordings
-    ]
+    return motions_of(taken(robot, recordings), cutoff)
+
+
+def taken(
+    robot: Robot, recordings: Sequence[Recording | Motion]
+) -> list[Recording | Motion]:
+    """Logs as every verb takes them, see :func:`check_recordings`; motions as are."""
+    logs: list[Recording | Motion] = []
+    for x in recordings:
+        logs += check_recordings([x], robot) if isinstance(x, Recording) else [x]
+    return logs
+
+
+def motions_of(
+    logs: Sequence[Recording | Motion], cutoff: float | None
+) -> tuple[list[Motion], float]:
+    """Filter and differentiate logs that were checked; see :func:`prepare_motions`."""
     if cutoff is None:
         chosen = [choose_cutoff(x) for x in logs if isinstance(x, Recording)]
         cutoff = float(np.median(chosen)) if chosen else np.inf

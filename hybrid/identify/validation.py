@@ -180,14 +180,15 @@ def predict(model: DynamicModel, recording: Recording) -> Array:
 
     Args:
         model: The model.
-        recording: Log of the arm; it needs no torque.
+        recording: Log of the arm; it needs no torque. One with gaps is predicted
+            between them, see :func:`~hybrid.inspect.check_recordings`.
 
     Raises:
         RecordingError: The recording does not fit the arm, or has no torque while an
             effect of the model looks at it.
     """
-    (motion,), _ = prepare_motions(model.robot, [recording], model.cutoff)
-    tau = model.predict(motion)
+    motions, _ = prepare_motions(model.robot, [recording], model.cutoff)
+    tau = np.concatenate([model.predict(motion) for motion in motions])
     if not np.isfinite(tau).all():
         raise RecordingError(
             f"{recording.source or 'recording'}: no torque, but the model has an "

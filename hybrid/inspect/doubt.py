@@ -11,6 +11,8 @@ import numpy as np
 
 from hybrid.errors import HybridWarning, RecordingError
 
+Severity = Literal["error", "warning"]
+
 
 @dataclass(frozen=True)
 class Doubt:
@@ -30,7 +32,7 @@ class Doubt:
     joints: tuple[int, ...]
     text: str
     remedy: str = ""
-    severity: Literal["error", "warning"] = "warning"
+    severity: Severity = "warning"
     evidence: float = np.nan
 
     @property

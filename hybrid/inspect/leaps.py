@@ -54,6 +54,8 @@ def _leaping(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
     glitches = np.flatnonzero(leaps & back & np.append(leaps[1:], False))
     before, after = np.append(0.0, size[:-1]), np.append(size[1:], 0.0)
     alone = leaps & (size > _LEAP * np.maximum(before, after))
+    # From standstill on the way: an encoder was frozen, which is told apart.
+    alone &= (_around(before, -1) > 0) == (_around(after, 1) > 0)
     remedy = "valid are positions as the joint passed them"
     if len(glitches):
         row = int(glitches[0]) + 1
@@ -71,6 +73,12 @@ def _leaping(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
             f"{x[k + 1]:.6g} within a sample: {what}"
         )
         yield Doubt("q", (joint,), text, remedy, "error", float(size[k]))
+
+
+def _around(size: Array, way: int) -> Array:
+    """Largest of a few steps before, or after, each, shape (N,)."""
+    moved = [np.roll(size, -way * k) for k in range(_NEARBY)]
+    return np.asarray(np.max(moved, axis=0))
 
 
 def _held(recording: Recording) -> Iterator[Doubt]:

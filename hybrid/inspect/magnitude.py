@@ -60,4 +60,5 @@ def _likely_torque(chain: Chain, state: State) -> Array:
     """Torque of the file's links and of some dry friction, shape (M, n), [N·m]."""
     file = inverse_dynamics(chain, chain.inertial, state.q, state.v, state.a)
     fastest = np.maximum(np.abs(state.v).max(axis=0), 1e-12)
-    return file + _DRY * state.tau.mean(axis=0) * np.tanh(state.v / (0.1 * fastest))
+    dry = np.tanh(state.v / (0.1 * fastest))
+    return np.asarray(file + _DRY * state.tau.mean(axis=0) * dry)

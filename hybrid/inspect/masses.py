@@ -85,9 +85,7 @@ class Columns:
         self.explained = np.zeros_like(state.tau)
         self._size = np.maximum(state.tau.var(axis=0), _TINY * self._squares + _NONE)
 
-    def left(
-        self, order: NDArray[np.intp], factor: Array, *, rounds: int = 2
-    ) -> Array:
+    def left(self, order: NDArray[np.intp], factor: Array, *, rounds: int = 2) -> Array:
         """Share of each torque's variance that the best positive weights leave, (n,).
 
         Args:
@@ -107,7 +105,7 @@ class Columns:
             rest = squares + ((normal @ theta - 2 * right) * theta).sum(axis=1)
             share = np.clip(rest / size, _LEAST, None)
         self.explained = (self._each @ theta).T
-        return np.asarray(share)
+        return np.asarray(share, dtype=np.float64)
 
     def left_alone(self) -> Array:
         """Share of each column of torque that each joint's own columns leave, (n, n).
@@ -121,7 +119,7 @@ class Columns:
             basis = basis[:, value > _RANK * value[0]]
             rest = self._torque - basis @ (basis.T @ self._torque)
             left.append((rest**2).mean(axis=0) / self._size)
-        return np.clip(left, _LEAST, 1.0)
+        return np.asarray(np.clip(left, _LEAST, 1.0))
 
 
 def _drives(state: State) -> Array:
@@ -133,7 +131,7 @@ def _drives(state: State) -> Array:
     own = np.stack([state.a, state.v, dry, np.ones_like(dry), -np.ones_like(dry)], -1)
     each = np.arange(n)
     drive[:, each, each] = own
-    return drive.reshape(samples, n, _OWN * n)
+    return np.asarray(drive.reshape(samples, n, _OWN * n))
 
 
 def _offset_costs(size: Array, joints: int, masses: int) -> Array:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.inspect.doubt import Doubt
+from hybrid.inspect.doubt import Doubt, Severity
 from hybrid.inspect.masses import Columns, file_masses, unit_masses
 from hybrid.inspect.reading import Reading, readings
 from hybrid.inspect.state import State
@@ -32,7 +32,9 @@ Array = NDArray[np.float64]
 _SURE = 0.5  # gain; of logs that are right, no other reading reached 0.3
 _ALIKE = 0.2  # loss of gain by which two readings may differ and be as good
 _USUAL = 0.01  # of the variance: what friction of another law leaves anyway
+_SEVERITIES: dict[str, Severity] = {"any": "error", "file": "warning"}
 _FINALISTS = 6  # readings that are asked with joints weighed anew
+_DISTURBS = 0.02  # of what one joint leaves, in what others do: they share their links
 _MOST = 4  # things that are wrong with one log
 _STILL = 1e-3  # rad or m
 
@@ -51,6 +53,7 @@ class _Bench:
     state: State
     masses: dict[str, Array]
     _columns: dict[tuple[str, object], Columns] = field(default_factory=dict)
+    _left: dict[object, Array] = field(default_factory=dict)
 
     def left(self, reading: Reading, design: str, rounds: int = 2) -> Array:
         """Shares of torque that a reading leaves, shape (n,)."""
@@ -58,7 +61,18 @@ class _Bench:
         if key not in self._columns:
             moved = reading.moved(self.state)
             self._columns[key] = Columns(self.chain, moved, self.masses[design])
-        return self._columns[key].left(*reading.torque, rounds=rounds)
+        asked = key, reading, rounds
+        if asked not in self._left:
+            left = self._columns[key].left(*reading.torque, rounds=rounds)
+            self._left[asked] = left
+        return self._left[asked]
+
+    def gain(
+        self, plain: Reading, reading: Reading, design: str, rounds: int = 2
+    ) -> float:
+        """How much better a reading is than the plain one."""
+        before = self.left(plain, design, rounds)
+        return _gain(before, self.left(reading, design, rounds))
 
     def best_order(self, plain: Reading) -> NDArray[np.intp]:
         """Which column of torque suits each joint best, shape (n,)."""
@@ -92,7 +106,7 @@ def doubts_of_physics(
 
 def _likelier(
     bench: _Bench,
-) -> tuple[Reading, Array, Array, str] | None:
+) -> tuple[Reading, Array, Array, Severity] | None:
     """The reading that is better than the plain one, if any is by far.
 
     Returns:
@@ -106,30 +120,32 @@ def _likelier(
         return None
     moving = np.flatnonzero(np.ptp(bench.state.q, axis=0) > _STILL).tolist()
     ways = list(readings(bench.chain, moving, bench.best_order(plain)))
-    for design, severity in (("any", "error"), ("file", "warning")):
-        if design not in hopeful:
-            continue
-        usual = bench.left(plain, design, 1)
-        ranked = sorted(ways, key=lambda x: -_gain(usual, bench.left(x, design, 1)))
-        finalists = ranked[:_FINALISTS]
-        gains = [_gain(before[design], bench.left(x, design)) for x in finalists]
-        best = finalists[int(np.argmax(gains))]
-        if max(gains) > _SURE:
-            return best, before[design], bench.left(best, design), severity
+    for design in bench.masses:
+        gains = [bench.gain(plain, way, design, 1) for way in ways]
+        finalists = [ways[k] for k in np.argsort(gains)[: -_FINALISTS - 1 : -1]]
+        best = max(finalists, key=lambda way: bench.gain(plain, way, design))
+        if bench.gain(plain, best, design) > _SURE:
+            after = bench.left(best, design)
+            return best, before[design], after, _SEVERITIES[design]
         # What no arm can do is not asked of the file.
-        usual = before["any"]
-        ways = [x for x in ways if _gain(usual, bench.left(x, "any")) > -_ALIKE]
-        if not ways:
+        ways = [w for w, gain in zip(ways, gains, strict=True) if gain > -_ALIKE]
+        if not ways or "file" not in hopeful:
             break
     return None
 
 
 def _gain(before: Array, after: Array) -> float:
-    return float(0.5 * np.log(before / after).sum())
+    least = _DISTURBS * float(before.mean())
+    ratio = np.maximum(before, least) / np.maximum(after, least)
+    return float(0.5 * np.log(ratio).sum())
 
 
 def _doubt(
-    recording: Recording, reading: Reading, before: Array, after: Array, severity: str
+    recording: Recording,
+    reading: Reading,
+    before: Array,
+    after: Array,
+    severity: Severity,
 ) -> Doubt:
     """A reading in words, with what it leaves at the joint where it tells most."""
     places = [
@@ -152,7 +168,4 @@ def _doubt(
         f"as logged {before[j]:.2g}"
     )
     remedy = "valid are rad, N·m and s, by the robot file's axes, in its order"
-    return Doubt(
-        reading.channels[0], reading.joints, text, remedy,
-        "error" if severity == "error" else "warning", gain,
-    )  # fmt: skip
+    return Doubt(reading.channels[0], reading.joints, text, remedy, severity, gain)

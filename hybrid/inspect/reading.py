@@ -108,13 +108,13 @@ def readings(
     if n > 1:
         yield Reading(("tau",), tuple(range(n)), _ROUND, kept, -ones)
         for factor, words in _UNITS.items():
-            for j in range(n):
+            for j in moving:
                 each = np.where(kept == j, factor, 1.0)
                 yield Reading(("tau",), (j,), words, kept, each)
     turning = tuple(j for j in moving if chain.revolute[j])
     for joints in dict.fromkeys([turning, *((j,) for j in turning)]):
-        factor = np.where(np.isin(kept, joints), _DEGREE, 1.0)
-        yield Reading(("q",), joints, "to be in degrees", kept, factor)
+        each = np.where(np.isin(kept, joints), _DEGREE, 1.0)
+        yield Reading(("q",), joints, "to be in degrees", kept, each)
     for clock, words in _CLOCKS.items():
         yield Reading(("t",), (), words, kept, ones, clock)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.dynamics.regressor import inverse_dynamics
-from hybrid.inspect.doubt import Doubt
+from hybrid.inspect.doubt import Doubt, Severity
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -29,9 +29,10 @@ _FAINT = 2e-3  # of the rated torque: dry friction of a geared drive alone is mo
 
 def scales(robot: Robot, state: State) -> Array:
     """Measured torque over that of the file's links, shape (n,); NaN if not told."""
-    file = inverse_dynamics(
-        robot.chain, robot.chain.inertial, state.q, state.v, state.a
-    ) + robot.chain.armature * state.a
+    file = (
+        inverse_dynamics(robot.chain, robot.chain.inertial, state.q, state.v, state.a)
+        + robot.chain.armature * state.a
+    )
     found = np.full(robot.size, np.nan)
     for j in range(robot.size):
         v, a = state.v[:, j], state.a[:, j]
@@ -46,7 +47,9 @@ def scales(robot: Robot, state: State) -> Array:
     return found
 
 
-def doubts_of_scale(recording: Recording, robot: Robot, state: State) -> Iterator[Doubt]:
+def doubts_of_scale(
+    recording: Recording, robot: Robot, state: State
+) -> Iterator[Doubt]:
     """Torques in another unit, or of the motor side, all of them or some.
 
     Args:
@@ -68,8 +71,8 @@ def doubts_of_scale(recording: Recording, robot: Robot, state: State) -> Iterato
             "valid are N·m at the joint: check the unit of torque, the clock, and the "
             "masses of the file"
         )
-        severity = "error" if off > _WRONG else "warning"
-        yield Doubt("tau", (), text, remedy, severity, usual)  # type: ignore[arg-type]
+        severity: Severity = "error" if off > _WRONG else "warning"
+        yield Doubt("tau", (), text, remedy, severity, usual)
     remedy = "valid are N·m at the joint"
     for j in np.flatnonzero(told).tolist():
         own = float(each[j] / usual)

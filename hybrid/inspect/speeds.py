@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.inspect.doubt import Doubt
+from hybrid.inspect.doubt import Doubt, Severity
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 
@@ -51,8 +51,8 @@ def doubts_of_speeds(recording: Recording, state: State) -> Iterator[Doubt]:
     factor = (logged * slope).sum(axis=0) / squares
     followed = np.abs(np.diagonal(alike)) > _FOLLOWS
     far = followed & (np.maximum(np.abs(factor), 1 / np.abs(factor)) > _WRONG)
-    common = far.all() and len(moving) > 1 and np.ptp(np.log(np.abs(factor))) < np.log(
-        _SAME
+    common = (
+        far.all() and len(moving) > 1 and np.ptp(np.log(np.abs(factor))) < np.log(_SAME)
     )
     if common and (factor > 0).all():
         yield _of_all(float(np.exp(np.log(factor).mean())))
@@ -102,4 +102,5 @@ def _of_joint(
         wrong = max(factor, 1 / factor) > _WRONG
         text = f"{place} is {factor:.3g} times {slope}"
         remedy = "valid are rad/s of the joint"
-        yield Doubt("v", (joint,), text, remedy, "error" if wrong else "warning", factor)
+        severity: Severity = "error" if wrong else "warning"
+        yield Doubt("v", (joint,), text, remedy, severity, factor)
