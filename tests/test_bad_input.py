@@ -1,6 +1,9 @@
 """Bad input ends in one line that names file, column and row, or in a warning."""
 
+import struct
 import warnings
+import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -245,13 +248,70 @@ def test_paths_without_recordings_say_what_is_valid(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_time_in_milliseconds_is_warned_of(tmp_path):
-    content = GOOD.replace("0.1,1.1", "10,1.1").replace("0.2,1.2", "20,1.2")
-    (tmp_path / "log.csv").write_text(content)
-    with pytest.warns(
-        HybridWarning, match="step is 10 s; time looks like milliseconds"
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "milli"), (1e6, "micro")])
+def test_time_in_other_units_is_refused(factor, unit):
+    with pytest.raises(
+        RecordingError, match=f"median step is .* in {unit}seconds; valid are seconds"
     ):
-        read(tmp_path / "log.csv")
+        check_recording(log(t=log().t * factor), robot())
+
+
+def test_numbers_beyond_any_arm_are_refused():
+    for channel in ("q", "tau"):
+        x = log().channels[channel].copy()
+        x[7, 1] = 1e300
+        with pytest.raises(
+            RecordingError, match=rf"{channel}2 \(elbow\), row 8 .*: 1e\+300; valid are"
+        ):
+            check_recording(log(**{channel: x}), robot())
+    with pytest.raises(RecordingError, match=r"t: 1e\+300 s; valid are times"):
+        check_recording(log(t=log().t / log().t[-1] * 1e300), robot())
+    with pytest.raises(RecordingError, match=r"tau2 \(elbow\) is constant"):
+        check_recording(log(tau=log().tau * [1, 1e-310, 1]), robot())
+
+
+def test_positions_in_milliradians_are_refused():
+    with pytest.raises(RecordingError, match="looks like milliradians; valid are rad"):
+        check_recording(log(q=log().q * 1e3), robot())
+
+
+def test_joints_faster_than_any_drive_are_refused():
+    with pytest.raises(RecordingError, match=r"moves at .* rad/s.*; valid are speeds"):
+        check_recording(log(t=log().t * 0.2), replace_speed(robot()))
+
+
+def replace_speed(arm: Robot) -> Robot:
+    """The arm with a limit of speed."""
+    return replace(arm, v_max=np.full(arm.size, 0.5))
+
+
+@pytest.mark.parametrize("member", ["q", "unused"])
+def test_npz_that_asks_for_more_than_it_holds_is_refused(tmp_path, member):
+    fields = {"t": np.arange(3) / 10, "q": np.ones((3, 2)), "tau": np.ones((3, 2))}
+    np.savez(tmp_path / "log.npz", **fields, unused=np.ones(3))
+    with zipfile.ZipFile(tmp_path / "log.npz") as whole:
+        parts = {name: whole.read(name) for name in whole.namelist()}
+    for shape in ("(10000000000000000, 2)", "(" + "9" * 4000 + ", 2)"):
+        header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}\n"
+        start = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header))
+        with zipfile.ZipFile(tmp_path / "bad.npz", "w") as bad:
+            for name, content in parts.items():
+                huge = start + header.encode() + content[128:]
+                bad.writestr(name, huge if name == f"{member}.npy" else content)
+        with pytest.raises(RecordingError, match="not a whole NPZ file") as error:
+            read(tmp_path / "bad.npz")
+        assert "\n" not in str(error.value)
+
+
+def test_an_archive_that_unpacks_to_more_than_any_log_is_refused(tmp_path):
+    path = tmp_path / "log.npz"
+    np.savez(path, t=np.arange(3) / 10, q=np.ones((3, 2)), tau=np.ones((3, 2)))
+    content = bytearray(path.read_bytes())
+    at = content.index(b"PK\x01\x02")  # the central directory says how large
+    content[at + 24 : at + 28] = struct.pack("<I", (1 << 32) - 2)
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match="unpacks to 4.29e.09 bytes; valid are"):
+        read(path)
 
 
 def test_a_good_recording_passes_without_a_word():
@@ -316,7 +376,8 @@ def test_a_dead_position_is_warned_of_and_a_dead_torque_refused():
     with pytest.raises(RecordingError, match=r"log.csv: tau2 \(elbow\) is constant"):
         check_recording(log(tau=log().tau * [1, 0, 1]), robot())
     with pytest.warns(HybridWarning, match=r"v2 \(elbow\) is constant while the joint"):
-        check_recording(log(v=log().q * [1, 0, 1]), robot())
+        speed = np.gradient(log().q, 0.01, axis=0)
+        check_recording(log(v=speed * [1, 0, 1]), robot())
 
 
 def test_an_arm_at_standstill_is_refused():

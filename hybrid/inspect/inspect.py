@@ -12,7 +12,7 @@ from hybrid.inspect.physics import doubts_of_physics
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.samples import doubts_of_samples
 from hybrid.inspect.scale import doubts_of_scale
-from hybrid.inspect.speeds import doubts_of_speeds
+from hybrid.inspect.speeds import doubts_of_pace, doubts_of_speeds
 from hybrid.inspect.state import State, sampled
 from hybrid.recording import Recording, resample, unbroken
 from hybrid.robot import Robot
@@ -106,5 +106,6 @@ def _of_physics(
         yield doubts_of_magnitude(recording, robot.chain, state)
         yield doubts_of_physics(recording, robot.chain, state)
     yield doubts_of_speeds(recording, state)
+    yield doubts_of_pace(recording, robot, state)
     if recording.has_torque:
         yield doubts_of_scale(recording, robot, state)

@@ -20,6 +20,7 @@ STILL = 1e-3  # rad: less travel is hum, not motion
 SLOWEST = 1.0  # Hz: no log of a moving arm has a sample less often
 FARTHEST_TORQUE = 5.0  # times the rating: gear or unit missing, not overload
 LARGEST = 1e9  # rad, rad/s, N·m: beyond any arm, and squares of it still are numbers
+LATEST = 1e19  # s: nanoseconds since 1970 are less, and told by their step
 _COARSEST = 0.01  # rad: no joint encoder resolves less
 _UNITS = (1e-3, "milli"), (1e-6, "micro"), (1e-9, "nano")
 _USUAL_RATE = 20.0, 2e4  # Hz
@@ -32,8 +33,8 @@ def doubts_of_samples(recording: Recording, robot: Robot) -> Iterator[Doubt]:
         recording: The log, joints in the robot's order.
         robot: The arm.
     """
-    yield from _clock(recording)
     yield from _size(recording)
+    yield from _clock(recording)
     yield from _motion(recording)
     if recording.has_torque:
         yield from _torque(recording, robot)
@@ -62,17 +63,15 @@ def _tick(steps: Array) -> float:
 
 
 def _clock(recording: Recording) -> Iterator[Doubt]:
-    rate = recording.rate
-    if rate > SLOWEST:
+    step = float(np.median(np.diff(recording.t)))
+    if step * SLOWEST < 1.0:
         return
+    what = "no arm is logged so rarely"
     for unit, name in _UNITS:
-        if _USUAL_RATE[0] < rate / unit < _USUAL_RATE[1]:
+        if _USUAL_RATE[0] < 1.0 / (step * unit) < _USUAL_RATE[1]:
             what = f"time looks to be in {name}seconds"
-            break
-    else:
-        what = "no arm is logged so rarely"
-    text = f"t: the median step is {1 / rate:.6g} s: {what}"
-    yield Doubt("t", (), text, "valid are seconds", "error", 1 / rate)
+    text = f"t: the median step is {step:.6g} s: {what}"
+    yield Doubt("t", (), text, "valid are seconds", "error", step)
 
 
 def _size(recording: Recording) -> Iterator[Doubt]:
@@ -81,6 +80,9 @@ def _size(recording: Recording) -> Iterator[Doubt]:
         text = f"too short: {samples} samples in {recording.duration:.3g} s"
         remedy = f"valid are {FEWEST} samples and {SHORTEST:g} s or more"
         yield Doubt("t", (), text, remedy, "error", samples)
+    if np.abs(recording.t).max() > LATEST:
+        text = f"t: {recording.t[np.argmax(np.abs(recording.t))]:.6g} s"
+        yield Doubt("t", (), text, f"valid are times up to {LATEST:g} s", "error")
     for name, x in recording.channels.items():
         if np.abs(x).max() > LARGEST:
             row, joint = np.unravel_index(int(np.argmax(np.abs(x))), x.shape)

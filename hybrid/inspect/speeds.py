@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hybrid.inspect.doubt import Doubt, Severity
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
+from hybrid.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -22,6 +23,8 @@ _FOLLOWS = 0.9  # correlation of a speed with the slope that it is of
 _STRANGE = 0.5  # correlation below which it is not
 _MOVES = 0.02  # rad or m
 _SAME = 1.05  # factor between joints that have one cause in common
+_PACE, _TOO_FAST = 2.0, 5.0  # times the limit; times that, and it is an error
+_FASTEST = 50.0  # rad/s or m/s, of a joint whose limit is not known
 _UNITS = {
     180 / np.pi: "speeds look to be in degrees per second",
     30 / np.pi: "speeds look to be in revolutions per minute",
@@ -30,6 +33,30 @@ _UNITS = {
     1e6: "time looks to be in microseconds",
     1e9: "time looks to be in nanoseconds",
 }
+
+
+def doubts_of_pace(recording: Recording, robot: Robot, state: State) -> Iterator[Doubt]:
+    """Joints that move faster than any drive does.
+
+    Args:
+        recording: The log, for names.
+        robot: The arm.
+        state: Samples of the log.
+    """
+    fastest = np.abs(state.v).max(axis=0)
+    limit = np.where(robot.v_max > 0, robot.v_max, np.inf)
+    usual = np.where(np.isfinite(limit), _PACE * limit, _FASTEST)
+    for j in np.flatnonzero(fastest > usual).tolist():
+        valid = limit[j] if np.isfinite(limit[j]) else _FASTEST
+        unit = "rad/s" if robot.chain.revolute[j] else "m/s"
+        text = (
+            f"{recording.place('q', j)} moves at {fastest[j]:.4g} {unit}: positions "
+            "look to be in degrees, or the clock is too fast"
+        )
+        remedy = f"valid are speeds up to {valid:.4g} {unit}"
+        wrong = fastest[j] > _TOO_FAST * usual[j]
+        severity: Severity = "error" if wrong else "warning"
+        yield Doubt("q", (j,), text, remedy, severity, float(fastest[j]))
 
 
 def doubts_of_speeds(recording: Recording, state: State) -> Iterator[Doubt]:

@@ -14,6 +14,7 @@ from hybrid.recording.recording import (
     numbered_joints,
 )
 
+LARGEST_FILE = 4 << 30  # bytes: an hour at 1 kHz of 50 joints is less
 TIME = ("t", "time", "timestamp", "time_s", "t_s")
 WORDS = {
     "q": ("q", "pos", "position"),

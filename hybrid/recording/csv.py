@@ -43,7 +43,7 @@ def read_csv(
             is no number; the message names column and row.
 
     Warns:
-        HybridWarning: Columns were ignored, or time looks like milliseconds.
+        HybridWarning: Columns were ignored.
     """
     source = str(path)
     dialect = _dialect_of(path)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.columns import match_columns
+from hybrid.recording.columns import LARGEST_FILE, match_columns
 from hybrid.recording.recording import Recording
 from hybrid.recording.table import labels_of, recording_from_layout
 
@@ -27,7 +27,7 @@ def read_parquet(
         RecordingError: The file is damaged or empty, or a column is not of numbers.
 
     Warns:
-        HybridWarning: Columns were ignored, or time looks like milliseconds.
+        HybridWarning: Columns were ignored.
     """
     import pyarrow as pa
     from pyarrow import parquet
@@ -37,6 +37,13 @@ def read_parquet(
         with parquet.ParquetFile(path) as file:
             labels = file.schema_arrow.names
             layout = match_columns(labels, joints=joints, source=source, torque=torque)
+            size = 8 * file.metadata.num_rows * len(layout.used)
+            if size > LARGEST_FILE:
+                raise RecordingError(
+                    f"{source}: {file.metadata.num_rows} rows of {len(layout.used)} "
+                    f"columns are {size:.3g} bytes; valid are {LARGEST_FILE:.3g} or "
+                    "less"
+                )
             table = file.read(columns=[labels[k] for k in layout.used])
     except (pa.ArrowException, OSError) as error:
         reason = str(error).splitlines()[0]

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from hybrid.errors import RecordingError
+from hybrid.recording.columns import LARGEST_FILE
 from hybrid.recording.csv import read_csv
 from hybrid.recording.npz import read_npz
 from hybrid.recording.parquet import read_parquet
@@ -35,7 +36,7 @@ def read(
         RecordingError: The file is missing, of an unknown kind, or not a valid log.
 
     Warns:
-        HybridWarning: Columns were ignored, or time looks like milliseconds.
+        HybridWarning: Columns were ignored.
     """
     path = Path(path)
     if path.suffix.lower() not in READERS:
@@ -44,6 +45,10 @@ def read(
         )
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
+    if (size := path.stat().st_size) > LARGEST_FILE:
+        raise RecordingError(
+            f"{path}: {size:.3g} bytes; valid are {LARGEST_FILE:.3g} or less"
+        )
     return READERS[path.suffix.lower()](path, joints=joints, torque=torque)
 
 
@@ -63,7 +68,7 @@ def read_all(
         RecordingError: A path holds no recording, or one is not valid.
 
     Warns:
-        HybridWarning: Columns were ignored, or time looks like milliseconds.
+        HybridWarning: Columns were ignored.
     """
     if isinstance(paths, (str, Path)):
         paths = [paths]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import RecordingError
 from hybrid.recording.columns import Layout
 from hybrid.recording.recording import Recording, numbered_joints
 
@@ -27,9 +26,6 @@ def recording_from_layout(
 
     Raises:
         RecordingError: The samples are not a valid recording.
-
-    Warns:
-        HybridWarning: Time looks like milliseconds.
     """
     t = column(layout.time)
     channels = {
@@ -43,20 +39,12 @@ def recording_from_layout(
                     f"{source}: {channel}{k + 1} ({layout.joints[k]}) has {len(x)} "
                     f"rows; valid are {len(t)}, as many as there are times"
                 )
-    recording = Recording(
+    return Recording(
         t=t,
         joints=layout.joints,
         source=source,
         **{name: np.stack(x, axis=1) for name, x in channels.items()},  # type: ignore[arg-type]
     )
-    if 1.0 / recording.rate >= 1.0:
-        warnings.warn(
-            f"{source}: t: the median step is {1 / recording.rate:.6g} s; time looks "
-            "like milliseconds, valid are seconds",
-            HybridWarning,
-            stacklevel=2,
-        )
-    return recording
 
 
 def labels_of(recording: Recording) -> dict[str, Array]:
