@@ -194,7 +194,7 @@ WRONG: dict[str, Wrong] = {
 }  # fmt: skip
 
 
-def about(wrong: Wrong, size: int, i: int, j: int) -> set[int]:
+def about(wrong: Wrong, i: int, j: int) -> set[int]:
     """Columns that a doubt must name, any of them; none if it is about all."""
     return {"one": {i}, "pair": {i, j}, "all": set()}[wrong.about]
 
@@ -207,14 +207,31 @@ def healthy(
     seed: int = 0,
     fill: float = 0.7,
     reach: float | None = None,
+    rest: int | None = None,
+    count: float = 0.0,
     duration: float = 10.0,
 ) -> Recording:
-    """A log of an arm as it is written; within some radians of zero if wished."""
+    """A log of an arm as it is written.
+
+    Args:
+        robot: The arm as it is.
+        nominal: As its file is; the same by default.
+        effects: What it has besides.
+        seed: Seed of motion and noise.
+        fill: Part of its limits that the motion uses.
+        reach: Range of every joint about zero instead, [rad].
+        rest: A joint that is held still.
+        count: Noise of positions beyond the usual, [rad].
+        duration: Length, [s].
+    """
     rng = np.random.default_rng(seed)
     believed = nominal or robot
     r = random_fourier(believed, duration=duration, rate=500.0, rng=rng, fill=fill)
     if reach is not None:
         share = reach / np.maximum(np.ptp(r.q, axis=0), reach)
         r = replace(r, q=(r.q - r.q.mean(0)) * share, v=r.v * share, a=r.a * share)
-    plant = Plant(robot, effects, nominal=believed)
-    return plant.run([r], rng=rng)[0]
+    if rest is not None:
+        moves = np.arange(robot.size) != rest
+        r = replace(r, q=np.where(moves, r.q, r.q[0]), v=r.v * moves, a=r.a * moves)
+    (x,) = Plant(robot, effects, nominal=believed).run([r], rng=rng)
+    return replace(x, q=x.q + count * rng.standard_normal(x.q.shape))
