@@ -8,6 +8,7 @@ has a fault that a diagnosis is to find. Nothing prints.
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -33,6 +34,7 @@ _PATH = Path(__file__).parents[1] / "tests" / "wrong_logs.py"
 _SPEC = importlib.util.spec_from_file_location("wrong_logs_made", _PATH)
 assert _SPEC is not None and _SPEC.loader is not None
 made: Any = importlib.util.module_from_spec(_SPEC)
+sys.modules[_SPEC.name] = made
 _SPEC.loader.exec_module(made)
 
 RARE = slice(None, None, 10)  # of 500 Hz

@@ -12,7 +12,7 @@ import pytest
 from pyarrow import parquet
 
 from hybrid.errors import HybridWarning, RecordingError
-from hybrid.inspect import check_recording
+from hybrid.inspect import check_recordings
 from hybrid.recording import Recording, read, read_all, write
 from hybrid.robot import Chain, Robot
 
@@ -59,6 +59,12 @@ def log(**change) -> Recording:
     tau = 20 * np.cos(np.outer(t, [1.0, 1.3, 1.7])) + rng.standard_normal(q.shape)
     fields = {"t": t, "q": q, "tau": tau, "source": "log.csv"}
     return Recording(**(fields | change))
+
+
+def check_recording(recording: Recording, arm: Robot) -> Recording:
+    """The log as a verb takes it, in one piece."""
+    (checked,) = check_recordings([recording], arm)
+    return checked
 
 
 def refused(path: Path, content: str | bytes, **options) -> str:

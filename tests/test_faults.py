@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hybrid.diagnose.faults import find_faults
-from hybrid.inspect import check_recording
+from hybrid.inspect import check_recordings
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 
@@ -60,7 +60,7 @@ def test_a_joint_at_rest_is_not_frozen_though_its_encoder_ticks(ticks):
     at_rest = replace(log(), q=q)
     assert find_faults(at_rest).notes == ()
     robot = Robot.load(MODELS / "planar.xml")
-    check_recording(replace(at_rest, joints=robot.joints), robot)
+    check_recordings([replace(at_rest, joints=robot.joints)], robot)
 
 
 def test_a_frozen_torque_is_found():

@@ -1,10 +1,6 @@
 """Whether a log can be what its columns say, of the arm it is said to be of."""
 
 from hybrid.inspect.doubt import Doubt
-from hybrid.inspect.inspect import (
-    check_recording,
-    check_recordings,
-    inspect_recording,
-)
+from hybrid.inspect.inspect import check_recordings, inspect_recording
 
-__all__ = ["Doubt", "check_recording", "check_recordings", "inspect_recording"]
+__all__ = ["Doubt", "check_recordings", "inspect_recording"]

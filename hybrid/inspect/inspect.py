@@ -59,16 +59,6 @@ def check_recordings(recordings: Sequence[Recording], robot: Robot) -> list[Reco
     return list(chain.from_iterable(_checked(x, robot) for x in recordings))
 
 
-def check_recording(recording: Recording, robot: Robot) -> Recording:
-    """:func:`check_recordings` for a log that must be in one piece.
-
-    Raises:
-        RecordingError: It is wrong, or has a gap.
-    """
-    pieces = check_recordings([recording], robot)
-    return pieces[0] if len(pieces) == 1 else resample(recording)
-
-
 def _checked(recording: Recording, robot: Robot) -> Iterator[Recording]:
     for piece in unbroken(recording.in_order(robot.joints)):
         doubts, uniform = _examined(piece, robot)

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 _SURE = 0.5  # gain; of logs that are right, no other reading reached 0.3
 _ALIKE = 0.2  # loss of gain by which two readings may differ and be as good
-_USUAL = 0.01  # of the variance: what friction of another law leaves anyway
+_USUAL = 0.003  # of the variance: what friction of another law leaves anyway
 _SEVERITIES: dict[str, Severity] = {"any": "error", "file": "warning"}
 _FINALISTS = 6  # readings that are asked with joints weighed anew
 _DISTURBS = 0.02  # of what one joint leaves, in what others do: they share their links

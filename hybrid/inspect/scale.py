@@ -20,11 +20,10 @@ from hybrid.robot import Robot
 Array = NDArray[np.float64]
 
 _TELLS = 0.25  # of the variance that friction leaves: less, and the scale is no scale
-_ODD, _WRONG = 3.0, 10.0  # factors: beyond what files and payloads do; beyond doubt
+_ODD, _WRONG = 3.0, 10.0  # factors: beyond what files and tools do; beyond doubt
 _UNITS = {1e-3: "kN·m", 1e3: "mN·m"}
 _UNIT = 3.0  # factor by which a scale may miss a unit
 _GEARS = 500.0  # a higher ratio of a gear is rare
-_FAINT = 2e-3  # of the rated torque: dry friction of a geared drive alone is more
 
 
 def scales(robot: Robot, state: State) -> Array:
@@ -50,7 +49,7 @@ def scales(robot: Robot, state: State) -> Array:
 def doubts_of_scale(
     recording: Recording, robot: Robot, state: State
 ) -> Iterator[Doubt]:
-    """Torques in another unit, or of the motor side, all of them or some.
+    """Torques in another unit, or of the motor side.
 
     Args:
         recording: The log, for names.
@@ -58,8 +57,11 @@ def doubts_of_scale(
         state: Samples of the log.
     """
     each = scales(robot, state)
-    told = np.isfinite(each) & (each > 0)
-    usual = float(np.exp(np.median(np.log(each[told])))) if told.any() else 1.0
+    told = np.log(each[each > 0])
+    if not len(told):
+        return
+    # A unit is of all joints: what a tool adds at the wrist leaves the others.
+    usual = float(np.exp(told[np.argmin(np.abs(told))]))
     off = max(usual, 1 / usual)
     if off > _ODD:
         # Without gravity inertia alone tells, and it goes with the square of time.
@@ -71,27 +73,8 @@ def doubts_of_scale(
             "valid are N·m at the joint: check the unit of torque, the clock, and the "
             "masses of the file"
         )
-        severity: Severity = "error" if off > _WRONG else "warning"
+        severity: Severity = "error" if off > _WRONG and len(told) > 1 else "warning"
         yield Doubt("tau", (), text, remedy, severity, usual)
-    remedy = "valid are N·m at the joint"
-    for j in np.flatnonzero(told).tolist():
-        own = float(each[j] / usual)
-        # A payload adds a lot to what a wrist holds; nothing takes so much away.
-        if own < 1 / _WRONG or own > _WRONG**2:
-            text = (
-                f"{recording.place('tau', j)} is {each[j]:.3g} times what the robot "
-                f"file's links ask for, torques of others {usual:.3g} times{_unit(own)}"
-            )
-            yield Doubt("tau", (j,), text, remedy, "error", own)
-    peak = np.abs(state.tau).max(axis=0)
-    faint = (peak < _FAINT * robot.tau_max) & np.isfinite(robot.tau_max) & ~told
-    if off < _ODD:
-        for j in np.flatnonzero(faint & (np.ptp(state.q, axis=0) > 0.01)).tolist():
-            text = (
-                f"{recording.place('tau', j)} stays below {peak[j]:.2g} of "
-                f"{robot.tau_max[j]:.4g} rated: another unit, or of the motor side?"
-            )
-            yield Doubt("tau", (j,), text, remedy, "warning", peak[j])
 
 
 def _unit(scale: float) -> str:
