@@ -84,7 +84,7 @@ def main() -> None:
         pairs = rng.permuted(np.tile(range(robot.size), (args.seeds, 1)), axis=1)
         arms["real arm"] = [(robot, log, None, sorted(p[:2].tolist())) for p in pairs]
     table, start = told(arms, runs), process_time()
-    said = said_of_right([load_arm(a) for a in HEALTHY], args.seeds)
+    said = said_of_right([load_arm(a) for a in HEALTHY], args.seeds // 2)
     count, cpu = sum(said["logs"].values()), process_time() - start
     counts = Counter(r["outcome"] for r in runs)
     summary = (

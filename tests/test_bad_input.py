@@ -386,6 +386,11 @@ def test_a_dead_position_is_warned_of_and_a_dead_torque_refused():
         check_recording(log(v=speed * [1, 0, 1]), robot())
 
 
+def test_a_joint_that_is_told_to_rest_rests():
+    q = log().q * [1, 0, 1]
+    assert check_recording(log(q=q, command=q), robot()).command is not None
+
+
 def test_an_arm_at_standstill_is_refused():
     with pytest.raises(RecordingError, match="log.csv: q: no joint moves more than"):
         check_recording(log(q=log().q * 1e-5), robot())

@@ -7,7 +7,7 @@ is of the log.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 _LEAP = 10.0  # times a large step of the joint, and times any step nearby
 _TICKS = 10.0  # steps of an encoder: fewer are its noise
 _NEARBY = 5  # samples to either side
-_ALIKE = 0.2  # relative difference of the way out and the way back
+_ALIKE = 0.2  # relative difference from that shape
+_TURN = 0.1  # rad
 _HELD, _SURE = 3, 0.9  # rows; share of new rows that come so far apart
 _REPEATED = 50  # rows
 
@@ -36,49 +37,60 @@ def doubts_of_rows(recording: Recording) -> Iterator[Doubt]:
     yield from _repeated(recording)
     yield from _held(recording)
     for joint, x in enumerate(recording.q.T):
-        yield from _leaping(recording, joint, x)
+        yield from _glitches(recording, joint, x)
+        yield from _jumps(recording, joint, x)
 
 
-def _leaping(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
-    """Glitches and jumps of one position."""
-    steps = np.diff(x)
-    size = np.abs(steps)
-    around = np.zeros_like(size)
-    for k in range(2, _NEARBY + 1):
-        around[k:] = np.maximum(around[k:], size[:-k])
-        around[:-k] = np.maximum(around[:-k], size[k:])
-    tick = float(np.min(size[size > 0], initial=np.inf))
-    far = max(_TICKS * tick, 2 * usual_step(x))
-    leaps = (size > _LEAP * around) & (size > far)
-    back = np.append(np.abs(steps[1:] + steps[:-1]) < _ALIKE * size[:-1], False)
-    glitches = np.flatnonzero(leaps & back & np.append(leaps[1:], False))
-    before, after = np.append(0.0, size[:-1]), np.append(size[1:], 0.0)
-    alone = leaps & (size > _LEAP * np.maximum(before, after))
-    # From standstill on the way: an encoder was frozen, which is told apart.
-    alone &= (_around(before, -1) > 0) == (_around(after, 1) > 0)
-    remedy = "valid are positions as the joint passed them"
-    if len(glitches):
-        row = int(glitches[0]) + 1
+def _glitches(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
+    """Single positions that stand out: second differences 1, −2, 1 times a size."""
+    bend = np.diff(x, 2)
+    size = np.abs(bend)
+    half = -bend / 2
+    shape = [np.abs(np.roll(bend, k) - half) < _ALIKE * size for k in (-1, 1)]
+    beyond = _largest(size, range(3, _NEARBY + 1), both=True)
+    far = max(_TICKS * _tick(x), _LEAP * float(np.quantile(size, 0.75)), 2 * STILL)
+    found = shape[0] & shape[1] & (size > _LEAP * beyond) & (size > far)
+    for row in (np.flatnonzero(found)[:1] + 1).tolist():
         text = (
             f"{recording.place('q', joint, row)}: glitch: {x[row]:.6g} between "
-            f"{x[row - 1]:.6g} and {x[row + 1]:.6g}, the first of {len(glitches)}"
+            f"{x[row - 1]:.6g} and {x[row + 1]:.6g}, the first of {found.sum()}"
         )
-        advice = f"{remedy}: leave such rows out"
-        yield Doubt("q", (joint,), text, advice, "error", len(glitches))
-    for k in np.flatnonzero(alone)[:1].tolist():
-        turn = abs(abs(float(steps[k])) - 2 * np.pi) < 0.1
+        remedy = "valid are positions as the joint passed them: leave such rows out"
+        yield Doubt("q", (joint,), text, remedy, "error", int(found.sum()))
+
+
+def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
+    """Positions that are elsewhere from one sample to the next."""
+    size = np.abs(np.diff(x))
+    beside = _largest(size, range(1, _NEARBY + 1), both=True)
+    far = max(_TICKS * _tick(x), 2 * usual_step(x))
+    found = (size > _LEAP * beside) & (size > far)
+    # From standstill on the way: an encoder was frozen, which is told apart.
+    before, after = (
+        _largest(size, way * np.arange(1, _NEARBY + 1), both=False) for way in (1, -1)
+    )
+    found &= (before > 0) == (after > 0)
+    for k in np.flatnonzero(found)[:1].tolist():
+        turn = abs(float(size[k]) - 2 * np.pi) < _TURN
         what = "a turn of the encoder is not counted" if turn else "logs put together?"
         text = (
             f"{recording.place('q', joint, k + 1)}: jumps from {x[k]:.6g} to "
             f"{x[k + 1]:.6g} within a sample: {what}"
         )
+        remedy = "valid are positions as the joint passed them"
         yield Doubt("q", (joint,), text, remedy, "error", float(size[k]))
 
 
-def _around(size: Array, way: int) -> Array:
-    """Largest of a few steps before, or after, each, shape (N,)."""
-    moved = [np.roll(size, -way * k) for k in range(_NEARBY)]
-    return np.asarray(np.max(moved, axis=0))
+def _largest(size: Array, lags: Iterable[int], *, both: bool) -> Array:
+    """Largest of some samples before (lags above zero) or after each, shape (N,)."""
+    signed = [s * k for k in lags for s in ((1, -1) if both else (1,))]
+    return np.asarray(np.max([np.roll(size, k) for k in signed], axis=0))
+
+
+def _tick(x: Array) -> float:
+    """Resolution of an encoder, from its smallest step."""
+    steps = np.abs(np.diff(x))
+    return float(np.min(steps[steps > 0], initial=np.inf))
 
 
 def _held(recording: Recording) -> Iterator[Doubt]:

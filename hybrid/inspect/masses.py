@@ -28,6 +28,7 @@ _OWN = 5  # columns of each joint's drive: rotor, viscous, dry, offset either wa
 _OFFSET = 0.1  # of an offset counts as left over
 _LEAST = 1e-3  # of a torque's variance: less left is as good as nothing
 _RANK = 1e-4  # of the largest singular value: below, columns are not told apart
+_ROUNDS = 10  # times the number of weights
 _RIDGE = 1e-8  # of a column's square
 _TINY, _NONE = 1e-9, 1e-300
 
@@ -155,4 +156,8 @@ def _positive(normal: Array, right: Array) -> Array:
     scaled = normal / size / size[:, None] + _RIDGE * np.eye(len(size))
     root = np.linalg.cholesky(scaled)
     target = np.linalg.solve(root, right / size)
-    return np.asarray(nnls(root.T, target)[0] / size)
+    try:
+        weights = nnls(root.T, target, maxiter=_ROUNDS * len(size))[0]
+    except RuntimeError:  # it went round in circles: near enough
+        weights = np.maximum(np.linalg.solve(root.T, target), 0.0)
+    return np.asarray(weights / size)

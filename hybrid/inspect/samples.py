@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 SHORTEST = 1.0  # s: below, not even one slow move
 FEWEST = 100  # samples
 STILL = 1e-3  # rad: less travel is hum, not motion
+_SAGS = 0.1  # rad: how far loads may move a joint that is held
 SLOWEST = 1.0  # Hz: no log of a moving arm has a sample less often
 FARTHEST_TORQUE = 5.0  # times the rating: gear or unit missing, not overload
 LARGEST = 1e9  # rad, rad/s, N·m: beyond any arm, and squares of it still are numbers
@@ -97,18 +98,22 @@ def _motion(recording: Recording) -> Iterator[Doubt]:
         text = f"q: no joint moves more than {travel.max():.2g} rad"
         remedy = f"valid is a log in which the arm moves by {STILL:g} rad or more"
         yield Doubt("q", (), text, remedy, "error", float(travel.max()))
-    for joint in _indices(travel == 0):
+    # That a joint rests is known where its command, or its speed, rests as well.
+    others = [recording.command, recording.v]
+    known = [np.ptp(x, axis=0) == 0 for x in others if x is not None]
+    resting = np.any(known, axis=0) if known else np.zeros(recording.size, dtype=bool)
+    for joint in _indices((travel == 0) & ~resting):
         yield Doubt("q", (joint,), f"{recording.place('q', joint)} is constant")
     moves = _indices(travel >= STILL)
     if len(moves) == 1 < recording.size - 1:
         text = f"only {recording.place('q', moves[0])} moves"
         remedy = "masses that only the other joints feel are not told by this log"
         yield Doubt("q", (moves[0],), text, remedy, evidence=1)
-    for channel in ("v", "command"):
+    for channel, least in (("v", STILL), ("command", _SAGS)):
         x = recording.channels.get(channel)
         if x is None:
             continue
-        for joint in _indices((np.ptp(x, axis=0) == 0) & (travel > STILL)):
+        for joint in _indices((np.ptp(x, axis=0) == 0) & (travel > least)):
             where = recording.place(channel, joint)
             text = f"{where} is constant while the joint moves"
             yield Doubt(channel, (joint,), text)

@@ -23,7 +23,7 @@ _FOLLOWS = 0.9  # correlation of a speed with the slope that it is of
 _STRANGE = 0.5  # correlation below which it is not
 _MOVES = 0.02  # rad or m
 _SAME = 1.05  # factor between joints that have one cause in common
-_PACE, _TOO_FAST = 2.0, 5.0  # times the limit; times that, and it is an error
+_PACE, _TOO_FAST = 3.0, 3.0  # times the limit; times that, and it is an error
 _FASTEST = 50.0  # rad/s or m/s, of a joint whose limit is not known
 _UNITS = {
     180 / np.pi: "speeds look to be in degrees per second",
