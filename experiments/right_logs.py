@@ -2,7 +2,7 @@
 
 Inertias, rotors and friction are off by up to two; files know no friction; the arm
 carries something, moves little, is logged rarely or briefly, holds a joint still, or
-has a fault that a diagnosis is to find. Nothing prints.
+has a fault that a diagnosis is to find. And what is said of wrong ones. Nothing prints.
 """
 
 from __future__ import annotations
@@ -114,3 +114,18 @@ def said_of_right(robots: Sequence[Robot], seeds: int) -> dict[str, Counter[str]
                 for severity in {d.severity for d in doubts}:
                     said[f"{severity}s"][f"{kind}, {robot.name}: {doubts[0].line}"] += 1
     return said
+
+
+def outcome(robot: Robot, log: Recording, way: Any, i: int, j: int) -> str:
+    """What is said of a wrong log."""
+    doubts = inspect_recording(way.make(log, i, j), robot)
+    columns = made.about(way, i, j)
+    right = [
+        d.channel in way.channels
+        and any(w in d.line for w in way.words)
+        and (not columns or columns <= set(d.joints))
+        for d in doubts
+    ]
+    if any(d.severity == "error" for d in doubts):
+        return "right" if any(right) else "caught"
+    return "warned" if doubts else "missed"

@@ -17,36 +17,19 @@ import warnings
 from collections import Counter
 from pathlib import Path
 from time import process_time
-from typing import Any
 
 import numpy as np
 from own_loops import write_report
-from right_logs import made, said_of_right, wrong_logs
+from right_logs import made, outcome, said_of_right, wrong_logs
 
 from hybrid.benchmark.robots import load_arm
 from hybrid.errors import HybridWarning
-from hybrid.inspect import inspect_recording
-from hybrid.recording import Recording, read
+from hybrid.recording import read
 from hybrid.report.table import Table
 from hybrid.robot import Robot
 
 ARMS = ("models/scara.xml", "ur5", "models/coman_like.xml")
 HEALTHY = (*ARMS, "models/planar.xml", "ur10", "panda", "xarm7", "z1")
-
-
-def outcome(robot: Robot, log: Recording, way: Any, i: int, j: int) -> str:
-    """What is said of a wrong log."""
-    doubts = inspect_recording(way.make(log, i, j), robot)
-    columns = made.about(way, i, j)
-    right = [
-        d.channel in way.channels
-        and any(w in d.line for w in way.words)
-        and (not columns or columns <= set(d.joints))
-        for d in doubts
-    ]
-    if any(d.severity == "error" for d in doubts):
-        return "right" if any(right) else "caught"
-    return "warned" if doubts else "missed"
 
 
 def told(arms: dict[str, list[tuple]], runs: list) -> Table:
@@ -92,7 +75,7 @@ def main() -> None:
         f"errors: {said['errors'] or 'none'}; warnings: {said['warnings'] or 'none'}."
     )
     command = "python experiments/wrong_logs.py --real robot.urdf exciting_1.csv"
-    write_report(out, table, summary, f"{command} --out {out.name}", runs)
+    write_report(out, table, summary, f"{command} --seeds {args.seeds}", runs)
 
 
 if __name__ == "__main__":

@@ -72,7 +72,7 @@ def _examined(
     """Doubts about a log, and the log on a uniform clock if its samples are right."""
     found: list[Doubt] = []
     for doubts in (
-        doubts_of_samples(recording, robot),
+        doubts_of_samples(recording),
         doubts_of_rows(recording),
         doubts_of_positions(recording, robot),
     ):

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from hybrid.inspect.doubt import Doubt
 from hybrid.recording import Recording
 from hybrid.recording.recording import row_words
-from hybrid.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -19,7 +18,6 @@ FEWEST = 100  # samples
 STILL = 1e-3  # rad: less travel is hum, not motion
 _SAGS = 0.1  # rad: how far loads may move a joint that is held
 SLOWEST = 1.0  # Hz: no log of a moving arm has a sample less often
-FARTHEST_TORQUE = 5.0  # times the rating: gear or unit missing, not overload
 LARGEST = 1e9  # rad, rad/s, N·m: beyond any arm, and squares of it still are numbers
 LATEST = 1e19  # s: nanoseconds since 1970 are less, and told by their step
 _COARSEST = 0.01  # rad: no joint encoder resolves less
@@ -27,18 +25,17 @@ _UNITS = (1e-3, "milli"), (1e-6, "micro"), (1e-9, "nano")
 _USUAL_RATE = 20.0, 2e4  # Hz
 
 
-def doubts_of_samples(recording: Recording, robot: Robot) -> Iterator[Doubt]:
+def doubts_of_samples(recording: Recording) -> Iterator[Doubt]:
     """What is wrong with samples by themselves, errors first.
 
     Args:
-        recording: The log, joints in the robot's order.
-        robot: The arm.
+        recording: The log.
     """
     yield from _size(recording)
     yield from _clock(recording)
     yield from _motion(recording)
     if recording.has_torque:
-        yield from _torque(recording, robot)
+        yield from _torque(recording)
     yield from _frozen(recording)
 
 
@@ -119,7 +116,7 @@ def _motion(recording: Recording) -> Iterator[Doubt]:
             yield Doubt(channel, (joint,), text)
 
 
-def _torque(recording: Recording, robot: Robot) -> Iterator[Doubt]:
+def _torque(recording: Recording) -> Iterator[Doubt]:
     tau = recording.tau
     # A denormal number, squared, is zero.
     dead = (np.ptp(tau, axis=0) == 0) | (np.abs(tau).max(axis=0) < 1 / LARGEST)
@@ -127,19 +124,6 @@ def _torque(recording: Recording, robot: Robot) -> Iterator[Doubt]:
         text = f"{recording.place('tau', joint)} is constant ({tau[0, joint]:g})"
         remedy = "valid is a torque that was measured"
         yield Doubt("tau", (joint,), text, remedy, "error")
-    peak = np.max(np.abs(tau), axis=0)
-    rated = np.where(robot.tau_max > 0, robot.tau_max, np.inf)
-    far = _indices(peak > FARTHEST_TORQUE * rated)
-    if far:
-        places = ", ".join(
-            f"{recording.place('tau', k)} {peak[k]:.4g} of {rated[k]:.4g}" for k in far
-        )
-        text = (
-            f"torque above {FARTHEST_TORQUE:g} times the rating ({places}): in "
-            "milliamps? or is the rating that of the motor side"
-        )
-        remedy = "valid are N·m at the joint"
-        yield Doubt("tau", tuple(far), text, remedy, evidence=float(max(peak / rated)))
     for joint, x in enumerate(tau.T):
         for limit in (float(x.min()), float(x.max())):
             share = float(np.mean(x == limit))

@@ -23,6 +23,7 @@ _TELLS = 0.25  # of the variance that friction leaves: less, and the scale is no
 _ODD, _WRONG = 3.0, 10.0  # factors: beyond what files and tools do; beyond doubt
 _UNITS = {1e-3: "kN·m", 1e3: "mN·m"}
 _UNIT = 3.0  # factor by which a scale may miss a unit
+_FARTHEST = 5.0  # times the rating: gear or unit missing, not overload
 _GEARS = 500.0  # a higher ratio of a gear is rare
 
 
@@ -59,6 +60,7 @@ def doubts_of_scale(
     each = scales(robot, state)
     told = np.log(each[each > 0])
     if not len(told):
+        yield from _above_rating(recording, robot)
         return
     # A unit is of all joints: what a tool adds at the wrist leaves the others.
     usual = float(np.exp(told[np.argmin(np.abs(told))]))
@@ -75,6 +77,23 @@ def doubts_of_scale(
         )
         severity: Severity = "error" if off > _WRONG and len(told) > 1 else "warning"
         yield Doubt("tau", (), text, remedy, severity, usual)
+
+
+def _above_rating(recording: Recording, robot: Robot) -> Iterator[Doubt]:
+    """Torques far above the rating, where the file's links tell no scale."""
+    peak = np.max(np.abs(recording.tau), axis=0)
+    rated = np.where(robot.tau_max > 0, robot.tau_max, np.inf)
+    far = np.flatnonzero(peak > _FARTHEST * rated).tolist()
+    if far:
+        places = ", ".join(
+            f"{recording.place('tau', k)} {peak[k]:.4g} of {rated[k]:.4g}" for k in far
+        )
+        text = (
+            f"torque above {_FARTHEST:g} times the rating ({places}): in milliamps? or "
+            "is the rating that of the motor side"
+        )
+        remedy = "valid are N·m at the joint"
+        yield Doubt("tau", tuple(far), text, remedy, evidence=float(max(peak / rated)))
 
 
 def _unit(scale: float) -> str:
