@@ -121,11 +121,11 @@ def outcome(robot: Robot, log: Recording, way: Any, i: int, j: int) -> str:
     doubts = inspect_recording(way.make(log, i, j), robot)
     columns = made.about(way, i, j)
     right = [
-        d.channel in way.channels
-        and any(w in d.line for w in way.words)
-        and (not columns or columns <= set(d.joints))
+        d
         for d in doubts
+        if d.channel in way.channels and any(w in d.line for w in way.words)
     ]
+    named = {j for d in right for j in d.joints}
     if any(d.severity == "error" for d in doubts):
-        return "right" if any(right) else "caught"
+        return "right" if right and columns <= named else "caught"
     return "warned" if doubts else "missed"

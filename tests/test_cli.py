@@ -20,6 +20,7 @@ from hybrid.errors import HybridWarning
 from hybrid.identify import DynamicModel, predict, validate
 from hybrid.identify.least_squares import ESTIMATORS
 from hybrid.identify.three_stage import STAGES
+from hybrid.plant import simulate
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording, read, read_all, write
 from hybrid.robot import Robot
@@ -347,8 +348,8 @@ class TestIdentifyAndPredict:
         assert [x in err for x in content["warnings"]] == [True]
 
     def test_poor_excitation_is_one_plain_sentence(self, chain, tmp_path, capsys):
-        log = read(chain.log)
-        poor = Recording(t=log.t, q=0.02 * log.q, tau=log.tau, joints=log.joints)
+        arm = Robot.load(PLANAR)
+        (poor,) = simulate(arm, trajectories=1, duration=5.0, fill=0.02)
         write(poor, tmp_path / "log.csv")
         capsys.readouterr()
         run(

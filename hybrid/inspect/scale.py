@@ -62,10 +62,10 @@ def doubts_of_scale(
     if not len(told):
         yield from _above_rating(recording, robot)
         return
-    # A unit is of all joints: what a tool adds at the wrist leaves the others.
-    usual = float(np.exp(told[np.argmin(np.abs(told))]))
+    usual = float(np.exp(np.median(told)))
     off = max(usual, 1 / usual)
-    if off > _ODD:
+    # A unit is of all joints: what a tool adds at the wrist leaves the others.
+    if np.all(told * np.sign(np.log(usual)) > np.log(_ODD)):
         # Without gravity inertia alone tells, and it goes with the square of time.
         text = (
             f"tau is {usual:.3g} times what the robot file's links ask for"

@@ -111,7 +111,7 @@ def _of_joint(
     """What is wrong with the speed of one joint, if anything."""
     place, slope = recording.place("v", joint), f"dq{joint + 1}/dt"
     other = int(np.argmax(np.abs(alike)))
-    if abs(alike[own]) < _STRANGE and abs(alike[other]) > _FOLLOWS:
+    if abs(alike[own]) < _FOLLOWS < abs(alike[other]):
         text = (
             f"{place} looks like the speed of {recording.joints[moving[other]]}: it "
             f"follows dq{moving[other] + 1}/dt, not {slope}"
