@@ -12,7 +12,6 @@ was said of logs that are right, on eight arms.
 from __future__ import annotations
 
 import argparse
-import tempfile
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -56,9 +55,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--real", nargs=2, metavar=("ROBOT", "LOG"), default=())
-    parser.add_argument("--out", type=Path, default=None, metavar="FOLDER")
+    parser.add_argument("--out", type=Path, default=Path("out/wrong_logs"))
     args, runs = parser.parse_args(), []
-    out = args.out or Path(tempfile.mkdtemp(prefix="wrong_logs_"))
     warnings.simplefilter("ignore", HybridWarning)
     arms = {Path(a).stem: wrong_logs(load_arm(a), args.seeds) for a in ARMS}
     if args.real:
@@ -75,7 +73,7 @@ def main() -> None:
         f"errors: {said['errors'] or 'none'}; warnings: {said['warnings'] or 'none'}."
     )
     command = "python experiments/wrong_logs.py --real robot.urdf exciting_1.csv"
-    write_report(out, table, summary, f"{command} --seeds {args.seeds}", runs)
+    write_report(args.out, table, summary, f"{command} --seeds {args.seeds}", runs)
 
 
 if __name__ == "__main__":

@@ -77,6 +77,14 @@ def doubts_of_scale(
         )
         severity: Severity = "error" if off > _WRONG and len(told) > 1 else "warning"
         yield Doubt("tau", (), text, remedy, severity, usual)
+        return
+    # A tool adds a lot to what a wrist holds; nothing takes so much away.
+    for j in np.flatnonzero((each > 0) & (each < 1 / _WRONG)).tolist():
+        text = (
+            f"{recording.place('tau', j)} is {each[j]:.3g} times what the robot file's "
+            f"links ask for{_unit(each[j])}"
+        )
+        yield Doubt("tau", (j,), text, "valid are N·m at the joint", "error", each[j])
 
 
 def _above_rating(recording: Recording, robot: Robot) -> Iterator[Doubt]:
