@@ -37,7 +37,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.identify import DynamicModel
 from hybrid.identify.cross_products import accumulate
-from hybrid.identify.data import Data, prepare
+from hybrid.identify.data import Data, prepare, taken
 from hybrid.identify.least_squares import ESTIMATORS, Estimator, solve
 from hybrid.identify.problem import build_problem
 from hybrid.signals import Sampler
@@ -120,7 +120,7 @@ def published_chain(
         cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
         seed: Seed of the mixtures' starts.
     """
-    data, joints = prepare(robot, recordings, cutoff), range(robot.size)
+    data, joints = prepare(taken(robot, recordings), cutoff), range(robot.size)
     rotors = [*(Armature((j,)) for j in joints), *effects]
     linear = [cls((j,)) for cls in _LINEAR for j in joints]
     everything = [*rotors, *linear]

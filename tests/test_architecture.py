@@ -33,7 +33,7 @@ FLOORS = (
     {"signals"},
     {"recording"},
     {"robot"},
-    {"files", "names", "parameters", "errors"},
+    {"files", "names", "parameters", "errors", "threads"},
 )
 LEVEL = {name: -depth for depth, names in enumerate(FLOORS) for name in names}
 

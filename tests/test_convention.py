@@ -116,8 +116,6 @@ def test_the_step_of_a_file_is_read_and_kept(tmp_path):
     robot = arm("coman_like")
     assert robot.timestep > 0
     assert Robot.from_dict(robot.as_dict()).timestep == robot.timestep
-    old = {k: v for k, v in robot.as_dict().items() if k != "timestep"}
-    assert np.isnan(Robot.from_dict(old).timestep)
     assert np.isnan(Robot.load(MODELS / "coman_like.urdf").timestep)
 
 

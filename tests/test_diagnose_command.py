@@ -304,9 +304,3 @@ def test_declared_gains_are_those_that_mujoco_pulls_with(tmp_path):
     pulled = -robot.kp * data.qpos - robot.kd * data.qvel
     np.testing.assert_allclose(pulled[:2], data.qfrc_actuator[:2])
     assert np.isnan(pulled[2])
-
-
-def test_a_robot_saved_before_gains_were_read_has_none():
-    content = arm("planar").as_dict()
-    del content["kp"], content["kd"]
-    assert np.isnan(Robot.from_dict(content).kp).all()

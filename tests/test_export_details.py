@@ -25,7 +25,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError, ModelFileError
 from hybrid.export import CompiledModel, export, program_from_model, read_manifest
-from hybrid.export.c_code import c_name, c_number
+from hybrid.export.c_code import c_number
 from hybrid.plant.native import split_effects
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -121,16 +121,6 @@ def test_memory_is_named_by_effect_and_joint_and_starts_anew_without_a_past():
 
 
 # --- names and numbers ----------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("robot", "name"),
-    [("UR10", "ur10"), ("my arm-2", "my_arm_2"), ("7axis", "arm_7axis")]
-    + [("__x__", "x"), ("", "arm_"), ("Größe", "gr__e")],
-)
-def test_a_robots_name_becomes_an_identifier(robot, name):
-    assert c_name(robot) == name
-    assert re.fullmatch(r"[a-z_][a-z0-9_]*", name)
 
 
 @pytest.mark.parametrize("x", [1 / 3, -1e-300, 6.02214076e23, 0.0])

@@ -64,7 +64,7 @@ def test_the_lowest_cutoff_that_is_valid_leaves_samples_to_fit():
 def test_a_log_without_torque_can_be_predicted_but_not_fitted():
     robot, (log, *rest) = arm("scara"), scara_logs()
     fit, _ = quiet(identify, robot, rest, **RIGID)
-    silent = Recording(t=log.t, q=log.q, joints=log.joints, source="log.csv")
+    silent = Recording(t=log.t, q=log.q, v=log.v, joints=log.joints, source="log.csv")
     assert not silent.has_torque
     assert np.array_equal(predict(fit.model, silent), predict(fit.model, log))
     for use in (lambda x: identify(robot, x), lambda x: validate(fit.model, x)):

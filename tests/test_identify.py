@@ -271,11 +271,12 @@ def test_robust_weights_shrug_off_a_contact():
     clean = simulate(robot, trajectories=5, duration=8, seed=4)
     push = ((clean[0].t > 3) & (clean[0].t < 5))[:, None] * np.array([24.0, 12.0])
     spoiled = [replace(clean[0], tau=clean[0].tau + push), *clean[1:4]]
+    file = robot.with_inertial(1.3 * robot.chain.inertial)  # no help by itself
     error = {}
     for robust in (False, True):
-        fit, _ = quiet(identify, robot, spoiled, stages=("rigid",), robust=robust)
+        fit, _ = quiet(identify, file, spoiled, stages=("rigid",), robust=robust)
         error[robust] = validate(fit.model, clean[4:]).rows[-1].mean
-    best, _ = quiet(identify, robot, clean[:4], stages=("rigid",))
+    best, _ = quiet(identify, file, clean[:4], stages=("rigid",))
     best = validate(best.model, clean[4:]).rows[-1].mean
     assert error[False] > 1.05 * best
-    assert error[True] < 1.05 * best
+    assert error[True] < 1.02 * best

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.signal import butter, sosfreqz
 
 from hybrid.errors import RecordingError
 from hybrid.recording import Recording
@@ -10,30 +9,12 @@ from hybrid.signals import Sampler, motion_from_recording
 from hybrid.signals.cutoff import choose_cutoff
 from hybrid.signals.filters import butterworth, central_difference, filter_reach
 from hybrid.signals.periodic import average_periods, fourier_fit
-from hybrid.signals.streaming import StreamingLowPass
 
 
 def record(q, rate, tau=None):
     t = np.arange(len(q)) / rate
     tau = 0 * q if tau is None else tau
     return Recording(t=t, q=q, tau=tau, joints=("a", "b")[: q.shape[1]])
-
-
-# --- sample by sample -----------------------------------------------------------------
-
-
-def test_a_low_pass_is_settled_on_its_first_sample_and_filters_as_butterworth():
-    low = StreamingLowPass(1000.0, 20.0)
-    for _ in range(5):
-        np.testing.assert_allclose(low(np.array([3.0, -2.0])), [3.0, -2.0], rtol=1e-12)
-    low = StreamingLowPass(1000.0, 20.0)
-    t = np.arange(2000) / 1000
-    for frequency in (5.0, 20.0, 60.0):
-        low = StreamingLowPass(1000.0, 20.0)
-        y = np.array([low(x) for x in np.sin(2 * np.pi * frequency * t)])[1000:]
-        sos = butter(2, 20.0, fs=1000.0, output="sos")
-        expected = np.abs(sosfreqz(sos, [frequency], fs=1000.0)[1][0])
-        assert np.sqrt(2 * np.mean(y**2)) == pytest.approx(expected, rel=1e-3)
 
 
 # --- whole signals --------------------------------------------------------------------

@@ -124,6 +124,7 @@ def _parsed(argv: Sequence[str] | None) -> Namespace:
 
 def _run(args: Namespace) -> None:
     from hybrid.cli.screen import Screen
+    from hybrid.threads import one_thread
 
     screen = Screen()
     with screen.warnings():
@@ -132,7 +133,7 @@ def _run(args: Namespace) -> None:
 
             for path in args.effects_from:
                 effects_from_file(path)
-        _VERBS[args.verb].run(args, screen)
+        one_thread(_VERBS[args.verb].run)(args, screen)
         sys.stdout.flush()
 
 

@@ -60,12 +60,14 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Track, write and show."""
+    import warnings
     from time import perf_counter_ns
 
     import numpy as np
 
+    from hybrid.errors import HybridWarning
     from hybrid.identify import DynamicModel
-    from hybrid.inspect import check_recordings
+    from hybrid.inspect import inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
     from hybrid.recording import read
     from hybrid.report.columns import write_columns, writer_of
@@ -74,7 +76,9 @@ def run(args: Namespace, screen: Screen) -> None:
     model = DynamicModel.load(args.model)
     joints = model.robot.joints
     recording = read(args.recording, joints=joints).in_order(joints)
-    check_recordings([recording], model.robot)
+    for doubt in inspect_recording(recording, model.robot):
+        # The tracker leaves wrong samples out, and says so.
+        warnings.warn(f"{recording.source}: {doubt.line}", HybridWarning, stacklevel=2)
     times, q, tau = recording.t, recording.q, recording.tau
     inputs = [args.model, args.recording]
     check_outputs([args.out, args.json], inputs)

@@ -16,11 +16,11 @@ from hybrid.diagnose.diagnosis import Advice
 from hybrid.diagnose.menu import Experiment, Menu, gap_along
 from hybrid.diagnose.separation import Outlook, Rival, fit_rival, needed, shapes_of
 from hybrid.diagnose.term import Term
-from hybrid.diagnose.threads import one_thread
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.effects import effect_class
 from hybrid.effects.effect import Port
 from hybrid.excitation.folder import write_reference
+from hybrid.threads import one_thread
 
 if TYPE_CHECKING:
     from hybrid.diagnose.result import Result

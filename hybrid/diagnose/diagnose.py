@@ -29,7 +29,6 @@ from hybrid.diagnose.logs import measured, since_first
 from hybrid.diagnose.replayed import replayed
 from hybrid.diagnose.result import Result
 from hybrid.diagnose.settled import settled, unsure
-from hybrid.diagnose.threads import one_thread
 from hybrid.diagnose.thresholds import Thresholds, thresholds
 from hybrid.diagnose.units import units
 from hybrid.diagnose.unseen import left_somewhere, left_unseen
@@ -40,6 +39,7 @@ from hybrid.identify.data import taken
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
+from hybrid.threads import one_thread
 
 Progress = Callable[[str], None]
 

@@ -49,7 +49,11 @@ def stacked_base(
         where = "arm" if effect.scope == "arm" else where
         if sum((x.id, x.joints) == (effect.id, effect.joints) for x in effects) > 1:
             # Two ripples of one joint differ in their shapes only.
-            shapes = (f"{name} {x:.6g}" for name, x in effect.shape_values.items())
+            shapes = [
+                f"{s.name} {effect.values[s.name]:.6g}"
+                for s in effect.shapes
+                if not s.whole
+            ]
             where = ", ".join([where, *shapes])
         labels += (f"{effect.id}.{gain.name}[{where}]",)
         units += (gain.unit,)

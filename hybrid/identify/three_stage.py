@@ -19,11 +19,13 @@ from hybrid.identify.least_squares import ESTIMATORS, Estimator
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
+from hybrid.threads import one_thread
 
 Stage = Literal["rigid", "friction", "ripple", "remainder"]
 STAGES: tuple[Stage, ...] = ("rigid", "friction", "ripple", "remainder")
 
 
+@one_thread
 def identify(
     robot: Robot,
     recordings: Sequence[Recording | Motion],

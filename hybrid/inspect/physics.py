@@ -26,6 +26,7 @@ from hybrid.inspect.reading import Reading, readings
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot.chain import Chain
+from hybrid.signals.speed import speed_against_position
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,7 @@ _FINALISTS = 6  # readings that are asked with joints weighed anew
 _DISTURBS = 0.02  # of what one joint leaves, in what others do: they share their links
 _MOST = 4  # things that are wrong with one log
 _STILL = 1e-3  # rad or m
+_AGREES = 0.1  # of a speed, by which it may differ from that of positions and clock
 
 
 @dataclass(eq=False)
@@ -94,10 +96,11 @@ def doubts_of_physics(
         state: Samples of the log.
     """
     masses = {"any": unit_masses(chain)}
+    clocked = _clocked(recording)
     if chain.inertial.any():
         masses["file"] = file_masses(chain)
     for _ in range(_MOST):
-        found = _likelier(_Bench(chain, state, masses))
+        found = _likelier(_Bench(chain, state, masses), clocked)
         if found is None:
             return
         reading, before, after, severity = found
@@ -105,8 +108,17 @@ def doubts_of_physics(
         state = reading.of(state)
 
 
+def _clocked(recording: Recording) -> bool:
+    """Whether measured speeds bear out the clock: no other is then looked for."""
+    if recording.v is None:
+        return False
+    scale = speed_against_position(recording).scale
+    scale = scale[np.isfinite(scale)]
+    return len(scale) > 0 and bool(abs(np.median(scale) - 1.0) < _AGREES)
+
+
 def _likelier(
-    bench: _Bench,
+    bench: _Bench, clocked: bool
 ) -> tuple[Reading, Array, Array, Severity] | None:
     """The reading that is better than the plain one, if any is by far.
 
@@ -121,6 +133,8 @@ def _likelier(
         return None
     moving = np.flatnonzero(np.ptp(bench.state.q, axis=0) > _STILL).tolist()
     ways = list(readings(bench.chain, moving, bench.best_order(plain)))
+    if clocked:
+        ways = [way for way in ways if way.channels != ("t",)]
     for design in bench.masses:
         gains = [bench.gain(plain, way, design, 1) for way in ways]
         finalists = [ways[k] for k in np.argsort(gains)[: -_FINALISTS - 1 : -1]]

@@ -101,9 +101,12 @@ def readings(
             order = kept.copy()
             order[list(pair)] = order[list(pair[::-1])]
             yield Reading(channels, pair, "swapped", order, ones)
+        seen: set[bytes] = set()
         for words, order in _orders(chain, best if channels == ("tau",) else kept):
             joints = tuple(np.flatnonzero(order != kept).tolist())
-            if len(joints) > 2 and set(joints) <= set(among):
+            new = order.tobytes() not in seen
+            seen.add(order.tobytes())
+            if new and len(joints) > 2 and set(joints) <= set(among):
                 yield Reading(channels, joints, words, order, ones)
     if n > 1:
         yield Reading(("tau",), tuple(range(n)), _ROUND, kept, -ones)

@@ -1,4 +1,4 @@
-"""The product of identification: a model of drive torque, and the file that holds it."""
+"""What identification gives: a model of drive torque, and the file that holds it."""
 
 from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 

@@ -15,7 +15,7 @@ R = TypeVar("R")
 def one_thread(function: Callable[P, R]) -> Callable[P, R]:
     """A function whose linear algebra runs on the thread that calls it.
 
-    With two of them a diagnosis takes twice the processor time, and longer.
+    With two of them it takes up to twice the processor time, and longer.
     """
 
     @wraps(function)
