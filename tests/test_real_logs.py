@@ -20,7 +20,7 @@ from hybrid.signals import Sampler, motion_from_recording
 
 BESIDE = Path(__file__).parents[2] / "shared" / "data"
 DATA = Path(os.environ.get("HYBRID_DATA", BESIDE))
-LEAST_CUT, MOST_LOSS = 0.15, 0.02
+MOST_LOSS = 0.02
 
 
 def blocks(name, *, seconds, cutoff):
@@ -38,7 +38,9 @@ def blocks(name, *, seconds, cutoff):
     return robot, fitting, scoring
 
 
-def assert_better_than_least_squares(robot, fitting, scoring, slowest, **options):
+def assert_better_than_least_squares(
+    robot, fitting, scoring, slowest, *, cut, **options
+):
     fit, _ = quiet(identify, robot, [fitting], **options)
     standing = np.full(robot.size, slowest)
     found = validate(fit.model, [scoring], standing=standing)
@@ -56,20 +58,22 @@ def assert_better_than_least_squares(robot, fitting, scoring, slowest, **options
         for name, model in (("LS", fit.model.simpler["LS"]), ("best", fit.model))
     }
     rms = {k: np.sqrt(np.nanmean(x**2, axis=0)) for k, x in left.items()}
-    assert rms["best"].mean() <= (1 - LEAST_CUT) * rms["LS"].mean()
+    assert rms["best"].mean() <= (1 - cut) * rms["LS"].mean()
     return fit
 
 
 def test_ur10_at_125_hertz():
     robot, fitting, scoring = blocks("ur10_salerno", seconds=1.0, cutoff=10.0)
-    assert_better_than_least_squares(robot, fitting, scoring, 0.02, cutoff=10.0)
+    assert_better_than_least_squares(
+        robot, fitting, scoring, 0.02, cut=0.35, cutoff=10.0
+    )
 
 
 def test_tx40_with_its_coupled_wrist():
     robot, fitting, scoring = blocks("tx40_figaroh", seconds=0.5, cutoff=50.0)
     wrist = effect_class("transmission_coupling")((4, 5))
     fit = assert_better_than_least_squares(
-        robot, fitting, scoring, 0.05, cutoff=50.0, effects=[wrist]
+        robot, fitting, scoring, 0.05, cut=0.1, cutoff=50.0, effects=[wrist]
     )
     (found,) = [e for e in fit.model.effects if e.id == wrist.id]
     assert (found.gain_values > 3 * np.array(list(found.std.values()))).all()
