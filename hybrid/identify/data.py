@@ -25,8 +25,8 @@ from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
 
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
-_WORKING_RATE = 20.0  # of the cut-off: ten times the bandwidth that positions have
-_ALIAS_FREE = 8.0  # of the cut-off: torque below passes, torque above 10 does not
+_WORKING_RATE = 12.5  # of the cut-off: three times what positions can hold
+_ALIAS_FREE = 5.0  # of the cut-off: torque below passes, torque above 6 does not
 _STANDING = 0.01  # of the highest speed
 FOLDS = 4
 _BLOCKS = 48  # over which the gain of a term is averaged, at the least
@@ -298,10 +298,10 @@ def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]
 
 
 def thinned(motion: Motion, cutoff: float) -> Motion:
-    """A motion at no more than twenty samples a period of the cut-off.
+    """A motion at about a dozen samples a period of the cut-off.
 
     Positions hold nothing above twice the cut-off, so laws of them lose nothing; torque
-    loses what is above ten times the cut-off, where no smooth law has any.
+    loses what is above five times the cut-off, where no smooth law has much.
 
     Args:
         motion: Motion at its full rate.

@@ -99,7 +99,7 @@ def prepared(
         cutoff = highest / 2**halvings
         if cutoff * shortest < FEWEST_PERIODS * FOLDS:
             break
-        data = prepare(logs, cutoff, highest=highest)
+        data = prepare(logs, cutoff, highest=highest) if halvings else best
         products = data.products(problem)
         found = settle(products, "wls", robust=robust)
         theta = without_folds(products, found.weight, folds=FOLDS, share=found.share)
