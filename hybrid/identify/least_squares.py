@@ -121,20 +121,19 @@ def solve(
         IdentificationError: There are fewer samples than unknowns.
     """
     found = settle(products, estimator, bounded=bounded, robust=robust, prior=prior)
-    return estimated(products, found, bounded=bounded, prior=prior)
+    return estimated(products, found, prior=prior)
 
 
 def estimated(
     products: CrossProducts,
     found: Settled,
     *,
-    bounded: bool = False,
     prior: Prior | None = None,
 ) -> Estimate:
     """How sure a solution is; arguments are those of :func:`settle`."""
     A, _ = products.normal(found.weight)
     condition, undetermined = _excitation(A)
-    covariance, degrees = _covariance(products, found, bounded, prior)
+    covariance, degrees = _covariance(products, found, prior)
     return Estimate(
         theta=found.theta,
         covariance=covariance,
@@ -402,41 +401,36 @@ def weak_directions(A: Array, weakest: float) -> Array:
 
 
 def _covariance(
-    products: CrossProducts, found: Settled, bounded: bool, prior: Prior | None
+    products: CrossProducts, found: Settled, prior: Prior | None
 ) -> tuple[Array, int]:
     """Delete-a-block jackknife, on blocks long enough to be independent.
 
     A prior holds unknowns where the data would not: by how much they may be off is
     added, the prior being worth as many samples as the noise lets count for one.
 
-    Source: Efron and Stein 1981, doi 10.1214/aos/1176345462. Unknowns at their bound
-    are held there.
+    Source: Efron and Stein 1981, doi 10.1214/aos/1176345462. An unknown at its bound is
+    as uncertain as if there were none.
     """
     theta, weight = found.theta, found.weight
-    free = np.flatnonzero(theta > products.problem.lower) if bounded else None
-    free = np.arange(len(theta)) if free is None else free
-    inside = np.ix_(free, free)
     A, b = products.normal(weight)
-    scores = _scores(products, theta, weight)[:, free]
-    held = A[inside]
-    rest = (b - A @ theta)[free]
+    held, rest = A, b - A @ theta
     if prior is not None:
-        held = held + prior.precision[inside]
-        rest = rest + (prior.pull - prior.precision @ theta)[free]
-    merged, scores = _independent_blocks(products, scores)
+        held = held + prior.precision
+        rest = rest + prior.pull - prior.precision @ theta
+    merged, scores = _independent_blocks(products, _scores(products, theta, weight))
     count = len(scores)
-    changes = np.zeros((count, len(theta)))
+    changes = np.empty((count, len(theta)))
     for k in range(count):
         A_k, _ = merged.normal(weight, merged.blocks[k])
-        changes[k, free] = _pseudo_solve(held - A_k[inside], rest - scores[k])
+        changes[k] = _pseudo_solve(held - A_k, rest - scores[k])
     spread = changes - changes.mean(axis=0)
-    covariance = (count - 1) / count * spread.T @ spread
+    covariance = np.asarray((count - 1) / count * spread.T @ spread)
     if prior is not None:
         inverse = _pseudo_inverse(held)
-        noise = np.diag(inverse @ A[inside] @ inverse)
-        counts = np.diag(covariance)[free] / np.maximum(noise, 1e-300)
-        held_by = inverse @ prior.precision[inside] @ inverse
-        covariance[inside] += max(1.0, float(np.median(counts))) * held_by
+        noise = np.diag(inverse @ A @ inverse)
+        counts = np.diag(covariance) / np.maximum(noise, 1e-300)
+        held_by = inverse @ prior.precision @ inverse
+        covariance += max(1.0, float(np.median(counts))) * held_by
     return covariance, count - 1
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
 
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.effects import Effect
@@ -50,10 +53,21 @@ class Solution:
 
     @cached_property
     def estimate(self) -> Estimate:
-        """The values and how sure they are."""
-        return estimated(
-            self.products, self.settled, bounded=self.bounded, prior=self.prior
-        )
+        """The values and how sure they are, over blocks and over whole folds.
+
+        Folds are other motions, or other logs: where they scatter more than the blocks
+        within them let expect, all variances are larger by as much.
+        """
+        found = estimated(self.products, self.settled, prior=self.prior)
+        folds = len(self.theta)
+        scatter = (folds - 1) * self.theta.var(axis=0)
+        known = (scatter > 0) & (found.std > 0)
+        if not known.any():
+            return found
+        ratio = np.median(scatter[known] / found.std[known] ** 2)
+        usual = chi2.median(folds - 1) / (folds - 1)
+        more = max(1.0, float(ratio / usual))
+        return replace(found, covariance=more * found.covariance)
 
     @cached_property
     def sigma(self) -> Array:
