@@ -51,7 +51,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--estimator",
         default="irls",
         metavar="NAME",
-        help="ls, wls or irls (default): how joints and samples are weighed",
+        help="ls, wls or irls (default): the last way to weigh joints that is tried",
     )
     parser.add_argument(
         "--stages",
