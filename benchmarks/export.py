@@ -24,8 +24,8 @@ from hybrid import DynamicModel
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.export import CompiledModel, export, program_from_model
-from hybrid.identify.problem import build_problem
 from hybrid.plant import load_truth
+from hybrid.regression.problem import build_problem
 from hybrid.signals import Motion
 
 TRUTH = Path(__file__).parents[1] / "models" / "coman_truth.yaml"

@@ -26,9 +26,9 @@ from hybrid import DynamicModel, Effect, Robot
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.effects import effect_class
-from hybrid.identify.problem import build_problem
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
+from hybrid.regression.problem import build_problem
 from hybrid.signals import Motion
 
 TRUTH = Path(__file__).parents[1] / "models" / "coman_truth.yaml"

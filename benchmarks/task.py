@@ -23,9 +23,9 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.identify import DynamicModel
-from hybrid.identify.cross_products import accumulate
-from hybrid.identify.least_squares import Estimate, solve
-from hybrid.identify.problem import build_problem
+from hybrid.regression.cross_products import accumulate
+from hybrid.regression.intervals import Estimate, solve
+from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 

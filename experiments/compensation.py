@@ -16,8 +16,8 @@ from coman import TRUTH
 from hybrid import DynamicModel, Effect, Recording, Robot, simulate
 from hybrid.effects import effect_class, effect_from_dict
 from hybrid.effects.payload import Payload
-from hybrid.identify.problem import build_problem
 from hybrid.plant import Plant, load_truth
+from hybrid.regression.problem import build_problem
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 

@@ -13,9 +13,9 @@ from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.improved_stribeck import ImprovedStribeck
 from hybrid.effects.torque_offset import TorqueOffset
-from hybrid.identify.problem import build_problem
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
+from hybrid.regression.problem import build_problem
 
 
 def all_joints_at_once(rng: np.random.Generator) -> dict[str, Any]:

@@ -36,10 +36,11 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.identify import DynamicModel
-from hybrid.identify.cross_products import accumulate
 from hybrid.identify.data import Data, prepare, taken
-from hybrid.identify.least_squares import ESTIMATORS, Estimator, solve
-from hybrid.identify.problem import build_problem
+from hybrid.regression.cross_products import accumulate
+from hybrid.regression.intervals import solve
+from hybrid.regression.least_squares import ESTIMATORS, Estimator
+from hybrid.regression.problem import build_problem
 from hybrid.signals import Sampler
 
 COMPONENTS = (1, 2, 4, 8, 16, 32)

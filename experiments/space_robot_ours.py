@@ -12,8 +12,8 @@ from space_robot_searches import Run, faded
 
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect, Scale
-from hybrid.identify.problem import build_problem
 from hybrid.online import OnlineIdentifier, Sample
+from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion

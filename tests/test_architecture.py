@@ -22,6 +22,7 @@ FLOORS = (
     {"export"},
     {"online"},
     {"identify"},
+    {"regression"},
     {"excitation"},
     {"model"},
     {"compensator"},

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hybrid.dynamics import base_parameters, inertial_labels, regressor
 from hybrid.effects import effect_class
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.identify.problem import build_problem
+from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.robot.spatial import inertial_about
 

@@ -18,11 +18,11 @@ from hybrid.cli import main, options
 from hybrid.effects import effect_classes, registry
 from hybrid.errors import HybridWarning
 from hybrid.identify import DynamicModel, predict, validate
-from hybrid.identify.least_squares import ESTIMATORS
 from hybrid.identify.three_stage import STAGES
 from hybrid.plant import simulate
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording, read, read_all, write
+from hybrid.regression.least_squares import ESTIMATORS
 from hybrid.robot import Robot
 
 PLANAR = str(MODELS / "planar.xml")

@@ -23,8 +23,8 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
 from hybrid.identify.consistency import physically_consistent
-from hybrid.identify.cross_products import accumulate
-from hybrid.identify.problem import build_problem
+from hybrid.regression.cross_products import accumulate
+from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.robot.spatial import inertial_about
 from hybrid.signals import Motion

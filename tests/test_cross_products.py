@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from simulated import arm, linear_problem, motions, stacked, with_torque
 
 from hybrid.errors import IdentificationError
-from hybrid.identify.cross_products import accumulate
-from hybrid.identify.least_squares import solve
+from hybrid.regression.cross_products import accumulate
+from hybrid.regression.intervals import solve
 from hybrid.signals import Sampler
 
 EVERYTHING = -1.0  # no joint is slower: none counts as standing

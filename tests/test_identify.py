@@ -9,8 +9,8 @@ from simulated import arm, coman, quiet
 from hybrid.effects import JointState, effect_class
 from hybrid.errors import HybridWarning, IdentificationError, RecordingError
 from hybrid.identify import identify, validate
-from hybrid.identify.least_squares import ESTIMATORS
 from hybrid.plant import simulate
+from hybrid.regression.least_squares import ESTIMATORS
 from hybrid.signals import motion_from_recording
 
 # Mean RMS of the published three stages: 9.53 N·m by least squares, 6.14 at the end.

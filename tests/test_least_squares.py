@@ -15,8 +15,9 @@ from simulated import (
 )
 
 from hybrid.errors import IdentificationError
-from hybrid.identify.cross_products import accumulate
-from hybrid.identify.least_squares import ESTIMATORS, cross_validate, solve
+from hybrid.regression.cross_products import accumulate
+from hybrid.regression.intervals import cross_validate, solve
+from hybrid.regression.least_squares import ESTIMATORS
 from hybrid.signals import Sampler
 
 

@@ -20,8 +20,8 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import ModelFileError, RobotError
 from hybrid.identify import DynamicModel
-from hybrid.identify.problem import build_problem
 from hybrid.model.model_file import SCHEMA
+from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 

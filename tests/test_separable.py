@@ -18,7 +18,7 @@ from hybrid.effects.improved_stribeck import ImprovedStribeck
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.errors import IdentificationError
-from hybrid.identify.problem import build_problem
+from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
 from hybrid.signals import Motion

@@ -10,8 +10,8 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.viscous import Viscous
 from hybrid.identify import DynamicModel
-from hybrid.identify.problem import build_problem
 from hybrid.plant import Noise, Plant, random_fourier
+from hybrid.regression.problem import build_problem
 from hybrid.signals import motion_from_recording
 
 GAIN, LEVEL = 0.2, 5.0

@@ -25,7 +25,7 @@ from hybrid.dynamics.pseudo_inertia import (
     stacked,
 )
 from hybrid.errors import IdentificationError
-from hybrid.identify.problem import Problem
+from hybrid.regression.problem import Problem
 from hybrid.robot.chain import Array
 
 # Curvatures are relative to that of the direction which the data see best.

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Scale
 from hybrid.errors import IdentificationError, RecordingError
-from hybrid.identify.cross_products import (
+from hybrid.inspect import check_recordings
+from hybrid.recording import Recording
+from hybrid.regression.cross_products import (
     CrossProducts,
     accumulate,
     sampled_chunks,
 )
-from hybrid.identify.problem import Problem, part
-from hybrid.inspect import check_recordings
-from hybrid.recording import Recording
+from hybrid.regression.problem import Problem, part
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording

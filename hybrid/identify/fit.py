@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.identify.cross_products import CrossProducts
-from hybrid.identify.least_squares import Estimate, weak_directions
-from hybrid.identify.problem import Problem
 from hybrid.model.dynamic_model import DynamicModel
+from hybrid.regression.cross_products import CrossProducts
+from hybrid.regression.intervals import Estimate, weak_directions
+from hybrid.regression.problem import Problem
 from hybrid.robot.chain import Array
 
 # Gautier and Khalil 1992, doi 10.1177/027836499201100408: motions that identify well

@@ -23,8 +23,8 @@ from scipy.optimize import nnls
 from hybrid.effects import Effect, JointState
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.identify.cross_products import sampled_chunks
 from hybrid.identify.data import FOLDS, Data
+from hybrid.regression.cross_products import sampled_chunks
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 

@@ -17,33 +17,31 @@ import numpy as np
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
-from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
+from hybrid.identify.bandwidth import linear_effects, scored, total
 from hybrid.identify.consistency import physically_consistent
-from hybrid.identify.cross_products import CrossProducts
-from hybrid.identify.data import FEWEST_PERIODS, FOLDS, Data, prepare
+from hybrid.identify.data import FOLDS, Data
 from hybrid.identify.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identify.friction import fit_friction
 from hybrid.identify.gate import lowers
-from hybrid.identify.least_squares import (
-    ESTIMATORS,
-    OUTLYING,
-    Estimator,
-    settle,
-    without_folds,
-)
-from hybrid.identify.prior import Prior, file_prior
-from hybrid.identify.problem import Problem, build_problem
 from hybrid.identify.remainder import Learned, fit_remainder
 from hybrid.identify.ripple import JUDGED, find_ripples, in_band
 from hybrid.identify.solution import Solution, to_be_found
 from hybrid.model.dynamic_model import DynamicModel
-from hybrid.recording import Recording
+from hybrid.regression.cross_products import CrossProducts
+from hybrid.regression.least_squares import (
+    ESTIMATORS,
+    Estimator,
+    settle,
+    without_folds,
+)
+from hybrid.regression.prior import Prior, file_prior
+from hybrid.regression.problem import Problem, build_problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
@@ -55,60 +53,11 @@ _HARM = 3.0  # weight of a joint's rise above plain least squares against any fa
 _MOST_ROUNDS = 4
 _SETTLED = 0.005  # relative change of the held-out error that ends the iteration
 _MOST_LINEARISATIONS = 8
-_HIDDEN = 0.05  # relative fall of the error that is worth half of the bandwidth
-_MOST_HALVINGS = 3  # of the cut-off that the spectrum of positions suggests
 # Largest share of the rated torque that a learned remainder may ever give: it is a
 # correction; should it go wrong, the arm's own brakes and limits must master it.
 MOST_LEARNED = 0.3
 _WORSE = 0.05  # relative rise of the error above that of the file that is refused
 _COSTLY = 0.01  # relative rise of the held-out error that is warned of
-
-
-def linear_effects(size: int) -> list[Effect]:
-    """Rotor, offset and linear friction of every joint."""
-    classes = (Armature, TorqueOffset, Coulomb, Viscous)
-    return [cls((j,)) for cls in classes for j in range(size)]
-
-
-def prepared(
-    robot: Robot,
-    logs: Sequence[Recording | Motion],
-    extra: Sequence[Effect],
-    robust: bool,
-) -> Data:
-    """Recordings at the cut-off whose plain model predicts unseen torque best.
-
-    The spectrum of positions says up to where they hold motion. Torque may be noisy
-    sooner, and friction chatters where speeds do: the cut-off is halved while that
-    lowers the held-out error of weighted least squares, at the rate of the log, by more
-    than what it hides of friction may be worth.
-
-    Args:
-        robot: The arm.
-        logs: Logs that were checked, or motions made from them, which keep their own.
-        extra: Effects of the user.
-        robust: Weigh down stretches that do not fit.
-    """
-    problem = build_problem(robot.chain, (*linear_effects(robot.size), *extra))
-    best, least = prepare(logs, None), np.inf
-    highest = best.cutoff
-    if not any(isinstance(x, Recording) for x in logs):
-        return best
-    shortest = min(float(m.t[-1] - m.t[0]) for m in best.motions)
-    for halvings in range(_MOST_HALVINGS + 1):
-        cutoff = highest / 2**halvings
-        if cutoff * shortest < FEWEST_PERIODS * FOLDS:
-            break
-        data = prepare(logs, cutoff, highest=highest) if halvings else best
-        products = data.products(problem)
-        found = settle(products, "wls", robust=robust)
-        theta = without_folds(products, found.weight, folds=FOLDS, share=found.share)
-        error = np.sqrt(_total(_scored(products, theta), robust) / data.moving)
-        level = float(np.log(np.maximum(error, 1e-300)).mean())
-        if level > least - _HIDDEN:
-            break
-        best, least = data, level
-    return best
 
 
 class Identification:
@@ -248,7 +197,7 @@ class Identification:
                 free,
                 settled=replace(settled, theta=found.theta),
                 theta=theta,
-                squares=_scored(products, theta),
+                squares=scored(products, theta),
                 inertial=found.inertial,
             )
         )
@@ -441,7 +390,7 @@ class Identification:
             folds=FOLDS,
             share=settled.share,
         )
-        squares = _scored(products, theta)
+        squares = scored(products, theta)
         problem = products.problem
         return Solution(problem, products, settled, prior, bounded, theta, squares)
 
@@ -452,7 +401,7 @@ class Identification:
         return float(np.mean(level + harm * np.maximum(level, 0.0)))
 
     def _total(self, squares: Array) -> Array:
-        return _total(squares, self.robust)
+        return total(squares, self.robust)
 
     def _rms(self, squares: Array) -> Array:
         return np.asarray(np.sqrt(squares.sum(axis=0) / self.data.moving))
@@ -477,18 +426,6 @@ class Identification:
     def _leave_out(self, text: str) -> None:
         self.left_out.append(text)
         self.warnings.append(f"left out {text} on held-out samples")
-
-
-def _total(squares: Array, robust: bool) -> Array:
-    """Squares of all blocks, shape (n,); if robust, none counts far more than most."""
-    if robust:
-        squares = np.minimum(squares, OUTLYING * np.median(squares, axis=0))
-    return np.asarray(squares.sum(axis=0))
-
-
-def _scored(products: CrossProducts, theta: Array) -> Array:
-    assert products.scores is not None
-    return products.scores.squares(theta)
 
 
 def _same_place(effect: Effect, others: Sequence[Effect]) -> bool:

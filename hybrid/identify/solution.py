@@ -11,17 +11,13 @@ from scipy.stats import chi2
 
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.effects import Effect
-from hybrid.identify.cross_products import CrossProducts
 from hybrid.identify.data import Data, visited
-from hybrid.identify.least_squares import (
-    Estimate,
-    Settled,
-    estimated,
-    residual_covariance,
-)
-from hybrid.identify.prior import Prior
-from hybrid.identify.problem import Problem
 from hybrid.model.dynamic_model import DynamicModel
+from hybrid.regression.cross_products import CrossProducts
+from hybrid.regression.intervals import Estimate, estimated
+from hybrid.regression.least_squares import Settled, residual_covariance
+from hybrid.regression.prior import Prior
+from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 

@@ -12,11 +12,12 @@ from typing import Literal
 
 from hybrid.effects import Effect
 from hybrid.errors import HybridWarning, IdentificationError
+from hybrid.identify.bandwidth import prepared
 from hybrid.identify.data import prepare, taken
 from hybrid.identify.fit import Fit
-from hybrid.identify.identification import Identification, prepared
-from hybrid.identify.least_squares import ESTIMATORS, Estimator
+from hybrid.identify.identification import Identification
 from hybrid.recording import Recording
+from hybrid.regression.least_squares import ESTIMATORS, Estimator
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 from hybrid.threads import one_thread

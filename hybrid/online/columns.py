@@ -11,9 +11,9 @@ from hybrid.dynamics import RigidBody
 from hybrid.dynamics.sample import SampleRegressor
 from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
-from hybrid.identify.problem import Problem
 from hybrid.online.laws import STEP, InstantLaws, Numbered
 from hybrid.online.layout import PAYLOAD, Layout
+from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion

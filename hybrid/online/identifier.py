@@ -20,7 +20,6 @@ import numpy as np
 
 from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
-from hybrid.identify.problem import build_problem
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.online.columns import Columns
 from hybrid.online.estimate import Estimate
@@ -34,6 +33,7 @@ from hybrid.online.square_root import SquareRootFilter
 from hybrid.online.start import REACH, Start, payload_sizes
 from hybrid.parameters import Parameter
 from hybrid.plant.scale import joint_scales
+from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals.streaming import BlockLowPass, LocalPolynomial

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.identify.problem import Problem
+from hybrid.regression.problem import Problem
 from hybrid.robot.chain import Array
 
 Indices = NDArray[np.intp]

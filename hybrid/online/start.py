@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from hybrid.effects import Effect
-from hybrid.identify.problem import Problem
 from hybrid.plant.scale import joint_scales
+from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import IdentificationError
-from hybrid.identify.problem import Problem, part
+from hybrid.regression.problem import Problem, part
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 

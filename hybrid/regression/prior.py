@@ -19,7 +19,7 @@ from hybrid.effects import Effect, Scale
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
-from hybrid.identify.problem import Problem
+from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array, Chain
 

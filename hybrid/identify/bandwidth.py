@@ -1,0 +1,84 @@
+"""Up to which frequency torque is fitted, and how held-out squares are summed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hybrid.effects import Effect
+from hybrid.effects.armature import Armature
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.torque_offset import TorqueOffset
+from hybrid.effects.viscous import Viscous
+from hybrid.identify.data import FEWEST_PERIODS, FOLDS, Data, prepare
+from hybrid.recording import Recording
+from hybrid.regression.cross_products import CrossProducts
+from hybrid.regression.least_squares import OUTLYING, settle, without_folds
+from hybrid.regression.problem import build_problem
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+from hybrid.signals import Motion
+
+_HIDDEN = 0.05  # relative fall of the error that is worth half of the bandwidth
+_MOST_HALVINGS = 3  # of the cut-off that the spectrum of positions suggests
+
+
+def linear_effects(size: int) -> list[Effect]:
+    """Rotor, offset and linear friction of every joint."""
+    classes = (Armature, TorqueOffset, Coulomb, Viscous)
+    return [cls((j,)) for cls in classes for j in range(size)]
+
+
+def prepared(
+    robot: Robot,
+    logs: Sequence[Recording | Motion],
+    extra: Sequence[Effect],
+    robust: bool,
+) -> Data:
+    """Recordings at the cut-off whose plain model predicts unseen torque best.
+
+    The spectrum of positions says up to where they hold motion. Torque may be noisy
+    sooner, and friction chatters where speeds do: the cut-off is halved while that
+    lowers the held-out error of weighted least squares, at the rate of the log, by more
+    than what it hides of friction may be worth.
+
+    Args:
+        robot: The arm.
+        logs: Logs that were checked, or motions made from them, which keep their own.
+        extra: Effects of the user.
+        robust: Weigh down stretches that do not fit.
+    """
+    problem = build_problem(robot.chain, (*linear_effects(robot.size), *extra))
+    best, least = prepare(logs, None), np.inf
+    highest = best.cutoff
+    if not any(isinstance(x, Recording) for x in logs):
+        return best
+    shortest = min(float(m.t[-1] - m.t[0]) for m in best.motions)
+    for halvings in range(_MOST_HALVINGS + 1):
+        cutoff = highest / 2**halvings
+        if cutoff * shortest < FEWEST_PERIODS * FOLDS:
+            break
+        data = prepare(logs, cutoff, highest=highest) if halvings else best
+        products = data.products(problem)
+        found = settle(products, "wls", robust=robust)
+        theta = without_folds(products, found.weight, folds=FOLDS, share=found.share)
+        error = np.sqrt(total(scored(products, theta), robust) / data.moving)
+        level = float(np.log(np.maximum(error, 1e-300)).mean())
+        if level > least - _HIDDEN:
+            break
+        best, least = data, level
+    return best
+
+
+def total(squares: Array, robust: bool) -> Array:
+    """Squares of all blocks, shape (n,); if robust, none counts far more than most."""
+    if robust:
+        squares = np.minimum(squares, OUTLYING * np.median(squares, axis=0))
+    return np.asarray(squares.sum(axis=0))
+
+
+def scored(products: CrossProducts, theta: Array) -> Array:
+    """Held-out squares of each block by solutions without each fold, (F, p)."""
+    assert products.scores is not None
+    return products.scores.squares(theta)

@@ -1,0 +1,1 @@
+"""Linear regression of all joints together: columns, sums over samples, solutions."""

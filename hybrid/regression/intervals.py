@@ -1,0 +1,272 @@
+"""How sure a solution is: intervals, condition, and what the data leave open.
+
+Source: Cameron and Miller 2015, doi 10.3368/jhr.50.2.317 (blocks that are correlated
+within).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.stats import t as student
+
+from hybrid.regression.cross_products import CrossProducts
+from hybrid.regression.least_squares import (
+    RANK,
+    Estimator,
+    Settled,
+    pseudo_inverse,
+    pseudo_solve,
+    residual_covariance,
+    settle,
+    unit_columns,
+    without_folds,
+)
+from hybrid.regression.prior import Prior
+from hybrid.robot.chain import Array
+
+_FEWEST_BLOCKS = 24
+_UNCORRELATED = 0.05
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """Solutions that each leave one fold out, and their error on it.
+
+    Attributes:
+        theta: Unknowns without each fold, shape (F, p).
+        squares: Sum of each joint's squared residuals on the fold, shape (F, n).
+        moving: Samples of each joint in the fold, shape (F, n).
+    """
+
+    theta: Array
+    squares: Array
+    moving: Array
+
+    @property
+    def rms(self) -> Array:
+        """RMS of each joint over all folds, shape (n,), [N·m]."""
+        return np.asarray(np.sqrt(self.squares.sum(axis=0) / self.moving.sum(axis=0)))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A solution of the linear problem and how sure it is.
+
+    Attributes:
+        theta: Unknowns, shape (p,).
+        covariance: Their covariance, honest under correlated residuals, shape (p, p).
+        sigma: Residual covariance across joints, shape (n, n), [N²·m²].
+        weight: Weight across joints of the last step, shape (n, n).
+        share: Weight of each block in the last step, from 0 to 1, shape (B,).
+        condition: Condition number of the whitened, column-scaled columns.
+        iterations: Reweightings done.
+        converged: False if the iteration limit came first.
+        degrees: Degrees of freedom of the covariance (blocks less one).
+        undetermined: Unknowns that these data do not determine.
+        held: Unknowns of which the prior says more than these data.
+    """
+
+    theta: Array
+    covariance: Array
+    sigma: Array
+    weight: Array
+    share: Array
+    condition: float
+    iterations: int
+    converged: bool
+    degrees: int
+    undetermined: tuple[int, ...]
+    held: tuple[int, ...] = ()
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation of each unknown, shape (p,)."""
+        return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+
+    def interval(self, level: float = 0.95) -> tuple[Array, Array]:
+        """Lower and upper ends of the confidence intervals, shapes (p,)."""
+        half = student.ppf(0.5 + level / 2, self.degrees) * self.std
+        return self.theta - half, self.theta + half
+
+
+def solve(
+    products: CrossProducts,
+    estimator: Estimator = "irls",
+    *,
+    bounded: bool = False,
+    robust: bool = False,
+    prior: Prior | None = None,
+) -> Estimate:
+    """Least squares over the joints of an arm.
+
+    ``ls`` weighs all joints alike, ``wls`` by the variance of each, ``irls`` by the
+    full covariance of the residual across joints, iterated until it agrees with itself.
+
+    Args:
+        products: Accumulated data.
+        estimator: Which of the three.
+        bounded: Keep gains that are physically non-negative at or above zero.
+        robust: Weigh down blocks whose misfit is far above the median's (contacts,
+            log glitches).
+        prior: What is known of the unknowns beforehand.
+
+    Raises:
+        IdentificationError: There are fewer samples than unknowns.
+    """
+    found = settle(products, estimator, bounded=bounded, robust=robust, prior=prior)
+    return estimated(products, found, prior=prior)
+
+
+def estimated(
+    products: CrossProducts,
+    found: Settled,
+    *,
+    prior: Prior | None = None,
+) -> Estimate:
+    """How sure a solution is; arguments are those of :func:`settle`."""
+    A, _ = products.normal(found.weight)
+    condition, undetermined = _excitation(A)
+    covariance, degrees = _covariance(products, found, prior)
+    return Estimate(
+        theta=found.theta,
+        covariance=covariance,
+        sigma=residual_covariance(products, found.theta),
+        weight=found.weight,
+        share=found.share,
+        condition=condition,
+        iterations=found.iterations,
+        converged=found.converged,
+        degrees=degrees,
+        undetermined=undetermined,
+        held=_held(A, prior),
+    )
+
+
+def _held(A: Array, prior: Prior | None) -> tuple[int, ...]:
+    """Unknowns whose value would follow data by less than half of any change."""
+    if prior is None:
+        return ()
+    follows = np.diag(pseudo_inverse(A + prior.precision) @ A)
+    return tuple(int(k) for k in np.flatnonzero(follows < 0.5))
+
+
+def cross_validate(
+    products: CrossProducts,
+    estimate: Estimate,
+    *,
+    bounded: bool = False,
+    prior: Prior | None = None,
+) -> CrossValidation:
+    """Solve without each fold in turn, at the estimate's weight, and score on it.
+
+    Args:
+        products: Accumulated data with folds.
+        estimate: Solution on all of it.
+        bounded: Whether that kept gains at their physical side.
+        prior: What was known of the unknowns beforehand.
+    """
+    theta = without_folds(products, estimate.weight, bounded=bounded, prior=prior)
+    theta = theta[np.unique(products.fold)]
+    parts = [products.some(products.fold == k) for k in np.unique(products.fold)]
+    squares = [x.squares(own) for x, own in zip(parts, theta, strict=True)]
+    return CrossValidation(
+        theta, np.array(squares), np.array([x.moving for x in parts])
+    )
+
+
+def _excitation(A: Array) -> tuple[float, tuple[int, ...]]:
+    """Condition number of the scaled columns, and unknowns they leave open."""
+    values = np.clip(np.linalg.eigvalsh(unit_columns(A)[0]), 0.0, None)
+    condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
+    share = (weak_directions(A, np.sqrt(RANK)) ** 2).sum(axis=1)
+    return condition, tuple(int(k) for k in np.flatnonzero(share > 0.01))
+
+
+def weak_directions(A: Array, weakest: float) -> Array:
+    """Directions of the unknowns in which the scaled columns hardly move.
+
+    Args:
+        A: Normal matrix, shape (p, p).
+        weakest: Largest singular value that counts as weak, as a share of the
+            largest of all.
+
+    Returns:
+        Orthonormal directions in the unknowns scaled to columns of unit length, shape
+        (p, any number).
+    """
+    values, vectors = eigh(unit_columns(A)[0])
+    return np.asarray(vectors[:, values <= weakest**2 * values[-1]])
+
+
+def _covariance(
+    products: CrossProducts, found: Settled, prior: Prior | None
+) -> tuple[Array, int]:
+    """Delete-a-block jackknife, on blocks long enough to be independent.
+
+    A prior holds unknowns where the data would not: by how much they may be off is
+    added, the prior being worth as many samples as the noise lets count for one.
+
+    Source: Efron and Stein 1981, doi 10.1214/aos/1176345462. An unknown at its bound is
+    as uncertain as if there were none.
+    """
+    theta, weight = found.theta, found.weight
+    A, b = products.normal(weight)
+    held, rest = A, b - A @ theta
+    if prior is not None:
+        held = held + prior.precision
+        rest = rest + prior.pull - prior.precision @ theta
+    merged, scores = _independent_blocks(products, _scores(products, theta, weight))
+    count = len(scores)
+    changes = np.empty((count, len(theta)))
+    for k in range(count):
+        A_k, _ = merged.normal(weight, merged.blocks[k])
+        changes[k] = pseudo_solve(held - A_k, rest - scores[k])
+    spread = changes - changes.mean(axis=0)
+    covariance = np.asarray((count - 1) / count * spread.T @ spread)
+    if prior is not None:
+        inverse = pseudo_inverse(held)
+        noise = np.diag(inverse @ A @ inverse)
+        counts = np.diag(covariance) / np.maximum(noise, 1e-300)
+        held_by = inverse @ prior.precision @ inverse
+        covariance += max(1.0, float(np.median(counts))) * held_by
+    return covariance, count - 1
+
+
+def _scores(products: CrossProducts, theta: Array, weight: Array) -> Array:
+    """Gradient of the squares of each block by the unknowns, shape (B, p)."""
+    problem = products.problem
+    n = len(problem.support)
+    C = np.zeros((problem.offsets[-1], n))
+    for i, support in enumerate(problem.support):
+        start = problem.offsets[i]
+        C[start : start + len(support), i] = -theta[support]
+        C[start + len(support), i] = 1.0
+    left = products.blocks @ (C @ weight)  # (B, P, n): rows times weighted residuals
+    found = np.zeros((len(left), problem.size))
+    for i, support in enumerate(problem.support):
+        start = problem.offsets[i]
+        found[:, support] += left[:, start : start + len(support), i]
+    return found
+
+
+def _independent_blocks(
+    products: CrossProducts, scores: Array
+) -> tuple[CrossProducts, Array]:
+    """Merge neighbours until the scores of successive blocks are uncorrelated."""
+    factor = 1
+    while True:
+        label = products.labels(factor)
+        starts = np.flatnonzero(np.diff(label, prepend=-1))
+        merged = np.add.reduceat(scores, starts)
+        enough = len(np.unique(products.labels(2 * factor))) >= _FEWEST_BLOCKS
+        recording = products.recording[starts]
+        follows = recording[1:] == recording[:-1]
+        power = (merged**2).sum(axis=0)
+        lagged = (merged[1:][follows] * merged[:-1][follows]).sum(axis=0)
+        alike = np.mean(lagged / np.where(power > 0, power, 1.0))
+        if alike < _UNCORRELATED or not enough:
+            return products.merged(factor), merged
+        factor *= 2
