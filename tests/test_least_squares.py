@@ -181,7 +181,9 @@ def test_bounded_gains_are_optimal_and_physical(six_axes):
     size = np.linalg.norm(b / np.sqrt(np.diag(A)))
     assert np.abs(slope[~at_bound]).max() < 1e-7 * size
     assert slope[at_bound].min() > 0
-    assert (found.std[at_bound] == 0).all() and (found.std[~at_bound] > 0).all()
+    # A bound makes no value sure: the truth, which lies there, is within reach.
+    assert found.std.min() > 0
+    assert (np.abs(found.theta - truth)[at_bound] < 4 * found.std[at_bound]).all()
 
 
 def test_bounds_that_do_not_bind_change_nothing(planar):

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from hybrid.effects import Effect, JointState
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identify.data import Data
+from hybrid.identify.partial_regression import PartialRegression
 from hybrid.identify.solution import Solution
 from hybrid.regression.cross_products import sampled_chunks
-from hybrid.regression.partial_regression import PartialRegression
 from hybrid.regression.problem import part
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler, butterworth_gain
