@@ -1,11 +1,10 @@
 """Three real arms: held-out torque error beside plain least squares.
 
 A table appears for a UR10, a Stäubli TX40 and a KUKA KR300: RMS torque error on moving
-samples that no fit has seen, beside least squares with Coulomb, viscous and offset
-friction, once as this package does it and once measured independently, with another
-program, and beside each stage of the published chain. UR10 and TX40 have one log each:
-every third block is held out, and each of the three ways to do so is scored. The KR300
-has two logs.
+samples that no fit has seen, at the rate of the log, beside the better of plain and
+weighted least squares with linear friction, and beside each stage of the published
+chain. UR10 and TX40 have one log each: every third block is held out, and each of the
+three ways to do so is scored. The KR300 has two logs.
 
     python experiments/real_arms.py DATA_FOLDER
 """

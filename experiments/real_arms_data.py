@@ -27,7 +27,6 @@ class Arm:
         standing: Speed above which a sample is scored, [rad/s].
         block: Length of the blocks, every third of which is held out, [s]; 0 fits on
             the first log and scores on the second.
-        baseline: RMS of plain least squares, measured independently, [N·m].
         effects: Terms beyond the usual ones.
     """
 
@@ -36,7 +35,6 @@ class Arm:
     cutoff: float
     standing: float
     block: float
-    baseline: tuple[float, ...]
     effects: tuple[Effect, ...] = ()
 
     def splits(self, motions: list[Motion]) -> Iterator[tuple[str, Motion, Motion]]:
@@ -54,10 +52,10 @@ class Arm:
 
 
 ARMS = (
-    Arm("UR10", "ur10_salerno", 10, 0.02, 1.0, (2.90, 2.61, 1.93, 0.53, 0.33, 0.66)),
-    Arm("TX40", "tx40_figaroh", 50, 0.05, 0.5, (1.77, 1.75, 1.51, 0.63, 1.19, 0.64),
+    Arm("UR10", "ur10_salerno", 10, 0.02, 1.0),
+    Arm("TX40", "tx40_figaroh", 50, 0.05, 0.5,
         (TransmissionCoupling((4, 5)),)),
-    Arm("KR300", "kr300_kaiserslautern", 8, 0.02, 0.0, (475, 273, 429, 50, 35, 20)),
+    Arm("KR300", "kr300_kaiserslautern", 8, 0.02, 0.0),
 )  # fmt: skip
 
 
@@ -97,7 +95,6 @@ class Score:
         return {
             "arm": self.arm.name,
             "held_out": self.held_out,
-            "independent_baseline": self.arm.baseline,
             "validation": self.validation.as_dict() | {"sources": sources},
             "condition": self.fit.condition,
             "unidentifiable": self.fit.unidentifiable,
