@@ -45,7 +45,7 @@ def read_parquet(
                     "less"
                 )
             table = file.read(columns=[labels[k] for k in layout.used])
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         reason = str(error).splitlines()[0]
         raise RecordingError(
             f"{source}: not a whole Parquet file (truncated?): {reason}"
