@@ -25,6 +25,7 @@ from hybrid.robot.chain import Array, Chain
 
 _LEAST_MASS = 0.3  # of the mean mass of the links: a flange may carry a tool
 _LEAST_SIZE = 0.1  # of the length of the arm
+_UNKNOWN_SIZE = 0.1  # m: of a link of which the file tells no length
 _OPEN = 1e-9  # of the largest: directions in which the guess has no spread at all
 # What a robot file declares of a drive, by the effect that it is.
 _DECLARED: Mapping[str, Callable[[Robot], Array]] = {
@@ -115,4 +116,5 @@ def spread(chain: Chain) -> Array:
     )
     mass = mass + _LEAST_MASS * mass.mean()
     powers = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
-    return np.asarray(mass[:, None] * np.maximum(size, 1e-6)[:, None] ** powers)
+    size = np.where(size > 0, size, _UNKNOWN_SIZE)
+    return np.asarray(mass[:, None] * size[:, None] ** powers)
