@@ -6,7 +6,7 @@ threshold, mixture of what is left, iterated), then after each rung of our ladde
 beside the noise that no model can predict. The arm holds hoses and uneven grease, which
 no effect of the library describes. The folder that
 ``--out`` names receives a page to read (index.html), its figures, the numbers
-(results.json), and the model itself (model.json, with its arrays beside it).
+(results.json), and the model itself (model.json).
 
     make demo
 """
