@@ -183,6 +183,7 @@ def test_html_shows_the_name_and_nothing_of_it_becomes_a_tag(name):
 @given(name=NAMES)
 @example(name="$\\frac{1}{0}")
 @example(name="$a$ $b")
+@example(name="机器人")
 def test_a_figure_shows_any_name(name):
     x = np.linspace(-1, 1, 9)
     figure = friction_figure(x[:, None], x[:, None], [(x, x)], (name,))

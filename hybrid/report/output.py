@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
@@ -38,7 +39,9 @@ def figure_bytes(figure: Figure, kind: str = "svg") -> bytes:
     from matplotlib import rc_context
 
     target = BytesIO()
-    with rc_context({"svg.hashsalt": "hybrid"}):
+    with rc_context({"svg.hashsalt": "hybrid"}), warnings.catch_warnings():
+        # A joint may have a name in any script; what the font lacks is a box.
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
         figure.savefig(target, format=kind, dpi=RESOLUTION, metadata=timeless[kind])
     return _palette(target) if kind == "png" else target.getvalue()
 
