@@ -91,7 +91,7 @@ class Data:
         """
         some = part(motion, here)
         body = RigidBody(problem.chain, some, problem.inertial)
-        key = motion.number, here.start, here.stop
+        key = id(motion.q), here.start, here.stop  # lives as long as these data
         if key in self._regressors:
             body.__dict__["columns"] = self._regressors[key]
         elif sum(x.nbytes for x in self._regressors.values()) < _MOST_KEPT:
@@ -282,7 +282,6 @@ def prepare(
     if not motions:
         raise IdentificationError("no usable sample: every one is masked")
     standing = _STANDING * _fastest(motions)
-    motions = [replace(m, number=r) for r, m in enumerate(motions)]
     return Data(tuple(motions), tuple(_folds(motions, standing)), cutoff, standing)
 
 

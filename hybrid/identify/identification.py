@@ -190,7 +190,13 @@ class Identification:
         found = physically_consistent(
             free.problem, *products.normal(settled.weight, sums)
         )
-        theta = without_folds(products, settled.weight, optimum=optimum, folds=FOLDS)
+        theta = without_folds(
+            products,
+            settled.weight,
+            optimum=optimum,
+            folds=FOLDS,
+            share=settled.share,
+        )
         self.settled &= found.converged
         self._take(
             replace(

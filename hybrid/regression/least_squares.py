@@ -13,7 +13,8 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, eigh
+from scipy.linalg import eigh
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from hybrid.errors import IdentificationError
 from hybrid.regression.cross_products import CrossProducts
@@ -148,12 +149,10 @@ def unit_columns(A: Array) -> tuple[Array, Array]:
 def pseudo_solve(A: Array, b: Array) -> Array:
     """Solution of normal equations, zero where the data leave it open, shape (p,)."""
     scaled, size = unit_columns(A)
-    try:
-        factor = cho_factor(scaled, lower=True, check_finite=False)
-        if np.diag(factor[0]).min() > _SURELY:
-            return np.asarray(cho_solve(factor, b / size) / size)
-    except np.linalg.LinAlgError:
-        pass  # directions without data: settle at zero there
+    factor, fails = dpotrf(scaled, lower=1)
+    if not fails and np.diag(factor).min() > _SURELY:
+        found, _ = dpotrs(factor, b / size, lower=1)
+        return np.asarray(found / size)
     values, vectors = eigh(scaled)
     keep = values > RANK * values[-1]
     inside = vectors[:, keep]
