@@ -16,8 +16,8 @@ from simulated import (
 
 from hybrid.errors import IdentificationError
 from hybrid.regression.cross_products import accumulate
-from hybrid.regression.intervals import cross_validate, solve
-from hybrid.regression.least_squares import ESTIMATORS
+from hybrid.regression.intervals import solve
+from hybrid.regression.least_squares import ESTIMATORS, without_folds
 from hybrid.signals import Sampler
 
 
@@ -255,18 +255,20 @@ def test_more_unknowns_than_samples_are_refused(planar):
 def test_each_fold_is_scored_by_the_others(planar):
     logs = planar.logs(planar.white(8, covariance_of(2, 0.5)))
     folds = [((m.t + 3 * k) // 1.0).astype(int) % 4 for k, m in enumerate(logs)]
-    products = planar.products(logs, folds=folds)
+    products = planar.products(logs, folds=folds, blocks=folds)
     estimate = solve(products, "irls")
-    found = cross_validate(products, estimate)
+    found = without_folds(products, estimate.weight)
+    squares = products.scores.squares(found)
     for k in range(4):
         rest = [replace(m, mask=f != k) for m, f in zip(logs, folds, strict=True)]
         held = [replace(m, mask=f == k) for m, f in zip(logs, folds, strict=True)]
         A, b = planar.products(rest).normal(estimate.weight)
         theta = np.linalg.solve(A, b)
-        np.testing.assert_allclose(found.theta[k], theta, rtol=1e-8)
-        left = planar.products(held).squares(theta)
-        np.testing.assert_allclose(found.squares[k], left, rtol=1e-8)
-    assert (found.rms > np.sqrt(np.diag(estimate.sigma))).all()
+        np.testing.assert_allclose(found[k], theta, rtol=1e-8)
+        left = np.diag(planar.products(held).residual_products(theta))
+        np.testing.assert_allclose(squares[k], left, rtol=1e-8)
+    samples = sum(len(m.t) for m in logs)
+    assert (squares.sum(axis=0) / samples > np.diag(estimate.sigma)).all()
 
 
 # --- intervals ------------------------------------------------------------------------

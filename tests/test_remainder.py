@@ -37,6 +37,11 @@ def rest(structure, *, seed=0, noise=0.1, n=3, samples=4000):
     return Data((motion,), ((t // 1.0).astype(int) % 4,), np.inf, np.full(n, -1.0))
 
 
+def rms(data):
+    """All of the torque, shape (n,)."""
+    return np.sqrt(np.mean(data.motions[0].tau ** 2, axis=0))
+
+
 def learn(data, **options):
     """A remainder of all the torque of the data, and what it leaves, shape (n,)."""
     (motion,) = data.motions
@@ -73,8 +78,8 @@ def learned(data):
 
 
 def test_structure_is_learned_at_its_joint_and_nowhere_else(data):
-    (motion,), (learned, left) = data.motions, learn(data)
-    before = data.rms([motion.tau])
+    learned, left = learn(data)
+    before = rms(data)
     (part,) = learned.remainder.parts
     assert part.joint == 1
     assert left[1] < 0.35 * before[1]
@@ -95,7 +100,7 @@ def test_a_neighbours_position_is_taken_in_where_it_matters():
     learned, left = learn(data)
     (part,) = learned.remainder.parts
     assert part.joint == 0 and 1 in part.positions
-    assert left[0] < 0.5 * data.rms([data.motions[0].tau])[0]
+    assert left[0] < 0.5 * rms(data)[0]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -158,7 +163,7 @@ def test_a_perceptron_learns_through_the_same_door(data, learned):
     found, left = learn(data, among=learned.remainder, learn=perceptron)
     (part,) = found.remainder.parts
     assert isinstance(part.regression, NetworkRegression)
-    assert left[1] < 0.4 * data.rms([data.motions[0].tau])[1]
+    assert left[1] < 0.4 * rms(data)[1]
 
 
 def test_variance_is_that_of_the_noise_and_unknown_where_nothing_was_learned(

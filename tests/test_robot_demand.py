@@ -10,7 +10,7 @@ from hybrid.cli import main
 from hybrid.errors import HybridError, RobotError
 from hybrid.robot import Robot
 from hybrid.robot.chain import MOST_JOINTS
-from hybrid.robot.measure import _product, check_demand
+from hybrid.robot.measure import _MOST, _demand, _product, check_demand
 
 JOINT = "<joint axis='0 0 1'/><geom size='1'/>"
 BODY = f"<body>{JOINT}</body>"
@@ -212,8 +212,13 @@ def test_a_pipe_is_not_waited_for(tmp_path, capfd):
 
 
 def test_robots_are_far_below_the_limits():
-    for path in MODELS.glob("*.xml"):
+    paths = sorted(MODELS.glob("*.xml"))
+    assert paths
+    for path in paths:
+        found = _demand(path, path.parent, [])
         check_demand(path)
+        assert 0 < 50 * found.elements < _MOST["elements"]
+        assert 50 * found.numbers < _MOST["numbers"]
 
 
 def test_sizes_are_read_as_their_parsers_do():

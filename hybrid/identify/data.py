@@ -165,10 +165,6 @@ class Data:
         moves = np.abs(motion.v) > self.standing
         return np.asarray(moves & motion.mask[:, None])
 
-    def rms(self, left: Sequence[Array]) -> Array:
-        """RMS of each joint over its moving samples, shape (n,), [N·m]."""
-        return np.asarray(np.sqrt(self.squares(left).sum(axis=0) / self.moving))
-
     def sampled(self, left: Sequence[Array]) -> Rest:
         """Torque filtered and decimated, with positions and speeds, motions stacked.
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import IdentificationError
 from hybrid.regression.problem import Problem, part
+from hybrid.regression.scores import Scores, Scoring, runs_of
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 
@@ -72,16 +72,6 @@ class CrossProducts:
         """Samples of the joint that moved most."""
         return int(np.diag(self.counts.sum(axis=0)).max())
 
-    def some(self, chosen: NDArray[np.bool_]) -> CrossProducts:
-        """Only some blocks, by index or mask."""
-        return replace(
-            self,
-            blocks=self.blocks[chosen],
-            counts=self.counts[chosen],
-            recording=self.recording[chosen],
-            fold=self.fold[chosen],
-        )
-
     def labels(self, factor: int) -> NDArray[np.intp]:
         """Number of each block once ``factor`` neighbours of a recording are one."""
         label, last = np.zeros(len(self.counts), dtype=int), -1
@@ -133,6 +123,20 @@ class CrossProducts:
                 b[left] += weight[i, k] * sums[rows, start + len(right)]
         return A, b
 
+    def leaves(self, theta: Array) -> Array:
+        """Map from rows to what a solution leaves of each joint's torque, (P, n).
+
+        Args:
+            theta: Unknowns, shape (p,).
+        """
+        problem = self.problem
+        C = np.zeros((problem.offsets[-1], len(problem.support)))
+        for i, support in enumerate(problem.support):
+            start = problem.offsets[i]
+            C[start : start + len(support), i] = -theta[support]
+            C[start + len(support), i] = 1.0
+        return C
+
     def residual_products(self, theta: Array, sums: Array | None = None) -> Array:
         """Sum of residuals times residuals across joints, shape (..., n, n), [N²·m²].
 
@@ -140,57 +144,8 @@ class CrossProducts:
             theta: Unknowns, shape (p,).
             sums: Cross-products to use, shape (..., P, P); all blocks by default.
         """
-        sums = self.total if sums is None else sums
-        problem = self.problem
-        C = np.zeros((problem.offsets[-1], len(problem.support)))
-        for i, support in enumerate(problem.support):
-            start = problem.offsets[i]
-            C[start : start + len(support), i] = -theta[support]
-            C[start + len(support), i] = 1.0
-        return np.asarray(C.T @ sums @ C)
-
-    def squares(self, theta: Array) -> Array:
-        """Sum of each joint's squared residuals, shape (n,), [N²·m²]."""
-        return np.clip(np.diag(self.residual_products(theta)), 0.0, None)
-
-    @property
-    def moving(self) -> Array:
-        """Samples at which each joint moved, shape (n,)."""
-        return np.maximum(np.diag(self.counts.sum(axis=0)), 1.0)
-
-
-@dataclass(frozen=True)
-class Scores:
-    """Sums of unfiltered rows: what any solution leaves of the torque as logged.
-
-    Attributes:
-        problem: Unknowns and layout of the rows.
-        sums: Rows of each joint times rows transposed in each block, shapes
-            (B, d + 1, d + 1).
-        fold: Fold of each block, shape (B,).
-    """
-
-    problem: Problem
-    sums: tuple[Array, ...]
-    fold: NDArray[np.intp]
-
-    def squares(self, theta: Array) -> Array:
-        """Squares left in each block by the solution without its fold.
-
-        Args:
-            theta: Solutions without each fold, shape (F, p).
-
-        Returns:
-            Squares of each joint, shape (B, n), [N²·m²].
-        """
-        own = theta[self.fold]  # (B, p)
-        found = np.empty((len(own), len(self.sums)))
-        for i, (sums, support) in enumerate(
-            zip(self.sums, self.problem.support, strict=True)
-        ):
-            c = np.concatenate([-own[:, support], np.ones((len(own), 1))], axis=1)
-            found[:, i] = np.einsum("bk,bkl,bl->b", c, sums, c)
-        return np.maximum(found, 0.0)
+        C = self.leaves(theta)
+        return np.asarray(C.T @ (self.total if sums is None else sums) @ C)
 
 
 def accumulate(
@@ -224,7 +179,7 @@ def accumulate(
     seconds = sum(m.t[-1] - m.t[0] for m in motions)
     block_seconds = max(_BLOCK_SECONDS, seconds / _MOST_BLOCKS * 1.2)
     scoring = (
-        None if blocks is None or folds is None else _Scoring(problem, blocks, folds)
+        None if blocks is None or folds is None else Scoring(problem, blocks, folds)
     )
     found: list[tuple[int, int, Array, Array]] = []
     for r, motion in enumerate(motions):
@@ -249,42 +204,6 @@ def accumulate(
     )
 
 
-class _Scoring:
-    """Sums of unfiltered rows as they come; see :class:`Scores`."""
-
-    def __init__(
-        self,
-        problem: Problem,
-        blocks: Sequence[NDArray[np.intp]],
-        folds: Sequence[NDArray[np.intp]],
-    ) -> None:
-        self.blocks = blocks
-        label, first = np.unique(np.concatenate(blocks), return_index=True)
-        count, sizes = 1 + int(label.max()), np.diff(problem.offsets)
-        fold = np.zeros(count, dtype=np.intp)
-        fold[label] = np.concatenate(folds)[first]
-        sums = tuple(np.zeros((count, size, size)) for size in sizes)
-        self.scores = Scores(problem, sums, fold)
-
-    def add(self, r: int, here: slice, D: Array, moving: Array) -> None:
-        """Take in rows, shape (P, N), of samples of motion r at which joints move."""
-        label = self.blocks[r][here]
-        order = np.argsort(label, kind="stable")  # folds of masked samples may return
-        label = label[order]
-        offsets = self.scores.problem.offsets
-        for start, stop in _runs(label):
-            at = order[start:stop]
-            for i, sums in enumerate(self.scores.sums):
-                part = D[offsets[i] : offsets[i + 1], at] * moving[i, at]
-                sums[label[start]] += part @ part.T
-
-
-def _runs(*labels: NDArray[np.intp]) -> list[tuple[int, int]]:
-    """First sample and the one behind the last of each run of equal labels."""
-    steps = np.sum([np.abs(np.diff(x, prepend=-1)) for x in labels], axis=0)
-    return list(pairwise([*np.flatnonzero(steps), len(labels[0])]))
-
-
 def _one_motion(
     problem: Problem,
     motion: Motion,
@@ -293,7 +212,7 @@ def _one_motion(
     standing: Array,
     block_seconds: float,
     rows: Callable[[slice], Array],
-    scoring: _Scoring | None,
+    scoring: Scoring | None,
     number: int,
 ) -> dict[tuple[int, int], tuple[Array, Array]]:
     """Sums and counts by block in time and fold."""
@@ -311,7 +230,7 @@ def _one_motion(
         D *= np.repeat(moving, sizes, axis=0)
         block = (first + np.arange(D.shape[1])) // length
         own = fold[:: sampler.factor][samples]
-        for start, stop in _runs(block, own):
+        for start, stop in runs_of(block, own):
             part, both = D[:, start:stop], moving[:, start:stop]
             if not both.any():
                 continue

@@ -22,33 +22,12 @@ from hybrid.regression.least_squares import (
     residual_covariance,
     settle,
     unit_columns,
-    without_folds,
 )
 from hybrid.regression.prior import Prior
 from hybrid.robot.chain import Array
 
 _FEWEST_BLOCKS = 24
 _UNCORRELATED = 0.05
-
-
-@dataclass(frozen=True)
-class CrossValidation:
-    """Solutions that each leave one fold out, and their error on it.
-
-    Attributes:
-        theta: Unknowns without each fold, shape (F, p).
-        squares: Sum of each joint's squared residuals on the fold, shape (F, n).
-        moving: Samples of each joint in the fold, shape (F, n).
-    """
-
-    theta: Array
-    squares: Array
-    moving: Array
-
-    @property
-    def rms(self) -> Array:
-        """RMS of each joint over all folds, shape (n,), [N·m]."""
-        return np.asarray(np.sqrt(self.squares.sum(axis=0) / self.moving.sum(axis=0)))
 
 
 @dataclass(frozen=True)
@@ -153,30 +132,6 @@ def _held(A: Array, prior: Prior | None) -> tuple[int, ...]:
     return tuple(int(k) for k in np.flatnonzero(follows < 0.5))
 
 
-def cross_validate(
-    products: CrossProducts,
-    estimate: Estimate,
-    *,
-    bounded: bool = False,
-    prior: Prior | None = None,
-) -> CrossValidation:
-    """Solve without each fold in turn, at the estimate's weight, and score on it.
-
-    Args:
-        products: Accumulated data with folds.
-        estimate: Solution on all of it.
-        bounded: Whether that kept gains at their physical side.
-        prior: What was known of the unknowns beforehand.
-    """
-    theta = without_folds(products, estimate.weight, bounded=bounded, prior=prior)
-    theta = theta[np.unique(products.fold)]
-    parts = [products.some(products.fold == k) for k in np.unique(products.fold)]
-    squares = [x.squares(own) for x, own in zip(parts, theta, strict=True)]
-    return CrossValidation(
-        theta, np.array(squares), np.array([x.moving for x in parts])
-    )
-
-
 def _excitation(A: Array) -> tuple[float, tuple[int, ...]]:
     """Condition number of the scaled columns, and unknowns they leave open."""
     values = np.clip(np.linalg.eigvalsh(unit_columns(A)[0]), 0.0, None)
@@ -237,13 +192,7 @@ def _covariance(
 
 def _scores(products: CrossProducts, theta: Array, weight: Array) -> Array:
     """Gradient of the squares of each block by the unknowns, shape (B, p)."""
-    problem = products.problem
-    n = len(problem.support)
-    C = np.zeros((problem.offsets[-1], n))
-    for i, support in enumerate(problem.support):
-        start = problem.offsets[i]
-        C[start : start + len(support), i] = -theta[support]
-        C[start + len(support), i] = 1.0
+    problem, C = products.problem, products.leaves(theta)
     left = products.blocks @ (C @ weight)  # (B, P, n): rows times weighted residuals
     found = np.zeros((len(left), problem.size))
     for i, support in enumerate(problem.support):

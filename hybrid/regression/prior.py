@@ -83,19 +83,15 @@ def file_prior(problem: Problem, robot: Robot, scales: Sequence[Scale]) -> Prior
     held = [u for u in range(problem.size) if u not in free]
     mapping = problem.base.mapping[held]
     scaled = mapping * np.array(sizes)
-    values, vectors = np.linalg.eigh(_unit(scaled @ scaled.T, scaled))
+    std = np.linalg.norm(scaled, axis=1)
+    scaled /= std[:, None]
+    values, vectors = np.linalg.eigh(scaled @ scaled.T)
     inside = values > _OPEN * values[-1]
-    root = vectors[:, inside] / np.sqrt(values[inside])
-    root /= np.linalg.norm(scaled, axis=1)[:, None]
+    root = vectors[:, inside] / np.sqrt(values[inside]) / std[:, None]
     mean, precision = np.zeros(problem.size), np.zeros((problem.size, problem.size))
     mean[held] = mapping @ np.array(expected)
     precision[np.ix_(held, held)] = root @ root.T
     return Prior(mean, precision)
-
-
-def _unit(S: Array, scaled: Array) -> Array:
-    size = np.linalg.norm(scaled, axis=1)
-    return np.asarray(S / size / size[:, None])
 
 
 def _shifts(effect: Effect) -> bool:
@@ -111,9 +107,7 @@ def spread(chain: Chain) -> Array:
     steps = np.linalg.norm(chain.translation, axis=1)
     reach = steps.sum()
     next_joint = np.append(steps[1:], 0.0)
-    size = np.max(
-        [gyration, next_joint / 2, np.full_like(mass, _LEAST_SIZE * reach)], 0
-    )
+    size = np.maximum(np.maximum(gyration, next_joint / 2), _LEAST_SIZE * reach)
     mass = mass + _LEAST_MASS * mass.mean()
     powers = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
     size = np.where(size > 0, size, _UNKNOWN_SIZE)

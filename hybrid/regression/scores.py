@@ -1,0 +1,83 @@
+"""Held-out squares of the torque as logged, from unfiltered rows summed in blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.regression.problem import Problem
+from hybrid.robot.chain import Array
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Sums of unfiltered rows: what any solution leaves of the torque as logged.
+
+    Attributes:
+        problem: Unknowns and layout of the rows.
+        sums: Rows of each joint times rows transposed in each block, shapes
+            (B, d + 1, d + 1).
+        fold: Fold of each block, shape (B,).
+    """
+
+    problem: Problem
+    sums: tuple[Array, ...]
+    fold: NDArray[np.intp]
+
+    def squares(self, theta: Array) -> Array:
+        """Squares left in each block by the solution without its fold.
+
+        Args:
+            theta: Solutions without each fold, shape (F, p).
+
+        Returns:
+            Squares of each joint, shape (B, n), [N²·m²].
+        """
+        own = theta[self.fold]  # (B, p)
+        found = np.empty((len(own), len(self.sums)))
+        for i, (sums, support) in enumerate(
+            zip(self.sums, self.problem.support, strict=True)
+        ):
+            c = np.concatenate([-own[:, support], np.ones((len(own), 1))], axis=1)
+            found[:, i] = np.einsum("bk,bkl,bl->b", c, sums, c)
+        return np.maximum(found, 0.0)
+
+
+class Scoring:
+    """Sums of unfiltered rows as they come; see :class:`Scores`."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        blocks: Sequence[NDArray[np.intp]],
+        folds: Sequence[NDArray[np.intp]],
+    ) -> None:
+        self.blocks = blocks
+        label, first = np.unique(np.concatenate(blocks), return_index=True)
+        count, sizes = 1 + int(label.max()), np.diff(problem.offsets)
+        fold = np.zeros(count, dtype=np.intp)
+        fold[label] = np.concatenate(folds)[first]
+        sums = tuple(np.zeros((count, size, size)) for size in sizes)
+        self.scores = Scores(problem, sums, fold)
+
+    def add(self, r: int, here: slice, D: Array, moving: Array) -> None:
+        """Take in rows, shape (P, N), of samples of motion r at which joints move."""
+        label = self.blocks[r][here]
+        order = np.argsort(label, kind="stable")  # folds of masked samples may return
+        label = label[order]
+        offsets = self.scores.problem.offsets
+        for start, stop in runs_of(label):
+            at = order[start:stop]
+            for i, sums in enumerate(self.scores.sums):
+                part = D[offsets[i] : offsets[i + 1], at] * moving[i, at]
+                sums[label[start]] += part @ part.T
+
+
+def runs_of(*labels: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """First sample and the one behind the last of each run of equal labels."""
+    steps = np.sum([np.abs(np.diff(x, prepend=-1)) for x in labels], axis=0)
+    return list(pairwise([*np.flatnonzero(steps), len(labels[0])]))
