@@ -388,3 +388,15 @@ def test_what_cannot_be_tracked_is_refused():
         OnlineIdentifier(arm(), [Delay((2,))], rate=RATE)
     with pytest.raises(IdentificationError, match="above 0"):
         OnlineIdentifier(arm(), [Coulomb((0,))], rate=0.0)
+
+
+def test_a_shape_that_is_chosen_is_not_tracked():
+    """The speed up to which friction was seen is no property of the joint."""
+    robot = Robot.load(MODELS / "planar.xml")
+    effects = effects_from_text(
+        "threshold_friction:shoulder", robot.joints, joint_scales(robot)
+    )
+    tracker = OnlineIdentifier(robot, effects, rate=200.0)
+    sure = {p.name: p.std for p in tracker.parameters}
+    assert sure["threshold_friction.fastest[shoulder]"] == 0.0
+    assert sure["threshold_friction.threshold[shoulder]"] > 0.0

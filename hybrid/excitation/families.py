@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -18,30 +18,53 @@ _DEGREE = 5  # of the splines: jerk is continuous
 
 
 @dataclass(frozen=True)
-class Fourier:
-    """Harmonics of one fundamental, combined so that the motion starts at rest.
-
-    q(t) = c₀ + Σₖ sₖ sin(kωt) + cₖ cos(kωt) with Σ k sₖ = 0 and Σ k² cₖ = 0, so that
-    speed and acceleration vanish at t = 0 and after every period (Swevers et al. 1997,
-    doi 10.1109/70.631234, with the condition of rest built into the basis).
+class _Series:
+    """Harmonics of one fundamental over whole periods.
 
     Attributes:
-        order: Number of harmonics, at least 2.
+        order: Number of harmonics.
         fundamental: Repetitions per second, [Hz].
         periods: Whole periods the motion lasts.
     """
+
+    name: ClassVar[str]
+    least: ClassVar[int] = 1  # harmonics
 
     order: int = 5
     fundamental: float = 0.1
     periods: int = 1
 
     def __post_init__(self) -> None:
-        check_series(self.order, self.fundamental, self.periods, least=2)
+        check_series(self.order, self.fundamental, self.periods, least=self.least)
 
     @property
     def duration(self) -> float:
         """See :class:`~hybrid.excitation.path.Family`."""
         return self.periods / self.fundamental
+
+    def as_dict(self) -> dict[str, Any]:
+        """See :class:`~hybrid.excitation.path.Family`."""
+        return {
+            "name": self.name,
+            "order": self.order,
+            "fundamental": self.fundamental,
+            "periods": self.periods,
+        }
+
+
+@dataclass(frozen=True)
+class Fourier(_Series):
+    """Harmonics of one fundamental, combined so that the motion starts at rest.
+
+    q(t) = c₀ + Σₖ sₖ sin(kωt) + cₖ cos(kωt) with Σ k sₖ = 0 and Σ k² cₖ = 0, so that
+    speed and acceleration vanish at t = 0 and after every period (Swevers et al. 1997,
+    doi 10.1109/70.631234, with the condition of rest built into the basis).
+
+    It needs two harmonics.
+    """
+
+    name: ClassVar[str] = "fourier"
+    least: ClassVar[int] = 2
 
     @property
     def size(self) -> int:
@@ -61,15 +84,6 @@ class Fourier:
         constant = np.full((len(t), 1), 1.0 if derivative == 0 else 0.0)
         return np.asarray(np.hstack([constant, series]) @ self.at_rest)
 
-    def as_dict(self) -> dict[str, Any]:
-        """See :class:`~hybrid.excitation.path.Family`."""
-        return {
-            "name": "fourier",
-            "order": self.order,
-            "fundamental": self.fundamental,
-            "periods": self.periods,
-        }
-
 
 @dataclass(frozen=True)
 class PlainFourier(Fourier):
@@ -77,6 +91,8 @@ class PlainFourier(Fourier):
 
     For comparison with designs of the literature; doi 10.1109/70.631234.
     """
+
+    name: ClassVar[str] = "plain_fourier"
 
     @property
     def size(self) -> int:
@@ -88,36 +104,17 @@ class PlainFourier(Fourier):
         """The identity: each basis function is one term."""
         return np.eye(self.size)
 
-    def as_dict(self) -> dict[str, Any]:
-        """See :class:`~hybrid.excitation.path.Family`."""
-        return super().as_dict() | {"name": "plain_fourier"}
-
 
 @dataclass(frozen=True)
-class FourierQuintic:
+class FourierQuintic(_Series):
     """A Fourier series and a polynomial of fifth order that brings it to rest.
 
     In place of the constant term, p(t) = b₀ + … + b₅ t⁵ over each period T cancels the
     speed and the acceleration of the series at 0 and T and moves by nothing, so that
     the position is periodic; b₀ and the 2·order amplitudes are free.
-
-    Attributes:
-        order: Number of harmonics.
-        fundamental: Repetitions per second, [Hz].
-        periods: Whole periods the motion lasts.
     """
 
-    order: int = 5
-    fundamental: float = 0.1
-    periods: int = 1
-
-    def __post_init__(self) -> None:
-        check_series(self.order, self.fundamental, self.periods, least=1)
-
-    @property
-    def duration(self) -> float:
-        """See :class:`~hybrid.excitation.path.Family`."""
-        return self.periods / self.fundamental
+    name: ClassVar[str] = "fourier_quintic"
 
     @property
     def size(self) -> int:
@@ -162,15 +159,6 @@ class FourierQuintic:
         out = monomials @ self.polynomials
         out[:, 1:] += harmonics(t, self.order, self.fundamental, derivative)
         return np.asarray(out)
-
-    def as_dict(self) -> dict[str, Any]:
-        """See :class:`~hybrid.excitation.path.Family`."""
-        return {
-            "name": "fourier_quintic",
-            "order": self.order,
-            "fundamental": self.fundamental,
-            "periods": self.periods,
-        }
 
 
 @dataclass(frozen=True)

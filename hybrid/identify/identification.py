@@ -23,7 +23,7 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
-from hybrid.identify.bandwidth import linear_effects, scored, total
+from hybrid.identify.bandwidth import linear_effects, scored
 from hybrid.identify.consistency import physically_consistent
 from hybrid.identify.data import FOLDS, Data
 from hybrid.identify.fit import Fit, poor_excitation, unidentifiable
@@ -31,28 +31,18 @@ from hybrid.identify.friction import fit_friction
 from hybrid.identify.gate import lowers
 from hybrid.identify.remainder import Learned, fit_remainder
 from hybrid.identify.ripple import JUDGED, find_ripples, in_band
-from hybrid.identify.solution import Solution, to_be_found
+from hybrid.identify.solution import Solution
+from hybrid.identify.solver import Solver
 from hybrid.model.dynamic_model import DynamicModel
-from hybrid.regression.cross_products import CrossProducts
-from hybrid.regression.least_squares import (
-    ESTIMATORS,
-    Estimator,
-    settle,
-    without_folds,
-)
-from hybrid.regression.prior import Prior, file_prior
-from hybrid.regression.problem import Problem, build_problem
+from hybrid.regression.least_squares import Estimator, without_folds
+from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 _FRICTION = (Coulomb, Viscous, ThresholdFriction, LoadFriction, TorqueOffset)
-# How many samples the prior is worth: noise that lasts lets a hundred count for one.
-_STRENGTHS = (0.0, 1.0, 10.0, 100.0, 1e3, 1e9)
-_HARM = 3.0  # weight of a joint's rise above plain least squares against any fall
 _MOST_ROUNDS = 4
 _SETTLED = 0.005  # relative change of the held-out error that ends the iteration
-_MOST_LINEARISATIONS = 8
 # Largest share of the rated torque that a learned remainder may ever give: it is a
 # correction; should it go wrong, the arm's own brakes and limits must master it.
 MOST_LEARNED = 0.3
@@ -81,40 +71,39 @@ class Identification:
         robust: bool,
         seed: int,
     ) -> None:
-        self.robot, self.data = robot, data
-        self.estimators = ESTIMATORS[: ESTIMATORS.index(estimator) + 1]
-        self.extra, self.robust, self.seed = extra, robust, seed
+        self.robot, self.data, self.estimator = robot, data, estimator
+        self.extra, self.seed = extra, seed
+        self.solver = Solver(robot, data, estimator, robust)
         self.simpler: dict[Estimator, Solution] = {}
         self.stages: dict[str, DynamicModel] = {}
         self.remainder: ArmRemainder | None = None
         self.left_out: list[str] = []
         self.warnings: list[str] = []
         self.rounds, self.settled = 1, True
-        self.scales = data.scales
+
+    best: Solution
+    squares: Array
 
     def plain(self) -> dict[str, Array]:
         """Rigid body with linear friction: by three estimators, then with the prior."""
         linear = linear_effects(self.robot.size)
         problem = build_problem(self.robot.chain, (*linear, *self.extra))
         if any(e.reports or e.observes for e in self.extra):
-            problem = self._linearised(problem)
-        products = self.data.products(problem)
-        for name in ESTIMATORS:
-            self.simpler[name] = self._tried(products, name, None, bounded=False)
-        plain = [self._total(self.simpler[x].squares) for x in ESTIMATORS[:2]]
-        self.base = np.maximum(np.min(plain, axis=0), 1e-300)
-        self.best = self._chosen(problem, self.data)
-        self.squares = self.best.squares
-        poor = poor_excitation(products, self.simpler[self.estimators[-1]].estimate)
+            problem, self.settled = self.solver.linearised(problem)
+        self.simpler = self.solver.plain(problem)
+        self._take(self.solver.best(problem))
+        last = self.simpler[self.estimator]
+        poor = poor_excitation(last.products, last.estimate)
         if poor:
             self.warnings.append(poor)
-        found = {x.upper(): self._rms(s.squares) for x, s in self.simpler.items()}
-        return {**found, "rigid": self.error}
+        found = {x.upper(): s.squares for x, s in self.simpler.items()}
+        found["rigid"] = self.squares
+        return {name: self.solver.rms(squares) for name, squares in found.items()}
 
     @property
     def error(self) -> Array:
         """Held-out RMS of each joint, shape (n,), [N·m]."""
-        return self._rms(self.squares)
+        return self.solver.rms(self.squares)
 
     def bend(self) -> None:
         """Stage two, and stage one again with its law, until the error settles."""
@@ -122,7 +111,7 @@ class Identification:
         for _ in range(_MOST_ROUNDS):
             offer = self._friction(self.best)
             found = self._climb(self.best, [offer])
-            gain = self._cost(self.best.squares) - self._cost(found.squares)
+            gain = self.solver.cost(self.best.squares) - self.solver.cost(found.squares)
             self._take(found)
             if gain <= _SETTLED:
                 break
@@ -156,13 +145,15 @@ class Identification:
             learned = self._learned(physical)
             if not learned.remainder.parts:
                 break
-            gain = self._cost(self.squares) - self._cost(learned.squares)
+            gain = self.solver.cost(self.squares) - self.solver.cost(learned.squares)
             if gain > 0:
                 self.best, self.squares = physical, learned.squares
                 self.remainder = learned.remainder
             if gain <= _SETTLED:
                 break
-            physical = self._solve(physical, physical.effects, learned.cross)
+            physical = self.solver.with_effects(
+                physical, physical.effects, learned.cross
+            )
         else:
             self.settled = False
         if self.remainder is None:
@@ -211,7 +202,8 @@ class Identification:
             learned = self._learned(self.best)
             self.remainder = learned.remainder if learned.remainder.parts else None
             self.squares = learned.squares
-        cost = np.exp(self._cost(self.squares, 0.0) - self._cost(before, 0.0)) - 1.0
+        after = self.solver.cost(self.squares, harm=0.0)
+        cost = np.exp(after - self.solver.cost(before, harm=0.0)) - 1.0
         if cost > _COSTLY:
             self.warnings.append(
                 f"physically consistent links raise the held-out error by {cost:.1%}; "
@@ -238,7 +230,7 @@ class Identification:
             units=tuple(problem.base.units[k] for k in problem.base.kept),
             estimate=estimate,
             held_out=held_out,
-            condition=self.simpler[self.estimators[-1]].estimate.condition,
+            condition=self.simpler[self.estimator].estimate.condition,
             converged=converged,
             unidentifiable=unidentifiable(problem, estimate),
             left_out=tuple(self.left_out),
@@ -249,15 +241,15 @@ class Identification:
     def _refuse_harm(self) -> None:
         """Refuse what is worse than the file; say where plain LS is better."""
         file = self.data.squares([self._file_leaves(m) for m in self.data.motions])
-        total = self._total(self.squares)
-        ratio = np.sqrt(total / np.maximum(self._total(file), 1e-300))
+        total = self.solver.total(self.squares)
+        ratio = np.sqrt(total / np.maximum(self.solver.total(file), 1e-300))
         if np.log(np.maximum(ratio, 1e-300)).mean() > _WORSE:
             raise IdentificationError(
                 "the model predicts unseen torque worse than the robot file does "
                 f"(by {ratio.mean() - 1:.0%} on the mean of the joints); valid are "
                 "logs of this arm whose columns, units and clock are right"
             )
-        rise = np.sqrt(total / self.base) - 1.0
+        rise = np.sqrt(total / self.solver.base) - 1.0
         for j in np.flatnonzero(rise > _COSTLY):
             self.warnings.append(
                 f"{self.robot.joints[j]}: {rise[j]:.1%} worse than plain least squares "
@@ -269,23 +261,6 @@ class Identification:
         known = RigidBody(robot.chain, motion).load + robot.chain.armature * motion.a
         known += robot.damping * motion.v + robot.frictionloss * np.sign(motion.v)
         return np.asarray(motion.tau - known)
-
-    def _linearised(self, problem: Problem) -> Problem:
-        """The same problem around the values that signal-changing effects settle at."""
-        for _ in range(_MOST_LINEARISATIONS):
-            products = self.data.products(problem)
-            theta = settle(products, self.estimators[-1]).theta
-            effects = to_be_found(problem.fitted(theta)[1])
-            before = [x for e in problem.effects for x in e.gain_values]
-            problem = build_problem(
-                problem.chain, effects, inertial=problem.rigid_inertial(theta)
-            )
-            after = [x for e in problem.effects for x in e.gain_values]
-            if np.allclose(before, after, rtol=1e-3):
-                break
-        else:
-            self.settled = False
-        return problem
 
     def _friction(self, start: Solution) -> dict[int, list[Effect]]:
         """The effects at each joint with its friction found anew."""
@@ -321,15 +296,17 @@ class Identification:
             open_ = {j: x for j, x in offer.items() if j not in taken}
             if not open_:
                 continue
-            found = self._solve(start, self._exchanged(start, {**taken, **open_}))
+            found = self.solver.with_effects(
+                start, self._exchanged(start, {**taken, **open_})
+            )
             gains = lowers(start.squares, found.squares, tried=tried)
             taken |= {j: x for j, x in open_.items() if gains[j]}
             refused = [j for j in open_ if j not in taken]
         if not taken:
             return start
         if refused:
-            found = self._solve(start, self._exchanged(start, taken))
-        return found if self._cost(found.squares) < self._cost(start.squares) else start
+            found = self.solver.with_effects(start, self._exchanged(start, taken))
+        return min(start, found, key=lambda x: self.solver.cost(x.squares))
 
     def _exchanged(
         self, start: Solution, at: Mapping[int, list[Effect]]
@@ -337,80 +314,6 @@ class Identification:
         old = [e for j in at for e in self._at(start, j)]
         kept = [e for e in start.effects if not any(e is x for x in old)]
         return [*kept, *(e for effects in at.values() for e in effects)]
-
-    def _solve(
-        self,
-        start: Solution,
-        effects: Sequence[Effect],
-        known: Sequence[Array] | None = None,
-    ) -> Solution:
-        # What stage two left at zero stays there: its opposites would be collinear.
-        without = [
-            (k, g.name)
-            for k, e in enumerate(effects)
-            for g in e.gains
-            if isinstance(e, ThresholdFriction) and e.values[g.name] == 0.0
-        ]
-        problem = build_problem(
-            self.robot.chain,
-            to_be_found(effects),
-            inertial=start.problem.rigid_inertial(start.settled.theta),
-            without=without,
-        )
-        return self._chosen(problem, self.data.less(known))
-
-    def _chosen(self, problem: Problem, data: Data) -> Solution:
-        """The rungs of stage one that predict unseen samples best, joint by joint."""
-        products = data.products(problem)
-        file = file_prior(problem, self.robot, self.scales)
-        strengths = _STRENGTHS if file is not None else _STRENGTHS[:1]
-        priors = [file.times(x) if file and x else None for x in strengths]
-        # The strength first, by the estimator between the others; then the estimator.
-        middle = self.estimators[min(1, len(self.estimators) - 1)]
-        best = min(
-            (self._tried(products, middle, x) for x in priors),
-            key=lambda x: self._cost(x.squares),
-        )
-        others = [x for x in self.estimators if x != middle]
-        return min(
-            [best, *(self._tried(products, x, best.prior) for x in others)],
-            key=lambda x: self._cost(x.squares),
-        )
-
-    def _tried(
-        self,
-        products: CrossProducts,
-        estimator: Estimator,
-        prior: Prior | None,
-        *,
-        bounded: bool = True,
-    ) -> Solution:
-        settled = settle(
-            products, estimator, bounded=bounded, robust=self.robust, prior=prior
-        )
-        theta = without_folds(
-            products,
-            settled.weight,
-            bounded=bounded,
-            prior=prior,
-            folds=FOLDS,
-            share=settled.share,
-        )
-        squares = scored(products, theta)
-        problem = products.problem
-        return Solution(problem, products, settled, prior, bounded, theta, squares)
-
-    def _cost(self, squares: Array, harm: float = _HARM) -> float:
-        """Mean log of the held-out RMS, and of its rise above plain LS besides."""
-        total = np.maximum(self._total(squares), 1e-300) / self.base
-        level = 0.5 * np.log(total)
-        return float(np.mean(level + harm * np.maximum(level, 0.0)))
-
-    def _total(self, squares: Array) -> Array:
-        return total(squares, self.robust)
-
-    def _rms(self, squares: Array) -> Array:
-        return np.asarray(np.sqrt(squares.sum(axis=0) / self.data.moving))
 
     def _model(
         self, solution: Solution, remainder: ArmRemainder | None = None

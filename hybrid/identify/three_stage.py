@@ -42,12 +42,14 @@ def identify(
     """Identify the drive torque of an arm from logs of its joints.
 
     Args:
-        robot: The arm; its inertias serve only as a first idea of the load.
+        robot: The arm; its links, rotors and friction are a prior, as strong as helps.
         recordings: Logs, or motions made from them whose masks leave samples out.
-        estimator: ``ls``, ``wls`` or ``irls`` with the full covariance across joints.
+        estimator: The last rung that may be taken of ``ls``, ``wls`` and ``irls``, the
+            one with the full covariance across joints.
         stages: Which of the stages to run; ``rigid`` always does.
         effects: More effects whose gains are to be found along with the rigid body.
-        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
+        cutoff: Cut-off of columns and torque, [Hz]; if not given, that of the spectrum
+            of positions or a half, a quarter, … of it, by the error on unseen samples.
         robust: Weigh down stretches that do not fit (contacts, glitches).
         consistent: Give the links parameters of bodies that could be built, as near
             to the data as they can be; what the data leave open stays as the robot
@@ -59,7 +61,8 @@ def identify(
 
     Raises:
         IdentificationError: Unknown estimator or stage, a cut-off too low for the
-            recordings, or too little data.
+            recordings, too little data, or a model that predicts unseen torque worse
+            than the robot file does.
         RecordingError: A recording does not fit the arm, or has no torque.
 
     Warns:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.inspect.doubt import Doubt
-from hybrid.inspect.samples import STILL, usual_step
+from hybrid.inspect.samples import STILL, tick, usual_step
 from hybrid.recording import Recording
 from hybrid.recording.recording import row_words
 
@@ -48,7 +48,7 @@ def _glitches(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
     half = -bend / 2
     shape = [np.abs(np.roll(bend, k) - half) < _ALIKE * size for k in (-1, 1)]
     beyond = _largest(size, range(3, _NEARBY + 1), both=True)
-    far = max(_TICKS * _tick(x), _LEAP * float(np.quantile(size, 0.75)), 2 * STILL)
+    far = max(_TICKS * tick(x), _LEAP * float(np.quantile(size, 0.75)), 2 * STILL)
     found = shape[0] & shape[1] & (size > _LEAP * beyond) & (size > far)
     for row in (np.flatnonzero(found)[:1] + 1).tolist():
         text = (
@@ -63,7 +63,7 @@ def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
     """Positions that are elsewhere from one sample to the next."""
     size = np.abs(np.diff(x))
     beside = _largest(size, range(1, _NEARBY + 1), both=True)
-    far = max(_TICKS * _tick(x), 2 * usual_step(x))
+    far = max(_TICKS * tick(x), 2 * usual_step(x))
     found = (size > _LEAP * beside) & (size > far)
     # From standstill on the way: an encoder was frozen, which is told apart.
     before, after = (
@@ -85,12 +85,6 @@ def _largest(size: Array, lags: Iterable[int], *, both: bool) -> Array:
     """Largest of some samples before (lags above zero) or after each, shape (N,)."""
     signed = [s * k for k in lags for s in ((1, -1) if both else (1,))]
     return np.asarray(np.max([np.roll(size, k) for k in signed], axis=0))
-
-
-def _tick(x: Array) -> float:
-    """Resolution of an encoder, from its smallest step."""
-    steps = np.abs(np.diff(x))
-    return float(np.min(steps[steps > 0], initial=np.inf))
 
 
 def _held(recording: Recording) -> Iterator[Doubt]:

@@ -123,12 +123,17 @@ class Columns:
         return np.asarray(np.clip(left, _LEAST, 1.0))
 
 
+def direction(v: Array) -> Array:
+    """Sign of speeds, shape (M, n), that changes gradually where they creep."""
+    fastest = np.maximum(np.abs(v).max(axis=0), _TINY)
+    return np.asarray(np.tanh(v / (_CREEP * fastest)))
+
+
 def _drives(state: State) -> Array:
     """Columns of rotors, friction and offsets, shape (M, n, 5n)."""
     samples, n = state.q.shape
     drive = np.zeros((samples, n, n, _OWN))
-    fastest = np.maximum(np.abs(state.v).max(axis=0), _TINY)
-    dry = np.tanh(state.v / (_CREEP * fastest))
+    dry = direction(state.v)
     own = np.stack([state.a, state.v, dry, np.ones_like(dry), -np.ones_like(dry)], -1)
     each = np.arange(n)
     drive[:, each, each] = own

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from hybrid.inspect.doubt import Doubt, Severity
 from hybrid.inspect.masses import Columns, file_masses, unit_masses
 from hybrid.inspect.reading import Reading, readings
+from hybrid.inspect.speeds import bear_out
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot.chain import Chain
-from hybrid.signals.speed import speed_against_position
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,6 @@ _FINALISTS = 6  # readings that are asked with joints weighed anew
 _DISTURBS = 0.02  # of what one joint leaves, in what others do: they share their links
 _MOST = 4  # things that are wrong with one log
 _STILL = 1e-3  # rad or m
-_AGREES = 0.1  # of a speed, by which it may differ from that of positions and clock
 
 
 @dataclass(eq=False)
@@ -96,7 +95,7 @@ def doubts_of_physics(
         state: Samples of the log.
     """
     masses = {"any": unit_masses(chain)}
-    clocked = _clocked(recording)
+    clocked = bear_out(state)
     if chain.inertial.any():
         masses["file"] = file_masses(chain)
     for _ in range(_MOST):
@@ -106,15 +105,6 @@ def doubts_of_physics(
         reading, before, after, severity = found
         yield _doubt(recording, reading, before, after, severity)
         state = reading.of(state)
-
-
-def _clocked(recording: Recording) -> bool:
-    """Whether measured speeds bear out the clock: no other is then looked for."""
-    if recording.v is None:
-        return False
-    scale = speed_against_position(recording).scale
-    scale = scale[np.isfinite(scale)]
-    return len(scale) > 0 and bool(abs(np.median(scale) - 1.0) < _AGREES)
 
 
 def _likelier(

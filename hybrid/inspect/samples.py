@@ -51,13 +51,13 @@ def usual_step(x: Array) -> float:
 
     Of a joint at rest, which mostly makes none, that of its encoder.
     """
+    return max(float(np.quantile(np.abs(np.diff(x)), 0.99)), tick(x, _COARSEST))
+
+
+def tick(x: Array, coarsest: float = np.inf) -> float:
+    """Resolution of the encoder of a position, shape (N,), from its smallest step."""
     steps = np.abs(np.diff(x))
-    return max(float(np.quantile(steps, 0.99)), _tick(steps))
-
-
-def _tick(steps: Array) -> float:
-    """Resolution of an encoder, from the sizes of its steps."""
-    return float(np.min(steps[steps > 0], initial=_COARSEST))
+    return float(np.min(steps[steps > 0], initial=coarsest))
 
 
 def _clock(recording: Recording) -> Iterator[Doubt]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.inspect.doubt import Doubt, Severity
+from hybrid.inspect.masses import direction
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -33,10 +34,10 @@ def scales(robot: Robot, state: State) -> Array:
         inverse_dynamics(robot.chain, robot.chain.inertial, state.q, state.v, state.a)
         + robot.chain.armature * state.a
     )
-    found = np.full(robot.size, np.nan)
+    found, dry = np.full(robot.size, np.nan), direction(state.v)
     for j in range(robot.size):
         v, a = state.v[:, j], state.a[:, j]
-        beside = [np.ones_like(v), v, np.tanh(v / (0.02 * max(np.abs(v).max(), 1e-12)))]
+        beside = [np.ones_like(v), v, dry[:, j]]
         if not robot.chain.armature[j]:
             beside.append(a)
         basis = np.linalg.qr(np.stack(beside, axis=1))[0]

@@ -68,8 +68,7 @@ def doubts_of_speeds(recording: Recording, state: State) -> Iterator[Doubt]:
     """
     if state.logged is None:
         return
-    moving = np.flatnonzero(np.ptp(state.q, axis=0) > _MOVES).tolist()
-    moving = [j for j in moving if np.ptp(state.logged[:, j]) > 0]
+    moving = _moving(state, state.logged)
     slope, logged = state.v[:, moving], state.logged[:, moving]
     squares = np.maximum((slope**2).sum(axis=0), 1e-300)
     alike = (logged.T @ slope) / np.sqrt(
@@ -86,6 +85,22 @@ def doubts_of_speeds(recording: Recording, state: State) -> Iterator[Doubt]:
         return
     for k, j in enumerate(moving):
         yield from _of_joint(recording, j, float(factor[k]), alike[k], k, moving)
+
+
+def bear_out(state: State) -> bool:
+    """Whether measured speeds bear out the clock: it is not in doubt then."""
+    if state.logged is None:
+        return False
+    moving = _moving(state, state.logged)
+    slope, logged = state.v[:, moving], state.logged[:, moving]
+    factor = (logged * slope).sum(axis=0) / np.maximum((slope**2).sum(axis=0), 1e-300)
+    return len(moving) > 0 and 1 / _ODD < float(np.median(factor)) < _ODD
+
+
+def _moving(state: State, logged: Array) -> list[int]:
+    """Joints whose position and measured speed both change."""
+    moves = (np.ptp(state.q, axis=0) > _MOVES) & (np.ptp(logged, axis=0) > 0)
+    return [int(j) for j in np.flatnonzero(moves)]
 
 
 def _of_all(factor: float) -> Doubt:

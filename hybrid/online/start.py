@@ -65,8 +65,14 @@ class Start:
         root = np.zeros((d, d))
         upper: Array = np.asarray(np.linalg.qr(directions.T, mode="r"))
         root[:p, :p] = upper.T
-        root[p:, p:] = np.diag(self.shape_prior * np.abs(shapes))
+        root[p:, p:] = np.diag(self.shape_prior * np.abs(shapes) * self._fitted)
         return root
+
+    @property
+    def _fitted(self) -> Array:
+        """1 for shapes that are tracked, 0 for those that are chosen, shape (s,)."""
+        shapes = [s for e in self.problem.effects for s in e.shapes]
+        return np.array([0.0 if s.whole else 1.0 for s in shapes])
 
     def _link_sizes(self) -> Array:
         """Sizes of the inertial parameters of every link, shape (10n,)."""
