@@ -122,6 +122,15 @@ def test_the_curve_of_friction_is_recovered_at_every_speed(knee):
     assert np.sqrt(np.mean((found - shift - expected) ** 2)) < 0.04
 
 
+def test_a_law_that_is_exchanged_is_gone(knee):
+    """A level and a slope beside a knee would share what is one friction."""
+    at_shoulder = [e.id for e in knee.model.effects if e.joints == (0,)]
+    assert "threshold_friction" in at_shoulder
+    assert not {"coulomb", "viscous", "torque_offset"} & set(at_shoulder)
+    kinds = [(e.id, e.joints, tuple(e.shape_values.items())) for e in knee.model.effects]
+    assert len(set(kinds)) == len(kinds)
+
+
 def test_stribeck_friction_is_followed_by_a_law_of_another_shape():
     """The plant's curve is an exponential, which the fit's knee can only approach."""
     level = {"level": 1.5}

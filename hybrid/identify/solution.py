@@ -70,9 +70,9 @@ class Solution:
         """Residual covariance across joints, shape (n, n), [N²·m²]."""
         return residual_covariance(self.products, self.settled.theta)
 
-    @property
+    @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """Effects with their values."""
+        """Effects with their values, the same objects whenever they are asked for."""
         return self.problem.fitted(self.settled.theta)[1]
 
     def model(
