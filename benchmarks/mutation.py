@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 
 from cosmic_ray.ast import ast_nodes, get_ast
@@ -99,7 +100,8 @@ def drawn(seed: int, count: int, only: tuple[str, ...] = ()) -> list[Mutant]:
     )
     chosen = [m for m in dict.fromkeys(modules) if m.startswith(only or ("hybrid/",))]
     found = [mutant for path in chosen for mutant in mutants(path)]
-    return sorted(found, key=lambda m: _rank(seed, m))[:count]
+    ranked = sorted(found, key=lambda m: _rank(seed, m))
+    return list(islice(filter(_compiles, ranked), count))
 
 
 def mutants(path: str) -> Iterator[Mutant]:
@@ -117,6 +119,15 @@ def mutants(path: str) -> Iterator[Mutant]:
             marker = node.parent is not None and node.parent.type == "parameters"
             if not (marker or any(a <= (row, column) < b for a, b in unused)):
                 yield Mutant(path, name, occurrence, f"{line}\0{seen[line]}")
+
+
+def _compiles(mutant: Mutant) -> bool:
+    """Whether the change is Python: the stars of ``{**x}`` are no power."""
+    try:
+        ast.parse(mutant.source())
+    except SyntaxError:
+        return False
+    return True
 
 
 def _rank(seed: int, mutant: Mutant) -> str:
