@@ -109,7 +109,7 @@ def said_of_right(robots: Sequence[Robot], seeds: int) -> dict[str, Counter[str]
     for robot in robots:
         for seed in range(seeds):
             for kind, file, log in right_logs(robot, seed):
-                doubts = inspect_recording(log, file)
+                doubts = inspect_recording(log, file).doubts
                 said["logs"][kind] += 1
                 for severity in {d.severity for d in doubts}:
                     said[f"{severity}s"][f"{kind}, {robot.name}: {doubts[0].line}"] += 1
@@ -118,7 +118,7 @@ def said_of_right(robots: Sequence[Robot], seeds: int) -> dict[str, Counter[str]
 
 def outcome(robot: Robot, log: Recording, way: Any, i: int, j: int) -> str:
     """What is said of a wrong log."""
-    doubts = inspect_recording(way.make(log, i, j), robot)
+    doubts = inspect_recording(way.make(log, i, j), robot).doubts
     columns = made.about(way, i, j)
     right = [
         d

@@ -127,7 +127,9 @@ def test_a_law_that_is_exchanged_is_gone(knee):
     at_shoulder = [e.id for e in knee.model.effects if e.joints == (0,)]
     assert "threshold_friction" in at_shoulder
     assert not {"coulomb", "viscous", "torque_offset"} & set(at_shoulder)
-    kinds = [(e.id, e.joints, tuple(e.shape_values.items())) for e in knee.model.effects]
+    kinds = [
+        (e.id, e.joints, tuple(e.shape_values.items())) for e in knee.model.effects
+    ]
     assert len(set(kinds)) == len(kinds)
 
 

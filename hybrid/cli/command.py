@@ -17,6 +17,7 @@ from hybrid.cli import (
     excite,
     export,
     identify,
+    inspect,
     predict,
     simulate,
     track,
@@ -29,6 +30,7 @@ from hybrid.names import printable
 OK, BUG, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
 _VERBS = {
+    "inspect": inspect,
     "excite": excite,
     "simulate": simulate,
     "identify": identify,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _NOT_SETTINGS = {
     "verb", "parser", "robot", "recordings", "recording", "model", "effects_from",
-    "out", "json", "seed", "poses",
+    "out", "json", "seed", "poses", "page",
 }  # fmt: skip
 
 

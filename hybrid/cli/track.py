@@ -76,7 +76,7 @@ def run(args: Namespace, screen: Screen) -> None:
     model = DynamicModel.load(args.model)
     joints = model.robot.joints
     recording = read(args.recording, joints=joints).in_order(joints)
-    for doubt in inspect_recording(recording, model.robot):
+    for doubt in inspect_recording(recording, model.robot).doubts:
         # The tracker leaves wrong samples out, and says so.
         warnings.warn(f"{recording.source}: {doubt.line}", HybridWarning, stacklevel=2)
     times, q, tau = recording.t, recording.q, recording.tau

@@ -2,5 +2,6 @@
 
 from hybrid.inspect.doubt import Doubt
 from hybrid.inspect.inspect import check_recordings, inspect_recording
+from hybrid.inspect.inspection import Inspection
 
-__all__ = ["Doubt", "check_recordings", "inspect_recording"]
+__all__ = ["Doubt", "Inspection", "check_recordings", "inspect_recording"]

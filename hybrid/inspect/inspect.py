@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 
+import numpy as np
+
+from hybrid.inspect.coverage import (
+    Excitation,
+    JointCoverage,
+    coverage_of,
+    excitation_of,
+)
 from hybrid.inspect.doubt import Doubt, act_on, is_error
+from hybrid.inspect.inspection import Inspection, clock_of
 from hybrid.inspect.leaps import doubts_of_rows
 from hybrid.inspect.magnitude import doubts_of_magnitude
 from hybrid.inspect.physics import doubts_of_physics
@@ -18,25 +28,40 @@ from hybrid.recording import Recording, resample, unbroken
 from hybrid.robot import Robot
 
 
-def inspect_recording(recording: Recording, robot: Robot) -> tuple[Doubt, ...]:
-    """What speaks against a log being what its columns say.
+def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspection:
+    """All that is known of a log before anything is fitted to it.
 
     Samples are looked at first, then positions against limits, then order, sign, unit
     and clock against physics. Nothing is asked of physics where a sample is wrong.
 
     Args:
-        recording: Joint log without gaps; its columns may be in any order if its joints
-            have the robot's names, and are taken in the robot's order if only numbered.
-        robot: The arm.
+        recording: Joint log; its columns may be in any order if its joints have the
+            robot's names, and are taken in the robot's order if only numbered. A log
+            with gaps is looked at piece by piece.
+        robot: The arm; without it, physics is not asked.
 
     Returns:
-        Doubts, none if the log is in order; of several errors the first is the
-        likeliest to be the cause of others.
+        Clock, joints and doubts; no doubts if the log is in order.
 
     Raises:
         RecordingError: Its joints are not the robot's.
+
+    Warns:
+        HybridWarning: The log has gaps, or an irregular clock.
     """
-    return _examined(recording.in_order(robot.joints), robot)[0]
+    if robot is not None:
+        recording = recording.in_order(robot.joints)
+    pieces = unbroken(recording)
+    looked = [_examined(piece, robot) for piece in pieces]
+    doubts = tuple(dict.fromkeys(x for found in looked for x in found.doubts))
+    longest = looked[int(np.argmax([piece.duration for piece in pieces]))]
+    joints: tuple[JointCoverage, ...] = ()
+    excitation: Excitation | None = None
+    if longest.state is not None:
+        joints = coverage_of(longest.uniform, longest.state)
+        if robot is not None and recording.has_torque:
+            excitation = excitation_of(robot.chain, longest.state)
+    return Inspection(recording, clock_of(recording), joints, excitation, doubts)
 
 
 def check_recordings(recordings: Sequence[Recording], robot: Robot) -> list[Recording]:
@@ -59,43 +84,46 @@ def check_recordings(recordings: Sequence[Recording], robot: Robot) -> list[Reco
     return list(chain.from_iterable(_checked(x, robot) for x in recordings))
 
 
+@dataclass(frozen=True, eq=False)
+class _Look:
+    doubts: tuple[Doubt, ...]
+    uniform: Recording  # on a uniform clock if its samples are right
+    state: State | None = None  # if they are
+
+
 def _checked(recording: Recording, robot: Robot) -> Iterator[Recording]:
     for piece in unbroken(recording.in_order(robot.joints)):
-        doubts, uniform = _examined(piece, robot)
-        act_on(doubts, recording.source)
-        yield uniform
+        look = _examined(piece, robot)
+        act_on(look.doubts, recording.source)
+        yield look.uniform
 
 
-def _examined(
-    recording: Recording, robot: Robot
-) -> tuple[tuple[Doubt, ...], Recording]:
-    """Doubts about a log, and the log on a uniform clock if its samples are right."""
+def _examined(recording: Recording, robot: Robot | None) -> _Look:
+    """Doubts about a log without gaps."""
     found: list[Doubt] = []
-    for doubts in (
-        doubts_of_samples(recording),
-        doubts_of_rows(recording),
-        doubts_of_positions(recording, robot),
-    ):
+    positions = () if robot is None else doubts_of_positions(recording, robot)
+    for doubts in (doubts_of_samples(recording), doubts_of_rows(recording), positions):
         found += doubts
         if any(map(is_error, found)):
-            return tuple(found), recording
+            return _Look(tuple(found), recording)
     uniform = resample(recording)
     state = sampled(uniform)
     for doubts in _of_physics(uniform, robot, state):
         found += doubts
         if any(map(is_error, found)):
             break
-    return tuple(found), uniform
+    return _Look(tuple(found), uniform, state)
 
 
 def _of_physics(
-    recording: Recording, robot: Robot, state: State
+    recording: Recording, robot: Robot | None, state: State
 ) -> Iterator[Iterator[Doubt]]:
     """Questions to ask of samples that are right each, the surest cause first."""
-    if recording.has_torque:
+    if recording.has_torque and robot is not None:
         yield doubts_of_magnitude(recording, robot.chain, state)
         yield doubts_of_physics(recording, robot.chain, state)
     yield doubts_of_speeds(recording, state)
-    yield doubts_of_pace(recording, robot, state)
-    if recording.has_torque:
-        yield doubts_of_scale(recording, robot, state)
+    if robot is not None:
+        yield doubts_of_pace(recording, robot, state)
+        if recording.has_torque:
+            yield doubts_of_scale(recording, robot, state)

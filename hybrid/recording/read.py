@@ -56,6 +56,7 @@ def read_all(
     paths: str | Path | Iterable[str | Path],
     *,
     joints: tuple[str, ...] | None = None,
+    torque: bool = True,
 ) -> list[Recording]:
     """Read all recordings of files, folders and globs.
 
@@ -63,6 +64,7 @@ def read_all(
         paths: One or more of: a file; a folder, for all recordings in it; a glob.
             Folders and globs give their files in alphabetical order.
         joints: As in :func:`read`.
+        torque: As in :func:`read`.
 
     Raises:
         RecordingError: A path holds no recording, or one is not valid.
@@ -75,7 +77,7 @@ def read_all(
     files = dict.fromkeys(file for path in paths for file in _files(Path(path)))
     if not files:
         raise RecordingError("no paths given; valid are files, folders and globs")
-    return [read(file, joints=joints) for file in files]
+    return [read(file, joints=joints, torque=torque) for file in files]
 
 
 def _files(path: Path) -> list[Path]:

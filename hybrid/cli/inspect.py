@@ -1,0 +1,84 @@
+"""``hybrid inspect``: what logs hold, what they tell, and what is wrong with them."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hybrid.cli.options import (
+    add_common,
+    add_robot,
+    check_outputs,
+    load_robot,
+    record,
+    write_record,
+)
+from hybrid.errors import HybridError
+
+if TYPE_CHECKING:
+    from hybrid.cli.screen import Screen
+
+HELP = """look at recordings before anything is fitted to them
+shows how each file was read, its clock, what every joint does, and what the logs cannot
+tell. With a robot, order, sign, unit and clock are held against physics. Exit code 2 if
+a log would mislead. Logs without torque are taken as well.
+
+--json: provenance, logs (source, clock, channels, joints, excitation, doubts,
+misleads).
+
+examples:
+  hybrid inspect logs
+  hybrid inspect logs --robot models/scara.xml --page inspection.html"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument(
+        "recordings", nargs="+", metavar="PATH", help="files, folders or globs"
+    )
+    add_robot(parser, required=False, more=", to hold the logs against physics")
+    parser.add_argument(
+        "--page", type=Path, metavar="FILE.html", help="write all of it, with a picture"
+    )
+    add_common(parser)
+
+
+def run(args: Namespace, screen: Screen) -> None:
+    """Inspect, write and show; refuse what would mislead."""
+    from hybrid.inspect import inspect_recording
+    from hybrid.inspect.doubt import is_error
+    from hybrid.recording import read_all
+    from hybrid.report.inspection import (
+        clocks_table,
+        doubts_table,
+        joints_table,
+        untold_sentences,
+        verdict,
+        write_inspection,
+    )
+
+    if args.page and args.page.suffix.lower() not in (".html", ".htm"):
+        raise HybridError(f"{args.page}: a page is saved as .html")
+    robot = load_robot(args) if args.robot else None
+    joints = robot.joints if robot else None
+    with screen.working("reading recordings"):
+        recordings = read_all(args.recordings, joints=joints, torque=False)
+    inputs = [args.robot] if args.robot else []
+    inputs += [Path(x.source) for x in recordings]
+    check_outputs([args.page, args.json], inputs)
+    how = record(args, inputs)
+    with screen.working(f"inspecting {len(recordings)} recordings"):
+        found = [inspect_recording(x, robot) for x in recordings]
+    write_record(args, how, {"logs": [x.as_dict() for x in found]})
+    if args.page:
+        write_inspection(args.page, found, provenance=how)
+    for table in (clocks_table(found), joints_table(found), doubts_table(found)):
+        if table.rows:
+            screen.show_words(table)
+    for sentence in untold_sentences(found):
+        screen.say(sentence)
+    screen.say(verdict(found))
+    for x in found:
+        for doubt in filter(is_error, x.doubts):
+            raise HybridError(f"{x.recording.source}: {doubt.line}")

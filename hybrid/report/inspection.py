@@ -1,0 +1,200 @@
+"""What is known of logs before anything is fitted: tables, a picture and a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybrid.names import figure_text
+from hybrid.report.page import Section, write_page
+from hybrid.report.style import BLUE, GREY, PALE, clean, finish, legend, panels
+from hybrid.report.table import Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hybrid.inspect import Inspection
+    from hybrid.recording import Recording
+
+_BINS = 1000  # of a line, each drawn from its lowest to its highest sample
+
+
+def clocks_table(inspections: Sequence[Inspection]) -> Table:
+    """One line a log: channels, size, clock, and what speaks against it."""
+    rows = []
+    for x in inspections:
+        clock = x.clock
+        wrong = sum(doubt.severity == "error" for doubt in x.doubts)
+        doubts = [f"{wrong} wrong"] * (wrong > 0)
+        doubts += [f"{len(x.doubts) - wrong} in doubt"] * (len(x.doubts) > wrong)
+        rows.append(
+            (
+                Path(x.recording.source).name,
+                f"{clock.duration:.1f}",
+                f"{clock.rate:.4g}",
+                f"{clock.samples:,}",
+                f"{clock.jitter:.1%}",
+                f"{clock.missing:.1%}",
+                str(clock.holes),
+                ", ".join(x.recording.channels),
+                ", ".join(doubts) or "–",
+            )
+        )
+    header = ("log", "s", "Hz", "samples", "jitter", "missing", "holes", "channels")
+    return Table((*header, "doubts"), tuple(rows))
+
+
+def joints_table(inspections: Sequence[Inspection]) -> Table:
+    """One line a joint: what it does in all logs together."""
+    looked = [x for x in inspections if x.joints]
+    rows = []
+    for each in zip(*(x.joints for x in looked), strict=True):
+        weights = [x.clock.duration for x in looked]
+        moving = float(np.average([x.moving for x in each], weights=weights))
+        step = min(x.resolution for x in each)
+        torque = [x.torque for x in each if x.torque]
+        ends = np.array(torque or [(np.nan, np.nan)])
+        lag = [x.lag for x in each if x.lag is not None]
+        rows.append(
+            (
+                each[0].joint,
+                f"{min(x.low for x in each):.3g} … {max(x.high for x in each):.3g}",
+                f"{max(x.fastest for x in each):.3g}",
+                f"{moving:.0%}",
+                f"{step:.2g}" if np.isfinite(step) else "–",
+                f"{ends[:, 0].min():.3g} … {ends[:, 1].max():.3g}" if torque else "–",
+                f"{1000 * float(np.median(lag)):.0f}" if lag else "–",
+            )
+        )
+    header = ("joint", "q, rad", "fastest, rad/s", "moves", "step of q, rad")
+    return Table((*header, "torque, N·m", "q after command, ms"), tuple(rows))
+
+
+def untold_sentences(inspections: Sequence[Inspection]) -> list[str]:
+    """What these logs cannot tell, in words."""
+    looked = [x for x in inspections if x.joints]
+    if not looked:
+        return []
+    said = []
+    together = list(zip(*(x.joints for x in looked), strict=True))
+    still = [each[0].joint for each in together if not any(x.moving for x in each)]
+    if still:
+        said.append(
+            f"No log moves {', '.join(still)}: friction and rotor there stay unknown."
+        )
+    if not any(x.recording.has_torque for x in looked):
+        said.append(
+            "Without torque, masses and friction are known up to the servo's gain only."
+        )
+    told = [x for x in looked if x.excitation]
+    if told:
+        best = min(told, key=lambda x: len(x.excitation.untold) if x.excitation else 0)
+        found = best.excitation
+        assert found is not None
+        said.append(
+            f"The best log alone, {Path(best.recording.source).name}: "
+            f"{len(found.names) - len(found.untold)} of {len(found.names)} base "
+            f"parameters and drives differ from zero, condition {found.condition:.0f}"
+            + (f"; not {', '.join(found.untold)}." if found.untold else ".")
+        )
+    return said
+
+
+def doubts_table(inspections: Sequence[Inspection]) -> Table:
+    """What speaks against the logs, errors first."""
+    found = [(Path(x.recording.source).name, d) for x in inspections for d in x.doubts]
+    found.sort(key=lambda pair: pair[1].severity != "error")
+    words = {"error": "wrong", "warning": "in doubt"}
+    rows = tuple((words[d.severity], name, d.line) for name, d in found)
+    return Table(("", "log", "what, and what is valid"), rows, words=True)
+
+
+def log_figure(recording: Recording) -> Figure:
+    """Position and command of every joint over time, and torque below.
+
+    Args:
+        recording: Joint log.
+    """
+    joints, t = recording.joints, recording.t - recording.t[0]
+    below = recording.tau if recording.has_torque else recording.v
+    name = "torque\n[N·m]" if recording.has_torque else "speed\n[rad/s]"
+    ratios = (1.0, 1.0) if below is not None else (1.0,)
+    figure, cells = panels(len(joints), height=0.85 * len(ratios) + 0.3, ratios=ratios)
+    for j, axes in enumerate(cells):
+        if recording.command is not None:
+            _line(axes[0], t, recording.command[:, j], PALE, "command", 2.0)
+        _line(axes[0], t, recording.q[:, j], BLUE, "position", 0.9)
+        axes[0].set_title(
+            figure_text(joints[j]), loc="left", fontsize=9, fontweight="bold"
+        )
+        axes[0].set_ylabel("position\n[rad]")
+        if below is not None:
+            _line(axes[1], t, below[:, j], GREY, name.split("\n")[0], 0.7)
+            axes[1].set_ylabel(name)
+        for each in axes:
+            clean(each, grid="y")
+            each.margins(x=0)
+    finish(figure, [axes[-1] for axes in cells], "time [s]")
+    legend(figure, [line for axes in cells[0] for line in axes.get_lines()])
+    return figure
+
+
+def _line(axes: Any, t: Any, x: Any, ink: str, label: str, width: float) -> None:
+    """A line of every sample, or of the extremes of bins where there are too many."""
+    per = len(t) // _BINS
+    if per > 2:
+        rows = len(t) // per * per
+        binned = x[:rows].reshape(-1, per)
+        both = np.stack([binned.min(axis=1), binned.max(axis=1)], axis=1)
+        t, x = np.repeat(t[:rows:per], 2), both.reshape(-1)
+    axes.plot(t, x, color=ink, linewidth=width, label=label)
+
+
+def write_inspection(
+    path: str | Path,
+    inspections: Sequence[Inspection],
+    *,
+    provenance: Mapping[str, Any],
+) -> None:
+    """Write a page of all that is known of some logs.
+
+    Args:
+        path: HTML file.
+        inspections: The logs, looked at.
+        provenance: With what it was made; see :func:`hybrid.report.provenance`.
+    """
+    doubts = doubts_table(inspections)
+    longest = max(inspections, key=lambda x: x.clock.duration).recording
+    sections = [
+        Section("What the joints do", table=joints_table(inspections)),
+        Section("Clocks", table=clocks_table(inspections)),
+        Section(
+            "The longest log",
+            figure=log_figure(longest),
+            caption=f"Every joint of {Path(longest.source).name}.",
+        ),
+        Section(
+            "What these logs cannot tell",
+            "\n\n".join(untold_sentences(inspections)) or "Nothing stands out.",
+        ),
+    ]
+    if doubts.rows:
+        sections.insert(0, Section("What speaks against the logs", table=doubts))
+    lead = verdict(inspections)
+    write_page(path, "Inspection of logs", sections, lead=lead, provenance=provenance)
+
+
+def verdict(inspections: Sequence[Inspection]) -> str:
+    """Whether the logs may be used, in a sentence."""
+    wrong = [x for x in inspections if x.misleads]
+    seconds = sum(x.clock.duration for x in inspections)
+    logs = f"{len(inspections)} log{'s' * (len(inspections) > 1)}, {seconds:.0f} s"
+    if wrong:
+        return f"{logs}: {len(wrong)} would mislead."
+    doubted = sum(bool(x.doubts) for x in inspections)
+    if doubted:
+        return f"{logs}: usable; {doubted} with something to look at."
+    return f"{logs}: nothing speaks against them."
