@@ -9,6 +9,7 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hybrid import files
@@ -19,6 +20,8 @@ from hybrid.files import (
     read_yaml,
     write_json,
 )
+from hybrid.plant.folder import write_run
+from hybrid.recording import Recording, read_all
 
 needs_fork = pytest.mark.skipif(
     not hasattr(os, "fork") or sys.platform == "win32", reason="needs POSIX"
@@ -143,6 +146,26 @@ def test_killed_at_any_step_a_folder_is_old_or_new(tmp_path, is_new):
         if not died:
             break
     assert step >= 5 and seen[-1] and not seen[0]
+
+
+@needs_fork
+def test_killed_at_any_step_a_simulation_is_old_or_new(tmp_path):
+    """Its recordings and its truth are of one run, and load."""
+    t = np.linspace(0.0, 1.0, 50)
+    runs = {
+        text: [Recording(t, k + size * np.outer(t, [1.0, 2.0])) for k in range(2)]
+        for text, size in (("old", 1.0), ("new", 2.0))
+    }
+    for step in range(100):
+        write_run(tmp_path / "logs", runs["old"], {"of": "old"})
+        died = killed_at(
+            step, lambda: write_run(tmp_path / "logs", runs["new"], {"of": "new"})
+        )
+        logs = read_all(tmp_path / "logs", torque=False)
+        assert logs == runs[read_json(tmp_path / "logs" / "truth.json")["of"]]
+        if not died:
+            break
+    assert step >= 8
 
 
 @needs_fork
