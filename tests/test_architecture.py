@@ -27,6 +27,7 @@ FLOORS = (
     {"model"},
     {"compensator"},
     {"search"},
+    {"servo"},
     {"plant"},
     {"inspect"},
     {"dynamics"},
@@ -41,7 +42,7 @@ LEVEL = {name: -depth for depth, names in enumerate(FLOORS) for name in names}
 # Library -> the only places that may import it, and what others do instead.
 HOMES = {
     "mujoco": (
-        ("robot", "plant", "benchmark.sysid"),  # the last is a peer to measure by
+        ("robot", "plant", "servo", "benchmark.sysid"),  # the last is a peer
         "ask Robot for the model, or import it under TYPE_CHECKING",
     ),
     "pinocchio": (("robot", "dynamics"), "use hybrid.dynamics"),

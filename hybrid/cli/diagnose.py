@@ -20,6 +20,7 @@ from hybrid.cli.options import (
     whole,
     write_record,
 )
+from hybrid.cli.servo import diagnose_servos, without_torque
 from hybrid.errors import EffectError, HybridWarning
 
 if TYPE_CHECKING:
@@ -77,11 +78,14 @@ def run(args: Namespace, screen: Screen) -> None:
 
     robot = load_robot(args)
     with screen.working("reading recordings"):
-        recordings = read_all(args.recordings, joints=robot.joints)
+        recordings = read_all(args.recordings, joints=robot.joints, torque=False)
     inputs = [args.robot, *(Path(x.source) for x in recordings)]
     names = (PAGE, CONTENT, SIMULATOR, MODEL)
     check_outputs([*(args.out / name for name in names), args.json], inputs)
     how = record(args, inputs) | {"thresholds": thresholds().version}
+    if without_torque(recordings):
+        diagnose_servos(args, robot, recordings, how, screen)
+        return
     with screen.working(f"diagnosing {robot.name}") as tell:
         result = examine(
             robot, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell

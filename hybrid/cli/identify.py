@@ -19,6 +19,7 @@ from hybrid.cli.options import (
     whole,
     write_record,
 )
+from hybrid.cli.servo import identify_servos, without_torque
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
@@ -33,6 +34,10 @@ effects found; warns of stages that did not help and of poor excitation.
 --json: provenance, robot, joints, stage, cutoff, held_out (RMS of each stage),
 left_out, unidentifiable, warnings, converged, rounds, condition, sigma, effects,
 unknowns.
+
+logs without torque, but with command: stiffness, damping, friction, rotor, delay and
+offset of every servo are found by open-loop replays in MuJoCo, and --out is the robot's
+own MJCF file with these servos.
 
 examples:
   hybrid identify --robot models/scara.xml --recordings logs --out model.json
@@ -91,16 +96,20 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.recording import read_all
     from hybrid.report.fit import content_from_fit
 
-    if args.out.suffix != ".json":
-        raise HybridError(f"{args.out}: a model is saved as .json")
     args.stages = args.stages or STAGES
     robot = load_robot(args)
     effects = load_effects(args.effects, robot)
     with screen.working("reading recordings"):
-        recordings = read_all(args.recordings, joints=robot.joints)
+        recordings = read_all(args.recordings, joints=robot.joints, torque=False)
+    servo = without_torque(recordings)
+    if not servo and args.out.suffix != ".json":
+        raise HybridError(f"{args.out}: a model is saved as .json")
     inputs = [args.robot, *(Path(x.source) for x in recordings)]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
+    if servo:
+        identify_servos(args, robot, recordings, how, screen)
+        return
     with screen.working(f"identifying {robot.name} from {len(recordings)} recordings"):
         fit = identify(
             robot,

@@ -28,7 +28,7 @@ _UNMOVED = 1e-12  # m or rad: a joint whose text is left alone
 
 
 @dataclass(frozen=True)
-class _Tag:
+class Tag:
     """An element's start tag: where it stands, under which tags, its attributes."""
 
     path: tuple[str, ...]
@@ -55,9 +55,9 @@ def write_placements(robot: Robot, chain: Chain, path: str | Path) -> None:
     except OSError as error:
         raise RobotError(f"{source}: cannot be read ({error.strerror})") from error
     changes = _changes(robot.chain, chain)
-    tags = list(_tags(content, source))
+    found = list(tags(content, source))
     replace = _urdf if source.suffix.lower() == ".urdf" else _mjcf
-    edits = replace(content, tags, robot, changes)
+    edits = replace(content, found, robot, changes)
     for start, end, text in sorted(edits, reverse=True):
         content = content[:start] + text.encode() + content[end:]
     with atomic_path(path) as temporary:
@@ -77,7 +77,7 @@ def _changes(old: Chain, new: Chain) -> dict[str, tuple[Array, Array]]:
 
 def _urdf(
     content: bytes,
-    tags: list[_Tag],
+    tags: list[Tag],
     robot: Robot,
     changes: dict[str, tuple[Array, Array]],
 ) -> Iterator[tuple[int, int, str]]:
@@ -105,7 +105,7 @@ def _urdf(
 
 def _mjcf(
     content: bytes,
-    tags: list[_Tag],
+    tags: list[Tag],
     robot: Robot,
     changes: dict[str, tuple[Array, Array]],
 ) -> Iterator[tuple[int, int, str]]:
@@ -145,9 +145,9 @@ def _mjcf(
         yield tag.start, tag.end, text.replace("<body", given, 1)
 
 
-def _tags(content: bytes, path: Path) -> Iterator[_Tag]:
+def tags(content: bytes, path: Path) -> Iterator[Tag]:
     """Start tags in the order of the file; undeclared prefixes do not matter."""
-    found: list[_Tag] = []
+    found: list[Tag] = []
     names: list[str] = []
     starts: list[int] = []
     parser = expat.ParserCreate()
@@ -158,7 +158,7 @@ def _tags(content: bytes, path: Path) -> Iterator[_Tag]:
         assert match is not None  # expat has just read it
         names.append(name)
         found.append(
-            _Tag(tuple(names), tuple(starts), start, match.end(), dict(attributes))
+            Tag(tuple(names), tuple(starts), start, match.end(), dict(attributes))
         )
         starts.append(start)
 

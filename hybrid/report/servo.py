@@ -1,0 +1,128 @@
+"""What became of servos that were fitted by replay: tables, a picture and a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybrid.names import figure_text
+from hybrid.report.page import Section, write_page
+from hybrid.report.style import BLACK, BLUE, PALE, RED, clean, finish, legend, panels
+from hybrid.report.table import Table
+from hybrid.servo.drive import QUANTITIES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hybrid.servo.servo_fit import Replay, ServoFit
+
+
+def gap_table(fit: ServoFit) -> Table:
+    """Error of replays of unseen motion, per joint, in mrad."""
+    rows = []
+    joints = fit.robot.joints
+    for j, joint in enumerate(joints):
+        each = fit.before[j], fit.plain[j], fit.after[j], fit.floor[j]
+        rows.append((joint, *(f"{1000 * x:.2f}" for x in each)))
+    means = (x.mean() for x in (fit.before, fit.plain, fit.after, fit.floor))
+    rows.append(("mean", *(f"{1000 * x:.2f}" for x in means)))
+    caption = (
+        f"RMS error of open-loop replays of {fit.seconds:.0f} s unseen motion, mrad"
+    )
+    header = ("joint", "file", "plain fit", "found", "encoder")
+    return Table(header, tuple(rows), caption)
+
+
+def findings_table(fit: ServoFit) -> Table:
+    """What the file has wrong, the most worthy first."""
+    rows = [
+        (
+            x.joint,
+            x.quantity.replace("_", " "),
+            f"{x.file:.4g}",
+            f"{x.value:.4g}",
+            f"{x.interval[0]:.4g} … {x.interval[1]:.4g}",
+            x.unit,
+            f"{1000 * x.worth:.2f}",
+            x.effect,
+        )
+        for x in fit.findings
+    ]
+    header = ("joint", "number", "file", "found", "95 %", "unit", "worth, mrad")
+    return Table((*header, "effect"), tuple(rows))
+
+
+def servos_table(fit: ServoFit) -> Table:
+    """All numbers of all servos, with 95 % intervals."""
+    rows = []
+    for k, each in enumerate(QUANTITIES):
+        cells = []
+        for x, std in zip(fit.drive[each.name], fit.std[k], strict=True):
+            off = x * np.expm1(1.96 * std) if each.positive else 1.96 * std
+            cells.append(f"{x:.3g} ± {off:.1g}" if std else f"{x:.3g}")
+        rows.append((f"{each.name.replace('_', ' ')}, {each.unit}", *cells))
+    return Table(("", *fit.robot.joints), tuple(rows))
+
+
+def replay_figure(replay: Replay, joints: Sequence[str]) -> Figure:
+    """Position of every joint, measured and replayed, before and after.
+
+    Args:
+        replay: One log beside its replays.
+        joints: Joint names.
+    """
+    figure, cells = panels(len(joints), height=1.6)
+    for j, ((axes,), joint) in enumerate(zip(cells, joints, strict=True)):
+        lines = (
+            (replay.command, PALE, 1.8, "command"),
+            (replay.before, RED, 0.8, "simulator, file"),
+            (replay.after, BLUE, 1.0, "simulator, found"),
+            (replay.q, BLACK, 0.9, "measured"),
+        )
+        for x, ink, width, name in lines:
+            axes.plot(replay.t, x[:, j], color=ink, linewidth=width, label=name)
+        clean(axes, grid="y")
+        axes.margins(x=0)
+        axes.set_title(figure_text(joint), loc="left", fontsize=9, fontweight="bold")
+        axes.set_ylabel("position [rad]")
+    finish(figure, [axes for (axes,) in cells], "time [s]")
+    legend(figure, cells[0][0].get_legend_handles_labels()[0])
+    return figure
+
+
+def write_servo_page(
+    path: str | Path,
+    fit: ServoFit,
+    replay: Replay,
+    *,
+    provenance: Mapping[str, Any],
+) -> None:
+    """Write the page of a fit.
+
+    Args:
+        path: HTML file.
+        fit: The servos.
+        replay: An unseen log beside its replays.
+        provenance: With what it was made; see :func:`hybrid.report.provenance`.
+    """
+    sections = [
+        Section("How far replays miss", table=gap_table(fit)),
+        Section(
+            "An unseen motion",
+            figure=replay_figure(replay, fit.robot.joints),
+            caption=f"{Path(replay.source).name}: replayed from its first state.",
+        ),
+        Section(
+            "What the file has wrong",
+            "Worth: error of unseen replays that comes back with the file's number.",
+            table=findings_table(fit),
+        ),
+        Section("All numbers", table=servos_table(fit)),
+        Section("What these logs cannot tell", "\n\n".join(f"{x}." for x in fit.notes)),
+    ]
+    name = fit.robot.name
+    title = f"{name}: command and position"
+    write_page(path, title, sections, lead=fit.sentence, provenance=provenance)

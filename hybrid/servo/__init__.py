@@ -1,0 +1,6 @@
+"""Arms that log command and position only: the simulator's servo, fitted by replay."""
+
+from hybrid.servo.drive import Drive
+from hybrid.servo.servo_fit import ServoFit, fit_servo
+
+__all__ = ["Drive", "ServoFit", "fit_servo"]

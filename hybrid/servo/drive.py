@@ -1,0 +1,141 @@
+"""A position servo at every joint, in the numbers that a simulator has for it.
+
+    τ = clip(k (c(t − d) − q), ± τ_s) − b q̇ − f + τ₀
+
+with command c, delay d and bristles (LuGre) for the friction f:
+
+    ż = q̇ − σ |q̇| z / g(q̇),   f = σ z + σ₁ ż,   g = F_c + (F_s − F_c) e^−(q̇/v_s)²
+
+Sources: Canudas de Wit et al. 1995, doi 10.1109/9.376053 (friction).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+
+_LITTLE = 1e-4  # of a torque: what stands for none where a logarithm is fitted
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number of every servo, and what is known of it before a log is seen.
+
+    Attributes:
+        name: Standard term.
+        unit: SI unit.
+        effect: Effect of the library that a wrong value is.
+        spread: Prior standard deviation: of the logarithm for a positive number, else
+            in multiples of ``per``.
+        per: ``torque`` for multiples of the stall torque; else plain SI.
+        positive: Whether the number is above zero, and its logarithm is fitted.
+        least: Smallest value of a number that is not.
+    """
+
+    name: str
+    unit: str
+    effect: str
+    spread: float
+    per: str = ""
+    positive: bool = True
+    least: float = -np.inf
+
+
+QUANTITIES = (
+    Quantity("stiffness", "N·m/rad", "controller_gain", 2.0),
+    Quantity("damping", "N·m·s/rad", "viscous", 2.0),
+    Quantity("coulomb", "N·m", "coulomb", 2.0),
+    Quantity("stiction", "N·m", "stribeck", 0.05, "torque", False, 0.0),
+    Quantity("stribeck_speed", "rad/s", "stribeck", 1.0),
+    Quantity("bristle", "N·m/rad", "presliding", 1.0),
+    Quantity("armature", "kg·m²", "armature", 2.0),
+    Quantity("stall", "N·m", "saturation", 1.0),
+    Quantity("offset", "N·m", "torque_offset", 0.05, "torque", False),
+    Quantity("zero", "rad", "encoder_offset", 0.05, "", False),
+    Quantity("delay", "s", "command_latency", 0.03, "", False, 0.0),
+)
+NAMES = tuple(x.name for x in QUANTITIES)
+PLAIN = ("stiffness", "damping", "coulomb", "armature", "offset", "delay")
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Servos of an arm of n joints.
+
+    Attributes:
+        values: Value of each quantity, shape (len(QUANTITIES), n), in SI units.
+        stall: Torque in which some spreads are stated, shape (n,), [N·m].
+    """
+
+    values: Array
+    stall: Array
+
+    def __getitem__(self, name: str) -> Array:
+        """Values of one quantity, shape (n,)."""
+        return np.asarray(self.values[NAMES.index(name)])
+
+    def at(self, **changed: Any) -> Drive:
+        """The same with other values of some quantities, (n,) or one for all."""
+        values = self.values.copy()
+        for name, x in changed.items():
+            values[NAMES.index(name)] = x
+        return replace(self, values=values)
+
+    @property
+    def spread(self) -> Array:
+        """Prior standard deviations of the coordinates, (len(QUANTITIES), n)."""
+        ones = np.ones_like(self.stall)
+        return np.array(
+            [x.spread * (self.stall if x.per == "torque" else ones) for x in QUANTITIES]
+        )
+
+    @property
+    def coordinates(self) -> Array:
+        """What is fitted: logarithms of positive numbers, (len(QUANTITIES), n)."""
+        rows = zip(QUANTITIES, self.values, strict=True)
+        return np.array([np.log(x) if each.positive else x for each, x in rows])
+
+    def moved(self, coordinates: Array) -> Drive:
+        """Servos at other coordinates."""
+        rows = zip(QUANTITIES, coordinates, strict=True)
+        values = [np.exp(x) if q.positive else np.maximum(x, q.least) for q, x in rows]
+        return replace(self, values=np.array(values))
+
+    @classmethod
+    def declared(cls, robot: Robot) -> Drive:
+        """Servos as a robot file states them; usual ones where it states none.
+
+        Args:
+            robot: The arm.
+        """
+        n = robot.size
+        stall = np.where(np.isfinite(robot.tau_max), robot.tau_max, _usual(robot))
+        gain = np.where(np.isfinite(robot.kp), robot.kp, stall / 0.1)
+        servo = np.where(np.isfinite(robot.kd), robot.kd, 0.0)
+        little = _LITTLE * stall
+        friction = np.maximum(robot.frictionloss, little)
+        known = {
+            "stiffness": gain,
+            "damping": np.maximum(servo + robot.damping, little),
+            "coulomb": friction,
+            "stribeck_speed": np.full(n, 0.05),
+            "bristle": 2.0 * stall / 0.1,
+            "armature": np.maximum(robot.chain.armature, 1e-4 * stall),
+            "stall": stall,
+        }
+        values = [known.get(name, np.zeros(n)) for name in NAMES]
+        return cls(np.array(values), stall)
+
+
+def _usual(robot: Robot) -> Array:
+    """Stall torques that hold the arm against gravity with room, (n,), [N·m]."""
+    chain = robot.chain
+    reach = np.linalg.norm(chain.translation, axis=1)
+    beyond = np.cumsum(reach[::-1])[::-1] + 0.1
+    mass = np.cumsum(chain.inertial[::-1, 0])[::-1]
+    return np.maximum(3.0 * 9.81 * mass * beyond, 0.1)

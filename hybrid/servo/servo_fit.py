@@ -1,0 +1,342 @@
+"""Servos fitted to logs without torque, and what is wrong with those of the file.
+
+A number of the file is wrong with probability 1/(1 + e^(cost − log B)): B, the
+Savage–Dickey ratio, is the prior density of the file's own number over its posterior
+density, and the cost is that of one cause in some hundred places. One guard stays: with
+the number put back, replays of unseen motion must be worse.
+
+Source: Dickey 1971, doi 10.1214/aoms/1177693507.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hybrid.errors import RecordingError
+from hybrid.recording import Recording
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive
+from hybrid.servo.fit import Estimate, fitted, resolution
+from hybrid.servo.simulator import Simulator
+from hybrid.servo.start import first_guess
+from hybrid.servo.stretch import Stretch, chosen, stretches_of
+from hybrid.threads import one_thread
+
+_COST = 5.0  # nats: prior odds of one number, among some hundred, to be wrong
+_SURE = 0.95
+_SECONDS, _EACH = 240.0, 10.0  # s of motion to fit, in parts of this length
+_UNSEEN = 4  # one recording in so many is kept aside
+_TAIL = 0.3  # of a single recording is kept aside
+_STILL = 3.0  # steps of the encoder: a joint that goes less far rests
+# Shapes of friction have no number in the file; they are no cause of their own.
+_SHAPES = ("stribeck_speed", "bristle")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One number of the file that is wrong.
+
+    Attributes:
+        effect: Effect of the library.
+        joint: Name of the joint.
+        quantity: What is wrong.
+        unit: Its unit.
+        file: What the file says.
+        value: What the logs say.
+        interval: 95 % of the posterior.
+        probability: That the file is wrong in this.
+        worth: Error of unseen replays of this joint that comes back with the file's
+            number, [rad].
+    """
+
+    effect: str
+    joint: str
+    quantity: str
+    unit: str
+    file: float
+    value: float
+    interval: tuple[float, float]
+    probability: float
+    worth: float
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """One log beside its replays, N samples.
+
+    Attributes:
+        t: Time, shape (N,), [s].
+        command: Commanded position, shape (N, n), [rad].
+        q: Measured position, shape (N, n), [rad].
+        before: What the file's servos make of it, shape (N, n), [rad].
+        after: What the servos found make of it, shape (N, n), [rad].
+        source: Where the log is from.
+    """
+
+    t: Array
+    command: Array
+    q: Array
+    before: Array
+    after: Array
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class ServoFit:
+    """Servos of an arm, from logs of command and position.
+
+    Attributes:
+        robot: The arm as its file has it.
+        drive: Servos as found.
+        std: Standard deviations: relative of positive numbers, else in the number's
+            unit; shape (len(QUANTITIES), n).
+        findings: What the file has wrong, the most worthy first.
+        before: Error of replays with the file, RMS on unseen motion, (n,), [rad].
+        plain: The same with a plain fit of stiffness, damping, friction, rotor, offset
+            and delay.
+        after: The same with these servos.
+        floor: Resolution of the encoder, shape (n,), [rad]: no replay gets below.
+        seconds: Unseen motion that was replayed, [s].
+        unseen: Where it is from.
+        resting: Joints that no log moves; their numbers are the file's.
+        notes: What these logs cannot tell.
+    """
+
+    robot: Robot
+    drive: Drive
+    std: Array
+    findings: tuple[Finding, ...]
+    before: Array
+    plain: Array
+    after: Array
+    floor: Array
+    seconds: float
+    unseen: tuple[str, ...]
+    resting: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """The result in a sentence."""
+        moving = [k for k, x in enumerate(self.robot.joints) if x not in self.resting]
+        before, after = (
+            1000 * float(x[moving].mean()) for x in (self.before, self.after)
+        )
+        names = list(dict.fromkeys(f"{x.quantity} at {x.joint}" for x in self.findings))
+        shown = ", ".join(names[:4]) + (
+            f" and {len(names) - 4} more" if len(names) > 4 else ""
+        )
+        cause = f"the file is wrong in {shown}" if names else "nothing stands out"
+        return (
+            f"Replays of unseen motion miss by {after:.1f} instead of {before:.1f} "
+            f"mrad (mean of joints): {cause}."
+        )
+
+    def replayed(self, recording: Recording) -> Replay:
+        """A log, and what the file's servos and these make of its commands.
+
+        Args:
+            recording: Log with command; its longest stretch without holes is taken.
+        """
+        whole = stretches_of([recording.in_order(self.robot.joints)])
+        longest = max(whole, key=lambda x: x.duration)
+        simulator = Simulator(self.robot)
+        (before,), (after,) = simulator.replay([longest], [None]) + simulator.replay(
+            [longest], [self.drive]
+        )
+        t = np.arange(len(longest.q), dtype=np.float64) * longest.step
+        return Replay(t, longest.command, longest.q, before, after, longest.source)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready content."""
+        joints = self.robot.joints
+        return {
+            "schema": "hybrid.servo/1",
+            "robot": self.robot.name,
+            "joints": list(joints),
+            "sentence": self.sentence,
+            "gap": [
+                {
+                    "joint": joint,
+                    "unit": "rad",
+                    "before": float(self.before[j]),
+                    "plain_fit": float(self.plain[j]),
+                    "after": float(self.after[j]),
+                    "noise": float(self.floor[j]),
+                }
+                for j, joint in enumerate(joints)
+            ],
+            "findings": [asdict(x) for x in self.findings],
+            "servos": [
+                {
+                    "joint": joint,
+                    **{
+                        x.name: {
+                            "value": float(self.drive[x.name][j]),
+                            "std": float(self.std[k, j]),
+                            "relative": x.positive,
+                            "unit": x.unit,
+                        }
+                        for k, x in enumerate(QUANTITIES)
+                    },
+                }
+                for j, joint in enumerate(joints)
+            ],
+            "seconds": self.seconds,
+            "unseen": [Path(x).name for x in self.unseen],
+            "resting": list(self.resting),
+            "notes": list(self.notes),
+        }
+
+
+@one_thread
+def fit_servo(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    *,
+    progress: Callable[[str], None] = lambda _: None,
+) -> ServoFit:
+    """Fit the servos of an arm to logs of command and position.
+
+    Whole recordings are kept aside and replayed at the end; of one or two recordings,
+    their last third.
+
+    Args:
+        robot: The arm; its servos are where the prior is.
+        recordings: Logs with command; torque is not used.
+        progress: Is told what is done.
+
+    Raises:
+        RecordingError: A log has no command, or no joint moves.
+    """
+    logs = stretches_of([x.in_order(robot.joints) for x in recordings])
+    learn, unseen = _split(logs)
+    rests = _resting(learn)
+    if len(rests) == robot.size:
+        raise RecordingError("no joint moves; valid are logs of a moving arm")
+    simulator, prior = Simulator(robot), Drive.declared(robot)
+    parts = chosen(learn, _SECONDS, _EACH)
+    start = first_guess(robot, learn)
+    still = {name: prior[name] for name in NAMES}
+    start = start.at(**{k: _mixed(start[k], still[k], rests) for k in NAMES})
+    search = partial(fitted, simulator, parts, prior=prior, resting=rests)
+    plain = search(
+        start=start, names=PLAIN, progress=lambda text: progress(f"plain {text}")
+    )
+    found = search(start=plain.drive, progress=progress)
+    before, between, after = (
+        _missed(simulator, unseen, x) for x in (None, plain.drive, found.drive)
+    )
+    findings = _findings(robot, prior, found, simulator, unseen, after, rests)
+    return ServoFit(
+        robot=robot,
+        drive=found.drive,
+        std=found.std,
+        findings=findings,
+        before=before,
+        plain=between,
+        after=after,
+        floor=resolution(logs),
+        seconds=sum(x.duration for x in unseen),
+        unseen=tuple(x.source for x in unseen),
+        resting=tuple(robot.joints[j] for j in rests),
+        notes=_notes(robot, rests),
+    )
+
+
+def _split(logs: list[Stretch]) -> tuple[list[Stretch], list[Stretch]]:
+    """What is fitted, and what is kept aside."""
+    if len(logs) >= 3:
+        unseen = logs[_UNSEEN // 2 :: _UNSEEN]
+        return [x for x in logs if x not in unseen], unseen
+    ends = [int((1 - _TAIL) * len(x.q)) for x in logs]
+    pairs = list(zip(logs, ends, strict=True))
+    return [x.cut(0, k) for x, k in pairs], [x.cut(k, len(x.q)) for x, k in pairs]
+
+
+def _resting(logs: Sequence[Stretch]) -> list[int]:
+    travel = np.array([np.ptp(x.q, axis=0) for x in logs]).max(axis=0)
+    least = np.maximum(_STILL * np.sqrt(12.0) * resolution(logs), 1e-3)
+    return [int(j) for j in np.flatnonzero(travel < least)]
+
+
+def _mixed(moving: Array, resting: Array, rests: Sequence[int]) -> Array:
+    mixed = moving.copy()
+    mixed[list(rests)] = resting[list(rests)]
+    return mixed
+
+
+def _missed(
+    simulator: Simulator, logs: Sequence[Stretch], drive: Drive | None
+) -> Array:
+    """RMS error of replays, shape (n,), [rad]."""
+    (moved,) = simulator.replay(logs, [drive])
+    pairs = zip(moved, logs, strict=True)
+    errors = np.concatenate([q - x.q for q, x in pairs])
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
+
+
+def _findings(
+    robot: Robot,
+    prior: Drive,
+    found: Estimate,
+    simulator: Simulator,
+    unseen: Sequence[Stretch],
+    after: Array,
+    rests: Sequence[int],
+) -> tuple[Finding, ...]:
+    """Numbers that are wrong with probability 0.95, and whose file's value is worse."""
+    file, x, spread = prior.coordinates, found.drive.coordinates, prior.spread
+    std = np.minimum(np.maximum(found.std, 1e-9), spread)
+    odds = np.log(spread / std) - 0.5 * ((x - file) / std) ** 2
+    probability = 1.0 / (1.0 + np.exp(np.minimum(odds + _COST, 700.0)))
+    findings = []
+    for k, quantity in enumerate(QUANTITIES):
+        if quantity.name in _SHAPES:
+            continue
+        back = found.drive.at(**{quantity.name: prior[quantity.name]})
+        worth = _missed(simulator, unseen, back) - after
+        for j, joint in enumerate(robot.joints):
+            if j in rests or probability[k, j] < _SURE or not worth[j] > 0:
+                continue
+            off = 1.96 * std[k, j]
+            ends = x[k, j] - off, x[k, j] + off
+            low, high = map(float, np.exp(ends) if quantity.positive else ends)
+            findings.append(
+                Finding(
+                    effect=quantity.effect,
+                    joint=joint,
+                    quantity=quantity.name,
+                    unit=quantity.unit,
+                    file=float(prior[quantity.name][j]),
+                    value=float(found.drive[quantity.name][j]),
+                    interval=(low, high),
+                    probability=float(probability[k, j]),
+                    worth=float(worth[j]),
+                )
+            )
+    return tuple(sorted(findings, key=lambda f: -f.worth))
+
+
+def _notes(robot: Robot, rests: Sequence[int]) -> tuple[str, ...]:
+    notes = [
+        "without torque, every torque here rests on the masses of the file: if these "
+        "are off by a factor, so are stiffness, damping, friction and rotors"
+    ]
+    if not robot.chain.inertial[:, 0].any() or not robot.chain.gravity.any():
+        notes = ["the file has no weight: only ratios of these numbers are known"]
+    if rests:
+        names = ", ".join(robot.joints[j] for j in rests)
+        notes.append(f"no log moves {names}: their numbers are the file's")
+    if not np.isfinite(robot.kp).all():
+        notes.append(
+            "the file declares no servo at some joints: a position servo is assumed"
+        )
+    return tuple(notes)

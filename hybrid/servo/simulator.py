@@ -1,0 +1,218 @@
+"""Batches of open-loop replays in MuJoCo."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+from hybrid.servo.drive import Drive
+from hybrid.servo.stretch import Stretch
+
+if TYPE_CHECKING:
+    import mujoco
+
+_MODELS = 64  # that are kept compiled
+_STEP = 0.005  # s: at most, of the physics
+# N·m/A at 1 Ω: so small that speed takes nothing off the torque at the limit.
+CONSTANT = 1e-3
+SOFT = 1e-6  # N·m/rad
+_CREEPS = 0.05  # rad/s: below, friction holds a joint
+
+
+class Simulator:
+    """An arm with servos, replayed from the state in which a stretch begins.
+
+    Args:
+        robot: The arm.
+        step: Longest step of the physics, [s].
+    """
+
+    def __init__(self, robot: Robot, step: float = _STEP) -> None:
+        self.robot, self._longest = robot, step
+        self._models: dict[tuple[float, bytes], Any] = {}
+        self._scratch: dict[bool, Any] = {}
+
+    def replay(
+        self, stretches: Sequence[Stretch], drives: Sequence[Drive | None]
+    ) -> list[list[Array]]:
+        """Positions that servos make of commands.
+
+        Args:
+            stretches: What is replayed.
+            drives: Servos to replay it with; None for those of the robot file.
+
+        Returns:
+            For each drive and each stretch positions, shape (N, n), [rad].
+        """
+        import mujoco
+        from mujoco import rollout
+
+        steps = [max(1, int(np.ceil(x.step / self._longest))) for x in stretches]
+        longest = max((len(x.q) - 1) * k for x, k in zip(stretches, steps, strict=True))
+        count, n = len(drives) * len(stretches), self.robot.size
+        control = np.zeros((count, longest, n))
+        models: list[Any] = []
+        states = []
+        for drive in drives:
+            for stretch, k in zip(stretches, steps, strict=True):
+                model = self._model(drive, stretch.step / k)
+                late = np.zeros(n) if drive is None else drive["delay"]
+                command = delayed(stretch, late, k)
+                rows = control[len(models)]
+                rows[: len(command)], rows[len(command) :] = command, command[-1]
+                models.append(model)
+                states.append(self._state(model, drive, stretch, command[0]))
+        threads = len(os.sched_getaffinity(0))
+        data = [mujoco.MjData(models[0]) for _ in range(min(threads, count))]
+        found, _ = rollout.rollout(models, data, np.array(states), control)
+        moved = []
+        for i in range(len(drives)):
+            own = []
+            for s, (stretch, k) in enumerate(zip(stretches, steps, strict=True)):
+                after = found[i * len(stretches) + s, k - 1 :: k, 1 : 1 + n]
+                own.append(np.vstack([stretch.q[:1], after[: len(stretch.q) - 1]]))
+            moved.append(own)
+        return moved
+
+    def _model(self, drive: Drive | None, step: float) -> Any:
+        key = round(step, 9), b"" if drive is None else drive["zero"].tobytes()
+        if key not in self._models:
+            if len(self._models) > _MODELS:
+                self._models.clear()
+            self._models[key] = self._compiled(drive, step)
+        model = copy.copy(self._models[key])
+        if drive is not None:
+            install(model, drive)
+        return model
+
+    def _compiled(self, drive: Drive | None, step: float) -> Any:
+        import mujoco
+
+        spec = (
+            declared_spec(self.robot)
+            if drive is None
+            else servo_spec(self.robot, drive["zero"])
+        )
+        model = spec.compile()
+        model.opt.timestep = step
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        return model
+
+    def _state(
+        self, model: Any, drive: Drive | None, stretch: Stretch, first: Array
+    ) -> Array:
+        """Full state at the start; bristles hold what servo and weight leave."""
+        import mujoco
+
+        data = self._scratch.setdefault(drive is None, mujoco.MjData(model))
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = stretch.q[0], stretch.v, first
+        if drive is not None:
+            mujoco.mj_forward(model, data)
+            data.act[:] = bristles(drive, stretch, first, data.qfrc_bias)
+        full = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        state = np.empty(mujoco.mj_stateSize(model, full))
+        mujoco.mj_getState(model, data, state, full)
+        return state
+
+
+def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:
+    """Deflections that hold what servo and weight leave, shape (n,), [rad]."""
+    pull = drive["stiffness"] * (first - stretch.q[0])
+    rest = np.clip(pull, -drive["stall"], drive["stall"]) + drive["offset"] - weight
+    most = drive["coulomb"] + drive["stiction"]
+    sliding = np.sign(stretch.v) * drive["coulomb"]
+    held = np.clip(rest, -most, most)
+    return np.where(np.abs(stretch.v) > _CREEPS, sliding, held) / drive["bristle"]
+
+
+def delayed(stretch: Stretch, delay: Array, parts: int) -> Array:
+    """Commands as they act at every physics step, shape (parts·(N − 1), n), [rad].
+
+    Args:
+        stretch: Commands at the rate of the log.
+        delay: By how much each joint's acts later, shape (n,), [s].
+        parts: Physics steps between two samples.
+    """
+    t = np.arange((len(stretch.command) - 1) * parts) * (stretch.step / parts)
+    logged = np.arange(len(stretch.command)) * stretch.step
+    each = zip(stretch.command.T, delay, strict=True)
+    return np.stack([np.interp(t - d, logged, x) for x, d in each], axis=1)
+
+
+def servo_spec(robot: Robot, zero: Array) -> mujoco.MjSpec:
+    """An arm with a DC motor behind a position controller at every joint.
+
+    Args:
+        robot: The arm.
+        zero: Position of the file where the log says zero, shape (n,), [rad].
+    """
+    import mujoco
+
+    spec = robot.mujoco_spec()
+    for joint, shift in zip(robot.joints, zero, strict=True):
+        spec.joint(joint).ref = -float(shift)
+        # Any values: they are set in the compiled model.
+        _actuator(spec, joint).set_to_dcmotor(
+            motorconst=[CONSTANT, CONSTANT],
+            resistance=1.0,
+            controller=[1.0, 0, 0, 0, 0, 0],
+            saturation=[1.0, 0, 0],
+            lugre=[1.0, 1.0, 1.0, 1.0, 1.0],
+            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_POS),
+        )
+    return spec
+
+
+def declared_spec(robot: Robot) -> mujoco.MjSpec:
+    """An arm with the position servos that its file declares, or usual ones."""
+    spec, drive = robot.mujoco_spec(), Drive.declared(robot)
+    servo = np.where(np.isfinite(robot.kd), robot.kd, 0.0)
+    for j, joint in enumerate(robot.joints):
+        actuator, most = _actuator(spec, joint), drive["stall"][j]
+        actuator.set_to_position(kp=drive["stiffness"][j], kv=servo[j])
+        actuator.forcerange, actuator.forcelimited = [-most, most], True
+    return spec
+
+
+def _actuator(spec: Any, joint: str) -> Any:
+    import mujoco
+
+    kind = mujoco.mjtTrn.mjTRN_JOINT
+    return spec.add_actuator(name=joint, trntype=kind, target=joint)
+
+
+def install(model: Any, drive: Drive) -> None:
+    """Set the numbers of servos in a compiled model, joints in the order of the arm.
+
+    Args:
+        model: MuJoCo model with a dcmotor at every joint.
+        drive: The servos.
+    """
+    model.actuator_gainprm[:, 1] = CONSTANT
+    model.actuator_gainprm[:, 4] = drive["stiffness"]
+    model.actuator_gainprm[:, 7] = drive["stall"] / CONSTANT
+    model.actuator_forcelimited[:] = 0
+    model.actuator_ctrllimited[:] = 0
+    model.actuator_biasprm[:, 3] = drive["coulomb"]
+    model.actuator_biasprm[:, 4] = drive["coulomb"] + drive["stiction"]
+    model.actuator_biasprm[:, 5] = drive["stribeck_speed"]
+    model.actuator_dynprm[:, 5] = drive["bristle"]
+    model.actuator_dynprm[:, 6] = bristle_damping(drive)
+    model.dof_frictionloss[:] = 0.0
+    model.dof_damping[:] = drive["damping"]
+    model.dof_armature[:] = drive["armature"]
+    # A spring so soft that its torque does not change is a constant one.
+    model.jnt_stiffness[:] = SOFT
+    model.qpos_spring[:] = drive["offset"] / SOFT
+
+
+def bristle_damping(drive: Drive) -> Array:
+    """Damping σ₁ with which a rotor on bristles comes to rest, (n,), [N·m·s/rad]."""
+    return np.asarray(np.sqrt(drive["bristle"] * drive["armature"]))

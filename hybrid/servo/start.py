@@ -1,0 +1,75 @@
+"""A first guess of servos by linear least squares: no replay, no file needed.
+
+At every sample the servo carries weight, friction and inertia,
+
+    k (c − q) = g(q) + b q̇ + F_c sgn q̇ + J q̈ + const,
+
+which is linear in (1, b, F_c, J, const)/k once the masses of the file give g. A delay
+of the command passes for damping here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hybrid.dynamics.regressor import inverse_dynamics
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+from hybrid.servo.drive import Drive
+from hybrid.servo.stretch import Stretch
+from hybrid.signals.filters import butterworth, central_difference
+
+_BAND = 4.0  # Hz: of what a coarse encoder leaves of an acceleration
+_CREEP = 0.02  # rad/s
+_LOADED = 0.1  # of the largest change of weight: less tells no stiffness
+_LEAST = 1e-3  # rad, s or s², of the stiffness: friction and rotors are not negative
+_BRISTLES = 2.0  # of the stiffness
+
+
+def first_guess(robot: Robot, stretches: Sequence[Stretch]) -> Drive:
+    """Servos from which a fit by replay starts.
+
+    Args:
+        robot: The arm.
+        stretches: Logs.
+    """
+    declared = Drive.declared(robot)
+    parts = [_signals(robot, x) for x in stretches]
+    q, v, a, weight = (np.concatenate([p[k] for p in parts]) for k in range(4))
+    error = np.concatenate([x.command for x in stretches]) - q
+    slope, found = np.full(robot.size, np.nan), []
+    for j in range(robot.size):
+        columns = [weight[:, j], v[:, j], np.tanh(v[:, j] / _CREEP), a[:, j]]
+        basis = np.stack([*columns, np.ones(len(v))], axis=1)
+        found.append(np.linalg.lstsq(basis, error[:, j], rcond=None)[0])
+        if np.ptp(weight[:, j]) > _LOADED * np.abs(weight).max():
+            slope[j] = found[j][0]
+    # Joints that carry no weight have servos like those that do.
+    told = slope[slope > 0]
+    usual = (
+        1.0 / np.median(told) if len(told) else float(np.median(declared["stiffness"]))
+    )
+    stiffness = np.full(robot.size, usual)
+    theta = np.array(found).T * stiffness
+    friction = np.maximum(theta[2], _LEAST * stiffness)
+    return declared.at(
+        stiffness=stiffness,
+        damping=np.maximum(theta[1], _LEAST * stiffness),
+        coulomb=friction,
+        bristle=_BRISTLES * stiffness,
+        armature=np.maximum(theta[3], _LEAST * stiffness),
+        offset=-theta[4],
+    )
+
+
+def _signals(robot: Robot, stretch: Stretch) -> tuple[Array, Array, Array, Array]:
+    """Position, speed, acceleration and weight of a stretch, (N, n) each."""
+    rate = 1.0 / stretch.step
+    q = butterworth(stretch.q, rate=rate, cutoff=min(_BAND, 0.4 * rate))
+    v = central_difference(q, rate=rate, accuracy=4)
+    a = central_difference(v, rate=rate, accuracy=4)
+    rest = np.zeros_like(q)
+    chain = robot.chain
+    return q, v, a, inverse_dynamics(chain, chain.inertial, q, rest, rest)

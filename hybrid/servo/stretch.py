@@ -1,0 +1,102 @@
+"""Stretches of logs that are replayed from their first state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.errors import RecordingError
+from hybrid.recording import Recording, resample, unbroken
+from hybrid.robot.chain import Array
+
+_SHORTEST = 2.0  # s: a servo settles in less
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Command and position of N samples on a uniform clock.
+
+    Attributes:
+        step: Time between samples, [s].
+        command: Commanded position, shape (N, n), [rad].
+        q: Measured position, shape (N, n), [rad].
+        v: Speed at the first sample, shape (n,), [rad/s].
+        source: Where it is from.
+    """
+
+    step: float
+    command: Array
+    q: Array
+    v: Array
+    source: str = ""
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample, [s]."""
+        return self.step * (len(self.q) - 1)
+
+    def cut(self, first: int, samples: int) -> Stretch:
+        """Some of its samples, from the one with index ``first``."""
+        v = self.v
+        if first:
+            near = slice(max(first - 2, 0), first + 3)
+            v = np.gradient(self.q[near], self.step, axis=0).mean(axis=0)
+        part = slice(first, first + samples)
+        return Stretch(self.step, self.command[part], self.q[part], v, self.source)
+
+
+def stretches_of(recordings: Sequence[Recording]) -> list[Stretch]:
+    """Logs as stretches on uniform clocks; one with holes is several.
+
+    Args:
+        recordings: Logs with command, joints in the order of the arm.
+
+    Raises:
+        RecordingError: A log has no command, or none lasts two seconds.
+    """
+    found = []
+    for recording in recordings:
+        if recording.command is None:
+            raise RecordingError(
+                f"{recording.source or 'recording'}: neither torque nor command; valid "
+                "is a log with one of them"
+            )
+        for piece in map(resample, unbroken(recording)):
+            assert piece.command is not None
+            step = piece.duration / (len(piece.t) - 1)
+            start = np.zeros(piece.size)
+            whole = Stretch(step, piece.command, piece.q, start, piece.source)
+            moves = np.abs(piece.q[:3] - piece.q[0]).max() > 0
+            found.append(whole.cut(2, len(piece.t)) if moves else whole)
+    found = [x for x in found if x.duration >= _SHORTEST]
+    if not found:
+        raise RecordingError(
+            f"no recording lasts {_SHORTEST:g} s; valid are longer ones"
+        )
+    return found
+
+
+def chosen(stretches: Sequence[Stretch], seconds: float, each: float) -> list[Stretch]:
+    """The parts in which the command works most, of all logs alike.
+
+    Args:
+        stretches: Whole logs.
+        seconds: Time in all, [s].
+        each: Time of a part, [s].
+    """
+    parts: list[tuple[int, float, Stretch]] = []
+    scale = np.array([x.command.std(axis=0) for x in stretches]).max(axis=0) + 1e-9
+    for stretch in stretches:
+        samples = round(each / stretch.step)
+        own = []
+        for first in range(0, len(stretch.q) - samples // 2, samples):
+            part = stretch.cut(first, samples)
+            work = np.abs(np.diff(part.command, axis=0)).sum(axis=0) / scale
+            own.append((float(np.sqrt(work).sum()), part))
+        own.sort(key=lambda pair: -pair[0])
+        parts += [(rank, -work, part) for rank, (work, part) in enumerate(own)]
+    parts.sort(key=lambda triple: triple[:2])
+    count = max(1, round(seconds / each))
+    return [part for _, _, part in parts[:count]]
