@@ -69,8 +69,11 @@ def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
         )
         joint = body.add_joint(name=name, type=kind, axis=chain.axis[k])
         joint.armature = chain.armature[k]
-        joint.damping = np.array([robot.damping[k], 0, 0])
+        friction = robot.damping[k], robot.quadratic[k], robot.cubic[k]
+        joint.damping = np.array(friction)
         joint.frictionloss = robot.frictionloss[k]
+        joint.stiffness = np.array([robot.stiffness[k], 0, 0])
+        joint.springref = robot.springref[k]
         parent = body
     return spec
 
