@@ -9,7 +9,7 @@ Gazebo's (``springStiffness`` and ``springReference``).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,9 @@ import numpy as np
 from hybrid.errors import RobotError
 from hybrid.robot.chain import Chain
 from hybrid.robot.selection import Tree, serial_joints
+from hybrid.robot.spatial import ROUNDED
 
-# A rounded number of the file may leave the inertia this far from a body's, relative.
-_ROUNDED = 1e-6
+_SMALLEST = 1e-9  # kg·m²: moments of which rounding does not matter
 Follower = tuple[str, float, float]  # of which joint, by which ratio, from where
 
 
@@ -113,28 +113,29 @@ def fields_of_pinocchio(
 
 def _check_links(model: Any, index: list[int]) -> None:
     """Refuse what moves and is no body that could be built."""
-    for name, joint, inertia in _bodies(model):
-        while joint and joint not in index:
-            joint = int(model.parents[joint])
-        mass, values = inertia.mass, np.linalg.eigvalsh(inertia.inertia)
+    for j in range(1, model.njoints):
+        if not {*model.supports[j]} & {*index}:
+            continue
+        mass, values = model.inertias[j].mass, model.inertias[j].inertia
+        values = np.linalg.eigvalsh(values)
         least = min(values[0], values[0] + values[1] - values[2])
-        if joint and not (mass >= 0 and least >= -_ROUNDED * max(values[2], 1e-9)):
+        if not (mass >= 0 and least >= -ROUNDED * max(values[2], _SMALLEST)):
             raise RobotError(
-                f"link {name!r} has no physical inertia (mass {mass:g} kg, moments "
-                f"{', '.join(f'{x:.4g}' for x in values)} kg·m²); valid are a mass of "
-                "0 or more and moments of which none is above the sum of the others"
+                f"link {_link(model, j)!r} has no physical inertia (mass {mass:g} kg, "
+                f"moments {', '.join(f'{x:.4g}' for x in values)} kg·m²); valid are a "
+                "mass of 0 or more and moments of which none is above the sum of the "
+                "others"
             )
 
 
-def _bodies(model: Any) -> Iterator[tuple[str, int, Any]]:
-    """Name, joint and inertia of each link; those of a joint at last as one."""
+def _link(model: Any, joint: int) -> str:
+    """Name of the link at a joint, or of the joint if that has none."""
     import pinocchio as pin
 
     for frame in model.frames:
-        if frame.type == pin.FrameType.BODY:
-            yield frame.name, int(frame.parentJoint), frame.inertia
-    for j in range(1, model.njoints):
-        yield model.names[j], j, model.inertias[j]
+        if frame.type == pin.FrameType.BODY and frame.parentJoint == joint:
+            return str(frame.name)
+    return str(model.names[joint])
 
 
 def _root(path: Path) -> ElementTree.Element:
@@ -264,12 +265,6 @@ def _chain(model: Any, index: list[int], held: Mapping[str, float]) -> Chain:
         gravity=np.array(model.gravity.linear),
         armature=np.array(model.armature[[model.idx_vs[j] for j in index]]),
     )
-
-
-def _link(model: Any, joint: int) -> str:
-    """Name of the link at a joint."""
-    names = (name for name, j, _ in _bodies(model) if j == joint)
-    return str(next(names))
 
 
 def _motion_axis(model: Any, data: Any, joint: int) -> tuple[np.ndarray, bool]:
