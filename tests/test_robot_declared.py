@@ -9,9 +9,13 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulated import arm
 
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import HybridWarning, RobotError
+from hybrid.export.simulator import mjcf_text, urdf_text
+from hybrid.identify import identify
+from hybrid.plant import Plant, simulate
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
 
@@ -441,3 +445,25 @@ def test_an_older_description_without_springs_reads_as_an_arm_without():
         del content[name]
     assert Robot.from_dict(content).as_dict() == robot.as_dict()
     assert isinstance(robot.chain, Chain)
+
+
+@pytest.mark.filterwarnings("ignore::hybrid.errors.HybridWarning")  # stages left out
+def test_springs_and_curves_of_a_file_are_identified_and_exported(tmp_path):
+    real = replace(
+        arm("planar"),
+        stiffness=np.array([12.0, 4.0]),
+        springref=np.array([0.5, -0.3]),
+        quadratic=np.array([0.0, 0.4]),
+    )
+    file = replace(real, stiffness=np.array([9.0, 5.0]))
+    logs = simulate(Plant(real, [], nominal=real), trajectories=4, duration=6.0, seed=1)
+    fit = identify(file, logs, stages=("rigid",), consistent=True)
+    text, left = mjcf_text(fit.model)
+    assert not left
+    again = Robot.load(saved(tmp_path, text))
+    np.testing.assert_allclose(again.stiffness, real.stiffness, rtol=0.02)
+    np.testing.assert_allclose(again.springref, real.springref, atol=0.01)
+    friction = again.joint_torque(again.springref, np.array([0.0, 1.0]), np.zeros(2))
+    declared = real.joint_torque(real.springref, np.array([0.0, 1.0]), np.zeros(2))
+    np.testing.assert_allclose(friction, declared, atol=0.1)
+    assert [x.split()[0] for x in urdf_text(fit.model)[1]].count("spring") == 2

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
+
+import numpy as np
 
 from hybrid.inspect.doubt import Doubt, act_on, is_error
 from hybrid.inspect.leaps import doubts_of_rows
@@ -80,7 +83,8 @@ def _examined(
         if any(map(is_error, found)):
             return tuple(found), recording
     uniform = resample(recording)
-    state = sampled(uniform)
+    relaxed = np.where(robot.stiffness > 0, robot.springref, np.nan)
+    state = replace(sampled(uniform), relaxed=relaxed)
     for doubts in _of_physics(uniform, robot, state):
         found += doubts
         if any(map(is_error, found)):

@@ -13,7 +13,6 @@ from pathlib import Path
 from hybrid.errors import RobotError
 
 _EXAMPLES, _DESCRIPTIONS = "example-robot-data", "robot_descriptions"
-_SHOWN = 80  # names in a message
 
 
 def robot_file(source: str | Path, home: Path | None = None) -> Path:
@@ -42,9 +41,11 @@ def robot_file(source: str | Path, home: Path | None = None) -> Path:
         if known in described:
             return _cached(known, described[known])
     names = sorted({*examples, *(x.removesuffix("_description") for x in described)})
-    shown = ", ".join(names[:_SHOWN]) + (", …" if len(names) > _SHOWN else "")
-    packages = f"{_EXAMPLES} or {_DESCRIPTIONS}"
-    valid = f"valid are files and {shown}" if names else f"for names install {packages}"
+    valid = (
+        f"valid are files and {', '.join(names)}"
+        if names
+        else f"for robots by name install {_EXAMPLES} or {_DESCRIPTIONS}"
+    )
     raise RobotError(f"{name}: no such robot file; {valid}")
 
 

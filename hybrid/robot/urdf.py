@@ -254,7 +254,10 @@ def _chain(model: Any, index: list[int], held: Mapping[str, float]) -> Chain:
             inertial[link] += pose.act(model.inertias[j]).toDynamicParameters()
     for k, j in enumerate(index):
         if not inertial[k].any():
-            raise RobotError(f"link {_link(model, j)!r} moves and has no inertia")
+            raise RobotError(
+                f"link {_link(model, j)!r} moves and has no inertia; give it an "
+                "<inertial>, or choose joints without it"
+            )
     return Chain(
         joints=tuple(model.names[j] for j in index),
         rotation=np.array([pose.rotation for pose in placement]),
