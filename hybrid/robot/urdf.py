@@ -116,8 +116,10 @@ def _check_links(model: Any, index: list[int]) -> None:
     for j in range(1, model.njoints):
         if not {*model.supports[j]} & {*index}:
             continue
-        mass, values = model.inertias[j].mass, model.inertias[j].inertia
-        values = np.linalg.eigvalsh(values)
+        mass, about = model.inertias[j].mass, model.inertias[j].inertia
+        size, values = np.abs(about).max(), np.full(3, np.nan)
+        if 0 <= size < np.inf:
+            values = np.linalg.eigvalsh(about / (size or 1.0)) * size
         least = min(values[0], values[0] + values[1] - values[2])
         if not (mass >= 0 and least >= -ROUNDED * max(values[2], _SMALLEST)):
             raise RobotError(
