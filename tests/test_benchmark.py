@@ -130,7 +130,7 @@ def test_an_arm_without_rotors_and_friction_gets_usual_ones(arm):
 
 
 def test_an_unknown_arm_is_refused_with_those_that_are_known():
-    with pytest.raises(HybridError, match="ur5, ur10, panda"):
+    with pytest.raises(HybridError, match="panda, .*ur10, .*ur5"):
         load_arm("no_such_arm")
 
 
@@ -286,7 +286,7 @@ def test_the_verb_shows_a_line_for_each_case_and_the_table(tmp_path, capsys):
 def test_an_unknown_arm_is_bad_input_before_anything_runs(tmp_path, capsys):
     verb = ["benchmark", "diagnose", "--robots", "no_such_arm", "--out", str(tmp_path)]
     assert main(verb) == 2
-    assert "valid are files and ur5" in capsys.readouterr().err
+    assert "valid are files and TwoDofs" in capsys.readouterr().err
 
 
 def test_half_a_line_of_an_interrupted_run_is_run_again(tmp_path):

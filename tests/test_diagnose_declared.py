@@ -12,6 +12,7 @@ from hybrid.diagnose.background import dry_friction
 from hybrid.diagnose.candidates import candidate
 from hybrid.diagnose.convention import Convention, find_convention
 from hybrid.diagnose.diagnose import examine
+from hybrid.diagnose.fixed import write_fixed
 from hybrid.diagnose.measure import measure_gap
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects.coulomb import Coulomb
@@ -21,6 +22,7 @@ from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.viscous import Viscous
 from hybrid.plant import Plant, simulate
 from hybrid.recording import Recording
+from hybrid.robot import Robot
 
 RATE = 250.0  # Hz
 LEVEL, DAMPING, ROTOR = np.array([[1.5, 0.8], [0.6, 0.3], [0.2, 0.1]])
@@ -171,3 +173,34 @@ def test_presliding_in_place_of_declared_friction_is_one_finding():
     assert values["level"] == pytest.approx(0.8, rel=0.1)
     assert values["coulomb level"] == pytest.approx(-0.8, rel=0.1)
     assert finding.share == pytest.approx(1.0)
+
+
+SPRUNG = replace(
+    arm("planar"), stiffness=np.array([12.0, 4.0]), springref=np.array([0.5, -0.3])
+)
+
+
+def sprung(**real):
+    """Result for an arm whose file declares springs that the arm has in part."""
+    plant = Plant(replace(SPRUNG, **real), [], nominal=SPRUNG)
+    return examine(SPRUNG, simulate(plant, trajectories=4, duration=6.0, seed=1))
+
+
+def test_a_spring_that_the_file_declares_is_no_cause():
+    assert sprung().diagnosis.verdict == "no_gap"
+
+
+def test_a_declared_spring_that_is_not_there_is_found_with_its_sign():
+    (finding,) = sprung(stiffness=np.array([12.0, 0.0])).diagnosis.findings
+    assert (finding.effect, finding.joints) == ("spring", ("elbow",))
+    values = {x.name: x.value for x in finding.parameters}
+    assert values["stiffness"] == pytest.approx(-4.0, rel=0.05)
+    assert values["preload"] == pytest.approx(4.0 * -0.3, rel=0.05)
+
+
+def test_a_declared_spring_that_is_too_soft_is_mended_in_the_file(tmp_path):
+    result = sprung(stiffness=np.array([24.0, 4.0]))
+    assert [f.effect for f in result.diagnosis.findings] == ["spring"]
+    fixed = Robot.load(write_fixed(result, tmp_path).simulator)
+    np.testing.assert_allclose(fixed.stiffness, [24.0, 4.0], rtol=0.05)
+    np.testing.assert_allclose(fixed.springref, [0.5, -0.3], rtol=0.05)

@@ -145,12 +145,12 @@ def springy(tmp_path_factory):
     return robot, mujoco.MjModel.from_xml_path(str(folder / "planar.xml")), left_out
 
 
-def test_a_spring_is_the_joints_stiffness_and_its_preload_is_left_out(springy):
+def test_a_spring_is_the_joints_stiffness_and_where_that_is_relaxed(springy):
     _, mj, left_out = springy
     stiffness = np.asarray(mj.jnt_stiffness).reshape(2, -1)[:, 0]
     np.testing.assert_array_equal(stiffness, [0.0, 7.5])
-    (text,) = left_out
-    assert text == "spring of elbow (preload 0.25 N·m)"
+    np.testing.assert_allclose(mj.qpos_spring[1], -0.25 / 7.5)
+    assert left_out == ()
 
 
 def test_friction_that_bends_is_the_polynomial_of_the_joints_damping(springy):
@@ -158,7 +158,7 @@ def test_friction_that_bends_is_the_polynomial_of_the_joints_damping(springy):
     data = mujoco.MjData(mj)
 
     def passive(speed):
-        data.qpos[:], data.qvel[:] = 0.0, [0.0, speed]
+        data.qpos[:], data.qvel[:] = mj.qpos_spring, [0.0, speed]
         mujoco.mj_forward(mj, data)
         return -data.qfrc_passive.copy()
 

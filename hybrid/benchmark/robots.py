@@ -4,60 +4,31 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, files
-from pathlib import Path
 
 import numpy as np
 
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
-from hybrid.errors import HybridWarning, RobotError
+from hybrid.errors import HybridWarning
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.robot.spatial import central_inertia, inertial_about
 
-PUBLIC_ARMS = {
-    "ur5": "ur_description/urdf/ur5_robot.urdf",
-    "ur10": "ur_description/urdf/ur10_robot.urdf",
-    "panda": "panda_description/urdf/panda.urdf",
-    "xarm7": "xarm_description/urdf/xarm7.urdf",
-    "z1": "z1_description/urdf/z1.urdf",
-}
-
 
 def load_arm(name: str) -> Robot:
-    """A robot file, or a public arm of the package ``example-robot-data``.
+    """A robot by file or name, complete.
 
     Args:
-        name: Path of a URDF or MJCF file, or one of ``PUBLIC_ARMS``.
+        name: As :meth:`hybrid.robot.robot.Robot.load` takes it.
 
     Raises:
         RobotError: There is no such file or arm.
     """
-    path = Path(name)
-    if name in PUBLIC_ARMS:
-        path = _public_file(name)
-    elif not path.is_file():
-        raise RobotError(
-            f"{name}: no such robot file; valid are files and {', '.join(PUBLIC_ARMS)}"
-        )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", HybridWarning)  # frozen fingers
-        return complete(Robot.load(path))
-
-
-def _public_file(name: str) -> Path:
-    wanted = f"example-robot-data/robots/{PUBLIC_ARMS[name]}"
-    try:
-        listed = files("example-robot-data") or ()
-    except PackageNotFoundError:
-        listed = ()
-    for file in listed:
-        if file.as_posix().endswith(wanted):
-            return Path(str(file.locate()))
-    raise RobotError(f"{name}: install example-robot-data, which holds this arm")
+        warnings.simplefilter("ignore", HybridWarning)  # held fingers
+        return complete(Robot.load(name))
 
 
 def complete(robot: Robot) -> Robot:

@@ -155,7 +155,7 @@ class Calibration:
         """
         write_placements(self.setup.robot, self.robot.chain, path)
         try:
-            Robot.load(path, joints=self.robot.joints)
+            Robot.load(path, joints=self.robot.joints, held=self.robot.held)
         except RobotError:
             warnings.warn(
                 f"{path} refers to files beside {Path(self.setup.robot.path).name}; "

@@ -43,7 +43,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         type=names,
         default=(_ROBOTS,),
         metavar="A,B",
-        help="robot files, or ur5, ur10, panda, xarm7, z1 of the package "
+        help="robot files or names, as ur5, ur10, panda, xarm7, z1 of the package "
         f"example-robot-data (default {_ROBOTS})",
     )
     parser.add_argument(

@@ -49,6 +49,7 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.inspect import inspect_recording
     from hybrid.inspect.doubt import is_error
     from hybrid.recording import read_all
+    from hybrid.report import numbers_table
     from hybrid.report.inspection import (
         clocks_table,
         doubts_table,
@@ -73,9 +74,12 @@ def run(args: Namespace, screen: Screen) -> None:
     write_record(args, how, {"logs": [x.as_dict() for x in found]})
     if args.page:
         write_inspection(args.page, found, provenance=how)
-    for table in (clocks_table(found), joints_table(found), doubts_table(found)):
+    for table in (clocks_table(found), joints_table(found)):
         if table.rows:
-            screen.show_words(table)
+            screen.show_numbers(numbers_table(table))
+    doubts = doubts_table(found)
+    if doubts.rows:
+        screen.show_words(doubts)
     for sentence in untold_sentences(found):
         screen.say(sentence)
     screen.say(verdict(found))

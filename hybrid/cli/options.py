@@ -37,19 +37,27 @@ class Parser(ArgumentParser):
 
 
 def add_robot(parser: ArgumentParser, *, required: bool = True, more: str = "") -> None:
-    """Add ``--robot`` and ``--joints``."""
+    """Add ``--robot``, ``--joints`` and ``--hold``."""
     parser.add_argument(
         "--robot",
-        type=Path,
+        type=robot_file,
         required=required,
         metavar="FILE",
-        help=f"the arm: URDF or MJCF{more}",
+        help="the arm: URDF, MJCF or xacro, or a name as ur5e of robot_descriptions or "
+        f"example-robot-data{more}",
     )
     parser.add_argument(
         "--joints",
         type=names,
         metavar="A,B,C",
         help="joints of the arm (default: the longest chain in the file)",
+    )
+    parser.add_argument(
+        "--hold",
+        type=positions,
+        default={},
+        metavar="A=X,B=Y",
+        help="positions of joints off the arm, in rad or m (default: as in the file)",
     )
 
 
@@ -90,6 +98,26 @@ def names(text: str) -> tuple[str, ...]:
     return found
 
 
+def robot_file(text: str) -> Path:
+    """The file of a robot given by path or name."""
+    from hybrid.robot.library import robot_file
+
+    return robot_file(text)
+
+
+def positions(text: str) -> dict[str, float]:
+    """Names with numbers, between commas."""
+    found = {}
+    for name, _, value in (part.partition("=") for part in names(text)):
+        try:
+            found[name.strip()] = float(value)
+        except ValueError:
+            found[name.strip()] = math.nan
+    if not all(map(math.isfinite, found.values())):
+        raise ArgumentTypeError(f"{text!r} is not names with numbers, as torso=0.3")
+    return found
+
+
 def positive(text: str) -> float:
     """A finite number above zero."""
     try:
@@ -117,10 +145,10 @@ def whole(text: str) -> int:
 
 
 def load_robot(args: Namespace) -> Robot:
-    """The arm of ``--robot`` and ``--joints``."""
+    """The arm of ``--robot``, ``--joints`` and ``--hold``."""
     from hybrid.robot import Robot
 
-    return Robot.load(args.robot, joints=args.joints)
+    return Robot.load(args.robot, joints=args.joints, held=args.hold)
 
 
 def load_plant(args: Namespace) -> Plant:
@@ -132,8 +160,10 @@ def load_plant(args: Namespace) -> Plant:
     if args.robot.suffix.lower() not in (".yaml", ".yml"):
         robot = load_robot(args)
         return Plant(robot, load_effects(args.effects, robot))
-    if args.joints:
-        raise HybridError("--joints goes with a robot file; a truth names its own")
+    if args.joints or args.hold:
+        raise HybridError(
+            "--joints and --hold go with a robot file; a truth names its own"
+        )
     nominal, plant = load_truth(args.robot)
     effects = load_effects(args.effects, nominal)
     # Without a servo, so that it is tuned to the arm with the new effects.

@@ -50,12 +50,12 @@ def fit(robot: Robot, recordings: Sequence[Recording], screen: Screen) -> ServoF
 
 def show(found: ServoFit, screen: Screen) -> None:
     """Show errors, what the file has wrong, and what is not known."""
+    from hybrid.report import numbers_table
     from hybrid.report.servo import findings_table, gap_table, servos_table
 
-    screen.show_words(gap_table(found))
-    if found.findings:
-        screen.show_words(findings_table(found))
-    screen.show_words(servos_table(found))
+    for table in (gap_table(found), findings_table(found), servos_table(found)):
+        if table.rows:
+            screen.show_numbers(numbers_table(table))
     for note in found.notes:
         screen.say(f"Note: {note}.")
     screen.say(found.sentence)

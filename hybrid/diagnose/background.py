@@ -13,6 +13,7 @@ from hybrid.diagnose.gap import Columns, Gap
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
+from hybrid.effects.spring import Spring
 from hybrid.effects.viscous import Viscous
 from hybrid.robot.chain import Array
 from hybrid.robot.spatial import central_inertia
@@ -29,9 +30,10 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
     matters lasts for longer.
 
     Returns:
-        A block of ten columns for each link, one for each declared armature, damping
-        and friction loss, and some of dry friction, declared or not, that is full from
-        a small speed on; and the size of each number: it may be a few per cent off.
+        A block of ten columns for each link, one for each declared armature, damping,
+        friction loss and stiffness, and some of dry friction, declared or not, that is
+        full from a small speed on; and the size of each number: it may be a few per
+        cent off.
     """
     robot = gap.robot
     n = robot.size
@@ -54,6 +56,10 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
         for j in np.flatnonzero(value):
             blocks.append(gap.columns(effect((int(j),))))
             sizes.append(np.array([value[j]]))
+    for j in np.flatnonzero(robot.stiffness):
+        law = np.array([[1.0], [-robot.springref[j]]])  # k (q − q₀) per unit of k
+        blocks.append({int(j): gap.columns(Spring((int(j),)))[int(j)] @ law})
+        sizes.append(robot.stiffness[[j]])
     # Of a solver nobody knows more than what its file declares; what an arm has may be
     # as soft as can be, and no softer.
     size = np.maximum(robot.frictionloss / _USUALLY_OFF, dry_friction(gap) / _MOST_OFF)

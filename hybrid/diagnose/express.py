@@ -82,9 +82,9 @@ def _exact(spec: mujoco.MjSpec, robot: Robot, effect: Effect) -> bool:
             joint.damping = joint.damping + [value["coefficient"], 0.0, 0.0]
         case "nonlinear_viscous":
             joint.damping = joint.damping + [0.0, value["quadratic"], value["cubic"]]
-        case "spring" if value["stiffness"] > 0 and joint.stiffness[0] == 0:
-            joint.stiffness = np.array([value["stiffness"], 0.0, 0.0])
-            joint.springref = -value["preload"] / value["stiffness"]
+        case "spring" if (k := joint.stiffness[0] + value["stiffness"]) > 0:
+            preload = value["preload"] - joint.stiffness[0] * joint.springref
+            joint.stiffness, joint.springref = np.array([k, 0.0, 0.0]), -preload / k
         case "spring":
             _pull(motor, -value["preload"], -value["stiffness"])
         case "torque_offset" | "asymmetric_friction":

@@ -16,11 +16,9 @@ from hybrid.diagnose.refit import solve_all
 from hybrid.diagnose.simulator import corrected
 from hybrid.dynamics import stacked_base
 from hybrid.effects import Effect
-from hybrid.effects.armature import Armature
-from hybrid.effects.coulomb import Coulomb
-from hybrid.effects.viscous import Viscous
 from hybrid.files import atomic_path
 from hybrid.identify import DynamicModel
+from hybrid.model.declared import declared_effects
 from hybrid.names import xml_comment
 from hybrid.robot import Robot
 from hybrid.robot.build import spec_text
@@ -104,28 +102,19 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
 
 
 def fixed_model(gap: Gap, robot: Robot, effects: Sequence[Effect]) -> DynamicModel:
-    """What the drives report along a motion: links, declared friction and effects.
+    """What the drives report along a motion: links, what the file declares, effects.
 
     Args:
         gap: What was diagnosed.
         robot: The corrected arm.
         effects: The effects that act on it.
     """
-    declared: list[Effect] = []
-    for j in range(robot.size):
-        for cls, value in (
-            (Armature, robot.chain.armature[j]),
-            (Viscous, robot.damping[j]),
-            (Coulomb, robot.frictionloss[j]),
-        ):
-            if value > 0:
-                declared.append(cls((j,), {cls.gains[0].name: float(value)}))
     base = stacked_base(robot.chain, (), ())
     inertial = robot.chain.inertial
     return DynamicModel(
         robot=gap.robot,
         base=base.with_values(base.mapping @ inertial.ravel()),
-        effects=(*declared, *effects),
+        effects=(*declared_effects(robot), *effects),
         cutoff=gap.cutoff,
         standing=np.zeros(robot.size),
         range=_visited(gap),

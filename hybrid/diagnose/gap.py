@@ -153,19 +153,20 @@ class Gap:
     def _first(self, effect: Effect, motion: Motion, body: RigidBody) -> Array:
         """First-order torque per unit of each gain, shape (N, r, p).
 
-        Of another speed than the encoder's, with what rotor and damping make of it.
+        Of another motion than the encoder's, with what rotor, damping and spring make
+        of it.
         """
         columns = effect.columns(motion, body)
         if not effect.observes or effect.steep:
             return columns
         reached, robot = list(effect.reaches(self.robot.size)), self.robot
+        known = robot.joint_torque(motion.q, motion.v, motion.a)
         for k, g in enumerate(effect.gains):
             small = _SMALL * g.typical
             none = dict.fromkeys((x.name for x in effect.gains), 0.0)
             seen = effect.at(none | {g.name: small}).observe(motion, body)
-            v, a = seen.v - motion.v, seen.a - motion.a
-            drive = (robot.chain.armature * a + robot.damping * v)[:, reached]
-            columns[:, :, k] += drive / small
+            drive = robot.joint_torque(seen.q, seen.v, seen.a) - known
+            columns[:, :, k] += drive[:, reached] / small
         return columns
 
     def _change(self, effect: Effect, motion: Motion, body: RigidBody) -> Array:
@@ -220,7 +221,6 @@ def simulated_torque(robot: Robot, motion: Motion, body: RigidBody) -> Array:
     """Torque that the simulator's drives need along a motion, shape (N, n), [N·m]."""
     return (
         body.load
-        + robot.chain.armature * motion.a
-        + robot.damping * motion.v
+        + robot.joint_torque(motion.q, motion.v, motion.a)
         + robot.frictionloss * np.sign(motion.v)
     )

@@ -52,7 +52,7 @@ def corrected(
     Args:
         scored: What was found.
         effects: Effects to add.
-        background: By how much links and declared friction are off, shape (b,); as
+        background: By how much links and declared numbers are off, shape (b,); as
             they were scored by default.
 
     Returns:
@@ -63,12 +63,15 @@ def corrected(
     links, rest = np.split(off, [10 * robot.size])
     inertial = robot.chain.inertial + links.reshape(-1, 10)
     declared = []
-    for values in (robot.chain.armature, robot.damping, robot.frictionloss):
+    chain = robot.chain
+    for values in (
+        chain.armature, robot.damping, robot.frictionloss, robot.stiffness
+    ):  # fmt: skip
         new, there = values.copy(), np.flatnonzero(values)
         new[there] += rest[: len(there)]
         declared.append(new)
         rest = rest[len(there) :]
-    armature, damping, frictionloss = declared
+    armature, damping, frictionloss, stiffness = declared
     others = []
     for effect in effects:
         if isinstance(effect, LinkInertia):
@@ -82,7 +85,7 @@ def corrected(
         if isinstance(effect, (Elasticity, Backlash)) and armature[j] <= 0:
             armature[j] = _ROTOR * _moved(scored, j)
     chain = replace(
-        robot.chain,
+        chain,
         inertial=_physical(scored, inertial),
         armature=np.maximum(armature, 0.0),
     )
@@ -91,6 +94,7 @@ def corrected(
         chain=chain,
         damping=np.maximum(damping, 0.0),
         frictionloss=np.maximum(frictionloss, 0.0),
+        stiffness=np.maximum(stiffness, 0.0),
     )
     return fixed, tuple(others)
 

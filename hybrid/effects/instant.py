@@ -16,8 +16,11 @@ from hybrid.errors import EffectError
 Scalar = Any  # float, array or symbol
 Memory = tuple[Scalar, ...]
 # What a joint of a simulator may have: τ = armature·a + damping·v + quadratic·v|v|
-# + cubic·v³ + stiffness·q + frictionloss·sgn v, none of them negative.
-FIELDS = ("armature", "damping", "quadratic", "cubic", "stiffness", "frictionloss")
+# + cubic·v³ + stiffness·q + preload + frictionloss·sgn v, none of them negative but the
+# preload, which is that of a spring.
+FIELDS = (
+    "armature", "damping", "quadratic", "cubic", "stiffness", "preload", "frictionloss",
+)  # fmt: skip
 
 
 class Instant:

@@ -14,7 +14,7 @@ class Spring(JointEffect):
 
     id = "spring"
     port = Port.ENVIRONMENT
-    fields = {"stiffness": "stiffness"}
+    fields = {"stiffness": "stiffness", "preload": "preload"}
     gains = (
         Quantity("stiffness", "N·m/rad", 0.05, -2.0, 2.0, per=(1, 0)),
         Quantity("preload", "N·m", 0.0, -2.0, 2.0, per=(1, 0)),

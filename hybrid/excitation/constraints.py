@@ -201,7 +201,7 @@ class TorqueLimits:
         """Drive torque along a motion, shape (N, n), [N·m]."""
         robot, chain = self.robot, self.robot.chain
         tau = inverse_dynamics(chain, chain.inertial, path.q, path.v, path.a)
-        tau += chain.armature * path.a + robot.damping * path.v
+        tau += robot.joint_torque(path.q, path.v, path.a)
         return tau + robot.frictionloss * np.tanh(path.v / TURNING_SPEED)
 
     def excess(self, path: Path) -> Array:
@@ -217,7 +217,10 @@ class TorqueLimits:
         by = torque_gradient(chain, path.q, path.v, path.a, chain.inertial, j)
         out = np.stack([*by, np.zeros_like(path.q)], axis=1)
         turn = 1.0 / np.cosh(np.clip(path.v[samples, j] / TURNING_SPEED, -50, 50)) ** 2
-        out[samples, 1, j] += robot.damping[j]
+        speed = np.abs(path.v[samples, j])
+        out[samples, 0, j] += robot.stiffness[j]
+        out[samples, 1, j] += robot.damping[j] + 2 * robot.quadratic[j] * speed
+        out[samples, 1, j] += 3 * robot.cubic[j] * speed**2
         out[samples, 1, j] += robot.frictionloss[j] * turn / TURNING_SPEED
         out[samples, 2, j] += chain.armature[j]
         return np.asarray(out * (sign[which] / self.limit[j])[:, None, None])

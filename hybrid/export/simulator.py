@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
@@ -28,14 +28,12 @@ class Expressed:
     """A model as far as a kind of robot file can say it.
 
     Attributes:
-        robot: Identified links, gravity, rotors, dry and viscous friction.
-        fields: What else the joints have fields for, shape (n,) each.
+        robot: Identified links, gravity, rotors, friction and springs.
         rest: What of the effects is not in it.
         learned: The learned remainder in words, if there is one.
     """
 
     robot: Robot
-    fields: Mapping[str, Array]
     rest: tuple[Effect, ...]
     learned: tuple[str, ...]
 
@@ -65,6 +63,10 @@ def robot_from_model(model: DynamicModel, fields: Sequence[str] = FIELDS) -> Exp
         else:
             inertial, gravity = inertial + change[0], gravity + change[1]
     values, rest = split_effects(effects, fields, n)
+    quadratic, cubic, stiffness, preload = (
+        values.get(name, np.zeros(n))
+        for name in ("quadratic", "cubic", "stiffness", "preload")
+    )
     chain = replace(
         robot.chain,
         inertial=inertial,
@@ -76,12 +78,16 @@ def robot_from_model(model: DynamicModel, fields: Sequence[str] = FIELDS) -> Exp
         chain=chain,
         damping=values.pop("damping"),
         frictionloss=values.pop("frictionloss"),
+        springref=-preload / np.where(stiffness > 0, stiffness, 1.0),
+        stiffness=stiffness,
+        quadratic=quadratic,
+        cubic=cubic,
     )
     learned: tuple[str, ...] = ()
     if model.remainder is not None and model.remainder.parts:
         joints = [robot.joints[p.joint] for p in model.remainder.parts]
         learned = (f"learned remainder of {', '.join(joints)}",)
-    return Expressed(found, values, tuple(rest), learned)
+    return Expressed(found, tuple(rest), learned)
 
 
 def _in_words(robot: Robot, effect: Effect) -> str:
@@ -101,11 +107,8 @@ def mjcf_text(model: DynamicModel) -> tuple[str, tuple[str, ...]]:
             effect.edit_spec(spec, robot.joints)
         else:
             rest.append(_in_words(robot, effect))
-    poly = [robot.damping, expressed.fields["quadratic"], expressed.fields["cubic"]]
     for k, name in enumerate(robot.joints):
         joint = spec.joint(name)
-        joint.damping = np.array([values[k] for values in poly])
-        joint.stiffness = np.array([expressed.fields["stiffness"][k], 0.0, 0.0])
         if np.isfinite(robot.q_min[k]) and np.isfinite(robot.q_max[k]):
             joint.limited = 1
             joint.range = np.array([robot.q_min[k], robot.q_max[k]])

@@ -9,9 +9,12 @@ import numpy as np
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.nonlinear_viscous import NonlinearViscous
+from hybrid.effects.spring import Spring
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.identify.data import FEWEST_PERIODS, FOLDS, Data, prepare
+from hybrid.model.declared import declared_effects
 from hybrid.recording import Recording
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import OUTLYING, settle, without_folds
@@ -24,10 +27,22 @@ _HIDDEN = 0.05  # relative fall of the error that is worth half of the bandwidth
 _MOST_HALVINGS = 3  # of the cut-off that the spectrum of positions suggests
 
 
-def linear_effects(size: int) -> list[Effect]:
-    """Rotor, offset and linear friction of every joint."""
+def linear_effects(robot: Robot) -> list[Effect]:
+    """Rotor, offset and linear friction of every joint, and what else its file has.
+
+    The preload of a spring is the offset of its joint.
+    """
     classes = (Armature, TorqueOffset, Coulomb, Viscous)
-    return [cls((j,)) for cls in classes for j in range(size)]
+    sprung = np.flatnonzero(robot.stiffness)
+    usual = [
+        cls((j,))
+        for cls in classes
+        for j in range(robot.size)
+        if not (cls is TorqueOffset and j in sprung)
+    ]
+    more = (Spring, NonlinearViscous)
+    found = [e for e in declared_effects(robot) if isinstance(e, more)]
+    return [*usual, *(type(e)(e.joints) for e in found)]
 
 
 def prepared(
@@ -49,7 +64,7 @@ def prepared(
         extra: Effects of the user.
         robust: Weigh down stretches that do not fit.
     """
-    problem = build_problem(robot.chain, (*linear_effects(robot.size), *extra))
+    problem = build_problem(robot.chain, (*linear_effects(robot), *extra))
     best, least = prepare(logs, None), np.inf
     highest = best.cutoff
     if not any(isinstance(x, Recording) for x in logs):

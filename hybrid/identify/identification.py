@@ -19,6 +19,7 @@ from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.load_friction import LoadFriction
+from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
@@ -40,7 +41,9 @@ from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
-_FRICTION = (Coulomb, Viscous, ThresholdFriction, LoadFriction, TorqueOffset)
+_FRICTION = (
+    Coulomb, Viscous, NonlinearViscous, ThresholdFriction, LoadFriction, TorqueOffset,
+)  # fmt: skip
 _MOST_ROUNDS = 4
 _SETTLED = 0.005  # relative change of the held-out error that ends the iteration
 # Largest share of the rated torque that a learned remainder may ever give: it is a
@@ -86,7 +89,7 @@ class Identification:
 
     def plain(self) -> dict[str, Array]:
         """Rigid body with linear friction: by three estimators, then with the prior."""
-        linear = linear_effects(self.robot.size)
+        linear = linear_effects(self.robot)
         problem = build_problem(self.robot.chain, (*linear, *self.extra))
         if any(e.reports or e.observes for e in self.extra):
             problem, self.settled = self.solver.linearised(problem)
@@ -258,8 +261,9 @@ class Identification:
 
     def _file_leaves(self, motion: Motion) -> Array:
         robot = self.robot
-        known = RigidBody(robot.chain, motion).load + robot.chain.armature * motion.a
-        known += robot.damping * motion.v + robot.frictionloss * np.sign(motion.v)
+        known = robot.joint_torque(motion.q, motion.v, motion.a)
+        known += RigidBody(robot.chain, motion).load
+        known += robot.frictionloss * np.sign(motion.v)
         return np.asarray(motion.tau - known)
 
     def _friction(self, start: Solution) -> dict[int, list[Effect]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
@@ -108,6 +108,9 @@ def _examined(recording: Recording, robot: Robot | None) -> _Look:
             return _Look(tuple(found), recording)
     uniform = resample(recording)
     state = sampled(uniform)
+    if robot is not None:
+        relaxed = np.where(robot.stiffness > 0, robot.springref, np.nan)
+        state = replace(state, relaxed=relaxed)
     for doubts in _of_physics(uniform, robot, state):
         found += doubts
         if any(map(is_error, found)):

@@ -4,11 +4,12 @@ Whatever the robot file says of its links, they consist of masses that are not
 negative, within reach of their joints; rotors have no negative inertia, and friction
 takes energy. Torque of a log that is read right is a sum with positive weights
 
-    τ = Σ m_p Y(q, v, a) u_p + J a + F_v v + F_c sgn v + offset
+    τ = Σ m_p Y(q, v, a) u_p + J a + F_v v + F_c sgn v + k (q − q₀) + offset
 
 of what unit masses at fixed points of each link ask for (u_p holds the ten parameters
-of such a mass) and of rotor and friction at each joint. Swapped columns, wrong signs
-and a wrong clock ask for negative masses, or leave torque that no mass explains.
+of such a mass), of rotor and friction at each joint, and of springs that the file has.
+Swapped columns, wrong signs and a wrong clock ask for negative masses, or leave torque
+that no mass explains.
 """
 
 from __future__ import annotations
@@ -130,14 +131,20 @@ def direction(v: Array) -> Array:
 
 
 def _drives(state: State) -> Array:
-    """Columns of rotors, friction and offsets, shape (M, n, 5n)."""
+    """Columns of rotors, friction, offsets and springs, shape (M, n, 5n + s)."""
     samples, n = state.q.shape
-    drive = np.zeros((samples, n, n, _OWN))
+    each_own = np.zeros((samples, n, n, _OWN))
     dry = direction(state.v)
     own = np.stack([state.a, state.v, dry, np.ones_like(dry), -np.ones_like(dry)], -1)
     each = np.arange(n)
-    drive[:, each, each] = own
-    return np.asarray(drive.reshape(samples, n, _OWN * n))
+    each_own[:, each, each] = own
+    drive = each_own.reshape(samples, n, _OWN * n)
+    if state.relaxed is None:
+        return drive
+    there = np.flatnonzero(np.isfinite(state.relaxed))
+    spring = np.zeros((samples, n, len(there)))
+    spring[:, there, np.arange(len(there))] = (state.q - state.relaxed)[:, there]
+    return np.concatenate([drive, spring], axis=2)
 
 
 def _offset_costs(size: Array, joints: int, masses: int) -> Array:

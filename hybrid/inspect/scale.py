@@ -30,10 +30,9 @@ _GEARS = 500.0  # a higher ratio of a gear is rare
 
 def scales(robot: Robot, state: State) -> Array:
     """Measured torque over that of the file's links, shape (n,); NaN if not told."""
-    file = (
-        inverse_dynamics(robot.chain, robot.chain.inertial, state.q, state.v, state.a)
-        + robot.chain.armature * state.a
-    )
+    file = inverse_dynamics(
+        robot.chain, robot.chain.inertial, state.q, state.v, state.a
+    ) + robot.joint_torque(state.q, np.zeros_like(state.v), state.a)
     found, dry = np.full(robot.size, np.nan), direction(state.v)
     for j in range(robot.size):
         v, a = state.v[:, j], state.a[:, j]

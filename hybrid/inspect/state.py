@@ -28,6 +28,8 @@ class State:
         a: Accelerations, shape (M, n), [rad/s² or m/s²].
         tau: Torques, shape (M, n), [N·m or N].
         logged: Measured speeds, shape (M, n), or None.
+        relaxed: Where springs of the robot file pull nothing, shape (n,), [rad or m];
+            NaN at joints without one, None without any.
     """
 
     q: Array
@@ -35,6 +37,7 @@ class State:
     a: Array
     tau: Array
     logged: Array | None = None
+    relaxed: Array | None = None
 
 
 def sampled(recording: Recording) -> State:

@@ -157,7 +157,7 @@ def check_simulable(effects: Sequence[Effect], size: int) -> None:
 
 
 def inverse_dynamics(robot: Robot, q: Array, v: Array, a: Array) -> Array:
-    """Torque of rigid body and rotors along a motion, without any friction.
+    """Torque of rigid body, rotors and springs along a motion, without friction.
 
     Args:
         robot: The arm.
@@ -172,6 +172,7 @@ def inverse_dynamics(robot: Robot, q: Array, v: Array, a: Array) -> Array:
 
     model = robot.mujoco_spec().compile()
     model.dof_damping[:] = model.dof_frictionloss[:] = 0.0
+    model.dof_dampingpoly[:] = 0.0
     data = mujoco.MjData(model)
     torque = np.empty_like(q)
     for k in range(len(q)):

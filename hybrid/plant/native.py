@@ -27,7 +27,8 @@ def split_effects(
     for effect in effects:
         gains: dict[str, list[str]] = {}
         for gain, field in effect.fields.items():
-            if field in values and effect.values[gain] > 0:
+            sprung = field == "preload" and "stiffness" in gains
+            if field in values and (effect.values[gain] > 0 or sprung):
                 gains.setdefault(field, []).append(gain)
         left = dict(effect.values)
         for field, names in gains.items():

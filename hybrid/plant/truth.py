@@ -14,6 +14,7 @@ from hybrid.files import read_yaml
 from hybrid.plant.noise import Noise
 from hybrid.plant.plant import Plant
 from hybrid.robot.chain import Array
+from hybrid.robot.library import robot_file
 from hybrid.robot.robot import Robot
 from hybrid.robot.spatial import central_inertia, inertial_about
 
@@ -29,9 +30,10 @@ _PLANT = ("step", "control_rate", "log_rate", "integrator")
 def load_truth(path: str | Path) -> tuple[Robot, Plant]:
     """Read a nominal robot and the plant that differs from it.
 
-    The file names the ``robot`` (relative to itself), multipliers of its links'
-    ``inertial`` parameters (``joint``, and any of ``mass``, ``first_moment`` and
-    ``inertia``, the last about the centre of mass), its ``effects`` (as in
+    The file names the ``robot`` (a file relative to itself, or a robot's name),
+    multipliers of its links' ``inertial`` parameters (``joint``, and any of ``mass``,
+    ``first_moment`` and ``inertia``, the last about the centre of mass), its
+    ``effects`` (as in
     :meth:`Effect.as_dict`), the ``noise`` (``torque_std`` [N·m],
     ``torque_correlation``, ``position_resolution`` and ``position_std`` [rad],
     ``speed_std`` [rad/s], ``correlation_time`` [s]; one value for each joint, or one
@@ -50,7 +52,7 @@ def load_truth(path: str | Path) -> tuple[Robot, Plant]:
     content = _mapping(_read(path), _KEYS, str(path))
     if "robot" not in content:
         raise HybridError(f"{path}: no robot")
-    nominal = Robot.load(path.parent / str(content["robot"]))
+    nominal = Robot.load(robot_file(str(content["robot"]), path.parent))
     try:
         real = _perturbed(nominal, content.get("inertial") or ())
         effects = [

@@ -10,15 +10,13 @@ stays.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hybrid.effects import Effect, Scale
-from hybrid.effects.armature import Armature
-from hybrid.effects.coulomb import Coulomb
-from hybrid.effects.viscous import Viscous
+from hybrid.model.declared import declared_effects
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array, Chain
@@ -27,12 +25,6 @@ _LEAST_MASS = 0.3  # of the mean mass of the links: a flange may carry a tool
 _LEAST_SIZE = 0.1  # of the length of the arm
 _UNKNOWN_SIZE = 0.1  # m: of a link of which the file tells no length
 _OPEN = 1e-9  # of the largest: directions in which the guess has no spread at all
-# What a robot file declares of a drive, by the effect that it is.
-_DECLARED: Mapping[str, Callable[[Robot], Array]] = {
-    Armature.id: lambda robot: robot.chain.armature,
-    Viscous.id: lambda robot: robot.damping,
-    Coulomb.id: lambda robot: robot.frictionloss,
-}
 
 
 @dataclass(frozen=True)
@@ -72,12 +64,13 @@ def file_prior(problem: Problem, robot: Robot, scales: Sequence[Scale]) -> Prior
     if not (chain.inertial[:, 0] > 0).any():
         return None
     expected, sizes = chain.inertial.ravel().tolist(), spread(chain).ravel().tolist()
+    known = {(e.id, e.joints): e.values for e in declared_effects(robot)}
     for e, g in problem.columns:
         effect = problem.effects[e]
         joint = effect.joints[-1]
         gain = effect.gains[g].scaled(scales[joint])
-        declared = _DECLARED.get(effect.id)
-        expected.append(float(declared(robot)[joint]) if declared else 0.0)
+        declared = known.get((effect.id, effect.joints), {})
+        expected.append(declared.get(gain.name, 0.0))
         sizes.append(gain.spread or max(abs(gain.lower), abs(gain.upper)))
     free = {u for u, e, _ in problem.gains if _shifts(problem.effects[e])}
     held = [u for u in range(problem.size) if u not in free]

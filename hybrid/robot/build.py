@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybrid.errors import RobotError
-from hybrid.robot.spatial import central_inertia
+from hybrid.robot.spatial import ROUNDED, central_inertia
 
 if TYPE_CHECKING:
     import mujoco
@@ -69,8 +69,11 @@ def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
         )
         joint = body.add_joint(name=name, type=kind, axis=chain.axis[k])
         joint.armature = chain.armature[k]
-        joint.damping = np.array([robot.damping[k], 0, 0])
+        friction = robot.damping[k], robot.quadratic[k], robot.cubic[k]
+        joint.damping = np.array(friction)
         joint.frictionloss = robot.frictionloss[k]
+        joint.stiffness = np.array([robot.stiffness[k], 0, 0])
+        joint.springref = robot.springref[k]
         parent = body
     return spec
 
@@ -98,7 +101,10 @@ def spec_text(spec: mujoco.MjSpec) -> str:
 
 def _set_inertia(body: mujoco.MjsBody, inertial: np.ndarray, name: str) -> None:
     mass, center, inertia = central_inertia(inertial)
-    if mass < 0 or np.linalg.eigvalsh(inertia)[0] < -1e-6 * max(1.0, mass):
+    a, b, c = np.linalg.eigvalsh(inertia)
+    if 0 < c - a - b <= ROUNDED * c:  # by rounding no body: MuJoCo minds
+        inertia = inertia + 2 * (c - a - b) * np.eye(3)
+    if mass < 0 or a < -1e-6 * max(1.0, mass):
         raise RobotError(
             f"link {name!r} has no physical inertia (mass {mass:g} kg); "
             "MuJoCo cannot simulate it"

@@ -11,7 +11,10 @@ import numpy as np
 
 from hybrid.errors import RobotError
 from hybrid.robot.chain import Array, Chain
-from hybrid.robot.mjcf import compiled
+from hybrid.robot.compiled import compiled
+from hybrid.robot.mjcf import joint_names
+from hybrid.robot.mjcf import start as mujoco_start
+from hybrid.robot.urdf import start as pinocchio_start
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
@@ -50,10 +53,10 @@ def capsules_from_robot(robot: Robot) -> Capsules:
         RobotError: The file is gone, cannot be read, or holds no geometry of the arm.
     """
     path = Path(robot.path)
-    if not path.is_file():
+    if not path.is_file() or path.suffix.lower() == ".xacro":
         raise RobotError(
-            f"{robot.name}: collision checks need the robot's file; "
-            f"{path.name or 'none'} is not there"
+            f"{robot.name}: collision checks need the robot's URDF or MJCF file; "
+            f"{path.name or 'none'} is not there, or no such file"
         )
     reader = _from_urdf if path.suffix.lower() == ".urdf" else _from_mjcf
     rotation, origin = zero_frames(robot.chain)
@@ -101,7 +104,7 @@ def _from_urdf(robot: Robot) -> Iterator[Piece]:
         reason = " ".join(str(error).split())
         raise RobotError(f"{path.name}: no collision geometry ({reason})") from error
     data = model.createData()
-    pin.forwardKinematics(model, data, pin.neutral(model))
+    pin.forwardKinematics(model, data, pinocchio_start(model, robot.held))
     for item in geometry.geometryObjects:
         place = data.oMi[item.parentJoint].act(item.placement)
         joint = int(item.parentJoint)
@@ -135,9 +138,10 @@ def _from_mjcf(robot: Robot) -> Iterator[Piece]:
 
     model: Any = compiled(robot.path)
     data = mujoco.MjData(model)
-    data.qpos[:] = 0.0
+    names = joint_names(model)
+    data.qpos[:] = mujoco_start(model, robot.held)
+    data.qpos[model.jnt_qposadr[[names.index(x) for x in robot.joints]]] = 0.0
     mujoco.mj_kinematics(model, data)
-    names = [model.joint(j).name or f"joint_{j + 1}" for j in range(model.njnt)]
     shape = mujoco.mjtGeom
     for g in range(model.ngeom):
         kind, size = model.geom_type[g], model.geom_size[g]

@@ -1,4 +1,4 @@
-"""MJCF file -> chain and declared properties, compiled by MuJoCo itself.
+"""MuJoCo's model of a file -> chain and declared properties.
 
 Compiling with MuJoCo, rather than parsing the XML a second way, keeps defaults,
 includes, angle units and geometry-derived inertias exactly as MuJoCo sees them.
@@ -7,104 +7,109 @@ includes, angle units and geometry-derived inertias exactly as MuJoCo sees them.
 from __future__ import annotations
 
 import warnings
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from hybrid.errors import HybridWarning, RobotError
-from hybrid.names import printable
 from hybrid.robot.chain import Chain
-from hybrid.robot.selection import serial_joints
+from hybrid.robot.selection import Tree, serial_joints
 from hybrid.robot.spatial import inertial_about, rotation_from_axis_angle
 
-_SLIDE, _HINGE = 2, 3  # mjtJoint; mujoco itself is imported only when a file is read
+_FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint; mujoco is imported only when used
+_KINDS = {_FREE: "is free", _BALL: "is a ball"}
 
 
-def read_mjcf(path: Path, joints: tuple[str, ...] | None) -> dict[str, Any]:
-    """Fields of a :class:`~hybrid.robot.robot.Robot` read from an MJCF file.
+def fields_of_mujoco(
+    model: Any,
+    where: str,
+    joints: tuple[str, ...] | None,
+    held: Mapping[str, float],
+    wanting: Mapping[int, str],
+) -> dict[str, Any]:
+    """Fields of a :class:`~hybrid.robot.robot.Robot` read from MuJoCo's model.
 
     Velocity and acceleration limits, which MJCF has no place for, are read from the
     custom numerics ``velocity_limit`` and ``acceleration_limit`` (one value a joint).
 
+    Args:
+        model: MuJoCo's model.
+        where: The file or object, for messages.
+        joints: Joints to keep, or None for the arm that the tree holds.
+        held: Positions of other joints, [rad or m].
+        wanting: The missing file that each body's inertia would come from.
+
     Raises:
-        RobotError: The file does not compile, or holds no serial arm.
+        RobotError: There is no serial arm, or the inertia of a link is missing.
     """
-    model = compiled(path)
-    names = [model.joint(j).name or f"joint_{j + 1}" for j in range(model.njnt)]
-    for name, kind in zip(names, model.jnt_type, strict=True):
-        if kind not in (_SLIDE, _HINGE):
-            raise RobotError(
-                f"{path}: joint {name!r} is free or ball; valid are hinge and slide "
-                "joints on a fixed base"
-            )
+    names = joint_names(model)
     parents = {name: _parent(model, j, names) for j, name in enumerate(names)}
-    keep = serial_joints(parents, joints, path)
+    kinds = {
+        name: _KINDS[kind]
+        for name, kind in zip(names, model.jnt_type.tolist(), strict=True)
+        if kind in _KINDS
+    }
+    keep = serial_joints(Tree(where, parents, kinds), joints, held)
     index = [names.index(name) for name in keep]
-    chain = _chain(model, index, keep)
-    _warn_left_out(model, path)
     low, high = model.jnt_range[index].T
     limited = model.jnt_limited[index].astype(bool)
-    dofs = model.jnt_dofadr[index]
-    kp, kd = _servo_gains(model)
+    drives = list(_drives(model))
+    kp, kd = _servo_gains(model, drives)
     return {
-        "name": path.stem,
-        "chain": chain,
+        "chain": _chain(model, index, names, held, wanting, drives),
+        "held": dict(held),
         "q_min": np.where(limited, low, -np.inf),
         "q_max": np.where(limited, high, np.inf),
-        "v_max": _numeric(model, "velocity_limit", index, path),
-        "a_max": _numeric(model, "acceleration_limit", index, path),
-        "tau_max": _torque_limit(model, index),
-        "damping": model.dof_damping[dofs].copy(),
-        "frictionloss": model.dof_frictionloss[dofs].copy(),
+        "v_max": _numeric(model, "velocity_limit", index, where),
+        "a_max": _numeric(model, "acceleration_limit", index, where),
+        "tau_max": _torque_limit(model, drives)[index],
         "kp": kp[index],
         "kd": kd[index],
         "timestep": float(model.opt.timestep),
+        **_passive(model, index, drives),
     }
 
 
-def compiled(path: str | Path) -> Any:
-    """MuJoCo's model of a file; of what MuJoCo warns, it is a fault.
+def joint_names(model: Any) -> list[str]:
+    """Names of the joints; those without one are numbered."""
+    return [model.joint(j).name or f"joint_{j + 1}" for j in range(model.njnt)]
 
-    Raises:
-        RobotError: The file does not compile.
-    """
+
+def start(model: Any, held: Mapping[str, float]) -> np.ndarray:
+    """Position of the whole model with some joints held elsewhere, shape (nq,)."""
+    q, names = model.qpos0.copy(), joint_names(model)
+    for name, position in held.items():
+        q[model.jnt_qposadr[names.index(name)]] = position
+    return np.asarray(q)
+
+
+def _passive(model: Any, index: list[int], drives: list[Any]) -> dict[str, Any]:
+    """Friction and springs of the joints."""
+    dofs = model.jnt_dofadr[index]
+    damping = model.dof_damping.copy()
+    for a, joint, gear in drives:
+        damping[model.jnt_dofadr[joint]] += gear**2 * model.actuator_damping[a]
+    damper, spring, dry = (
+        _on(model, name) for name in ("DAMPER", "SPRING", "FRICTIONLOSS")
+    )
+    quadratic, cubic = damper * model.dof_dampingpoly[dofs].T
+    return {
+        "damping": damper * damping[dofs],
+        "quadratic": quadratic,
+        "cubic": cubic,
+        "frictionloss": dry * model.dof_frictionloss[dofs],
+        "stiffness": spring * model.jnt_stiffness[index],
+        "springref": model.qpos_spring[model.jnt_qposadr[index]].copy(),
+    }
+
+
+def _on(model: Any, flag: str) -> float:
+    """One, or zero where the file's option switches a kind of force off."""
     import mujoco
 
-    # Without a listener MuJoCo leaves a log in the folder that one happens to be in.
-    said: list[str] = []
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(said.append)
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, OSError, mujoco.FatalError) as error:
-        said.append(str(error))
-    finally:
-        mujoco.set_mju_user_warning(before)
-    if said:
-        reason = printable(" ".join(" ".join(said).split()))
-        raise RobotError(f"{path}: not a readable MJCF ({reason})")
-    return model
-
-
-def _warn_left_out(model: Any, path: Path) -> None:
-    """What MuJoCo simulates and neither a chain nor its two frictions can hold."""
-    left_out = {
-        "joint springs": (model.jnt_stiffness != 0).any(),
-        "nonlinear joint damping": (model.dof_dampingpoly != 0).any(),
-        "gravity compensation": (model.body_gravcomp != 0).any(),
-        "a fluid": model.opt.density > 0 or model.opt.viscosity > 0,
-        "tendons": model.ntendon > 0,
-        "equality constraints": model.neq > 0,
-    }
-    found = [name for name, there in left_out.items() if there]
-    if found:
-        warnings.warn(
-            f"{path.name}: {', '.join(found)} are not part of a rigid serial arm and "
-            "are left out",
-            HybridWarning,
-            stacklevel=4,
-        )
+    off = int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}"))
+    return 0.0 if model.opt.disableflags & off else 1.0
 
 
 def _parent(model: Any, joint: int, names: list[str]) -> str | None:
@@ -120,7 +125,14 @@ def _parent(model: Any, joint: int, names: list[str]) -> str | None:
     return None
 
 
-def _chain(model: Any, index: list[int], names: tuple[str, ...]) -> Chain:
+def _chain(
+    model: Any,
+    index: list[int],
+    names: list[str],
+    held: Mapping[str, float],
+    wanting: Mapping[int, str],
+    drives: list[Any],
+) -> Chain:
     """Walk the bodies; everything that does not move is welded to its parent link."""
     n = len(index)
     rotation, translation = np.zeros((n, 3, 3)), np.zeros((n, 3))
@@ -133,16 +145,19 @@ def _chain(model: Any, index: list[int], names: tuple[str, ...]) -> Chain:
         link, R, p = home[int(model.body_parentid[body])]
         p = p + R @ model.body_pos[body]
         R = R @ _matrix(model.body_quat[body])
-        start = model.body_jntadr[body]
-        for joint in range(start, start + model.body_jntnum[body]):
+        first = model.body_jntadr[body]
+        for joint in range(first, first + model.body_jntnum[body]):
+            if model.jnt_type[joint] not in (_HINGE, _SLIDE):
+                continue
             # The file's posture is at the reference position; links count from zero.
             direction, offset = model.jnt_axis[joint], model.jnt_pos[joint]
             reference = model.qpos0[model.jnt_qposadr[joint]]
+            at = 0.0 if joint in index else held.get(names[joint], reference)
             anchor = p + R @ offset
             if model.jnt_type[joint] == _HINGE:
-                R = R @ rotation_from_axis_angle(direction, -reference)
+                R = R @ rotation_from_axis_angle(direction, at - reference)
             else:
-                anchor = anchor - reference * (R @ direction)
+                anchor = anchor + (at - reference) * (R @ direction)
             p = anchor - R @ offset
             if joint in index:
                 k = index.index(joint)
@@ -150,18 +165,43 @@ def _chain(model: Any, index: list[int], names: tuple[str, ...]) -> Chain:
                 link, R, p = k, np.eye(3), -offset
         home[body] = (link, R, p)
         if link >= 0:
+            if body in wanting:
+                raise RobotError(
+                    f"link {model.body(body).name or body!r} has no inertia of its "
+                    f"own, and its mesh {wanting[body]!r} is missing; add the mesh or "
+                    "an <inertial>"
+                )
             inertial[link] += _body_inertial(model, body, R, p)
-    dofs = model.jnt_dofadr[index]
+    armature = model.dof_armature.copy()
+    for a, joint, gear in drives:
+        armature[model.jnt_dofadr[joint]] += gear**2 * model.actuator_armature[a]
+    moved = [body for body, (link, _, _) in home.items() if link >= 0]
     return Chain(
-        joints=names,
+        joints=tuple(names[j] for j in index),
         rotation=rotation,
         translation=translation,
         axis=axis,
         revolute=model.jnt_type[index] == _HINGE,
         inertial=inertial,
-        gravity=model.opt.gravity.copy(),
-        armature=model.dof_armature[dofs].copy(),
+        gravity=_gravity(model, index, moved),
+        armature=armature[model.jnt_dofadr[index]],
     )
+
+
+def _gravity(model: Any, index: list[int], moved: list[int]) -> np.ndarray:
+    """Gravity as drives carry it, less what the file takes off all links alike."""
+    gravity = _on(model, "GRAVITY") * model.opt.gravity
+    relief = model.body_gravcomp[[b for b in moved if model.body_mass[b] > 0]]
+    by_drives = model.jnt_actgravcomp[index].all()
+    if not relief.any() or by_drives or np.ptp(relief) > 0:
+        return np.asarray(gravity)
+    warnings.warn(
+        f"gravcomp of the file takes {relief[0]:.0%} of the links' weight off the "
+        "drives; if the torque of a log carries it, take gravcomp out",
+        HybridWarning,
+        stacklevel=6,
+    )
+    return np.asarray((1.0 - relief[0]) * gravity)
 
 
 def _body_inertial(model: Any, body: int, R: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -177,7 +217,7 @@ def _matrix(quaternion: np.ndarray) -> np.ndarray:
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
 
 
-def _numeric(model: Any, name: str, index: list[int], path: Path) -> np.ndarray:
+def _numeric(model: Any, name: str, index: list[int], where: str) -> np.ndarray:
     import mujoco
 
     k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
@@ -186,38 +226,46 @@ def _numeric(model: Any, name: str, index: list[int], path: Path) -> np.ndarray:
     values = model.numeric(name).data
     if len(values) != model.njnt:
         raise RobotError(
-            f"{path}: custom numeric {name!r} has {len(values)} values, one for each "
+            f"{where}: custom numeric {name!r} has {len(values)} values, one for each "
             f"of the {model.njnt} joints is needed"
         )
     return np.array(values)[index]
 
 
-def _torque_limit(model: Any, index: list[int]) -> np.ndarray:
-    """The tightest of joint, actuator and control ranges, at the joint."""
+def _drives(model: Any) -> Iterator[tuple[int, int, float]]:
+    """Number, joint and gear of each actuator that works on a joint."""
+    import mujoco
+
+    at = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
+    for a in range(model.nu):
+        joint = int(model.actuator_trnid[a, 0])
+        if int(model.actuator_trntype[a]) in at and model.jnt_type[joint] > _BALL:
+            yield a, joint, float(model.actuator_gear[a, 0])
+
+
+def _torque_limit(model: Any, drives: list[Any]) -> np.ndarray:
+    """The tightest of joint, actuator and control ranges, at each joint."""
     import mujoco
 
     limit = np.full(model.njnt, np.inf)
     for j in np.flatnonzero(model.jnt_actfrclimited):
         limit[j] = np.abs(model.jnt_actfrcrange[j]).max()
-    for a in range(model.nu):
-        joint, gear = int(model.actuator_trnid[a, 0]), abs(model.actuator_gear[a, 0])
-        if model.actuator_trntype[a] != mujoco.mjtTrn.mjTRN_JOINT:
-            continue
+    for a, joint, gear in drives:
         plain = (
             model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
             and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
         )
         if plain and model.actuator_ctrllimited[a]:  # a motor: force is gain times ctrl
             force = np.abs(model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a])
-            limit[joint] = min(limit[joint], gear * force.max())
+            limit[joint] = min(limit[joint], abs(gear) * force.max())
         if model.actuator_forcelimited[a]:
             force = np.abs(model.actuator_forcerange[a]).max()
-            limit[joint] = min(limit[joint], gear * force)
+            limit[joint] = min(limit[joint], abs(gear) * force)
     limit[limit <= 0] = np.inf
-    return limit[index]
+    return limit
 
 
-def _servo_gains(model: Any) -> tuple[np.ndarray, np.ndarray]:
+def _servo_gains(model: Any, drives: list[Any]) -> tuple[np.ndarray, np.ndarray]:
     """Stiffness and damping of position servos at the joint; NaN without one.
 
     A servo pulls back by as much as its control pulls: ``position`` by position,
@@ -226,14 +274,13 @@ def _servo_gains(model: Any) -> tuple[np.ndarray, np.ndarray]:
     import mujoco
 
     kp, kd = np.zeros((2, model.njnt))
-    for a in range(model.nu):
+    for a, joint, gear in drives:
         gain, (constant, stiffness, damping) = (
             model.actuator_gainprm[a, 0],
             model.actuator_biasprm[a, :3],
         )
         servo = (
-            model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
-            and model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
+            model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
             and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
             and gain > 0
             and constant == 0
@@ -241,7 +288,6 @@ def _servo_gains(model: Any) -> tuple[np.ndarray, np.ndarray]:
         position = servo and np.isclose(gain, -stiffness)
         velocity = servo and stiffness == 0 and np.isclose(gain, -damping)
         if position or velocity:
-            joint, gear = int(model.actuator_trnid[a, 0]), model.actuator_gear[a, 0]
             kp[joint] -= gear**2 * stiffness
             kd[joint] -= gear**2 * damping
     there = kp > 0

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot.chain import Array, Chain
-from hybrid.robot.mjcf import compiled
+from hybrid.robot.compiled import compiled_without_files
 from hybrid.robot.spatial import rotation_from_axis_angle
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def _mjcf(
 ) -> Iterator[tuple[int, int, str]]:
     import mujoco
 
-    model = compiled(robot.path)
+    model, _ = compiled_without_files(robot.path)
     for joint, (turn, shift) in changes.items():
         found = [
             tag

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,22 +13,27 @@ import numpy as np
 from hybrid.errors import RobotError
 from hybrid.names import name_fault
 from hybrid.robot.chain import Array, Chain
-from hybrid.robot.measure import check_demand
-from hybrid.robot.mjcf import read_mjcf
-from hybrid.robot.urdf import read_urdf
+from hybrid.robot.read import read_robot
+from hybrid.robot.unmodelled import check_modelled
 
 if TYPE_CHECKING:
     import mujoco
     import pinocchio
 
-_READERS = {".urdf": read_urdf, ".xml": read_mjcf, ".mjcf": read_mjcf}
-_VECTORS = ("q_min", "q_max", "v_max", "a_max", "tau_max", "damping", "frictionloss")
+_SPRINGS = ("quadratic", "cubic", "stiffness", "springref")
+_VECTORS = (
+    "q_min", "q_max", "v_max", "a_max", "tau_max", "damping", "frictionloss", *_SPRINGS,
+)  # fmt: skip
 _SERVO = ("kp", "kd")
 
 
 @dataclass(frozen=True)
 class Robot:
     """The nominal simulator of a serial arm of n joints.
+
+    Its drives need the torque of the links, and at each joint that of rotor, friction
+    and spring: armature·a + damping·v + quadratic·v|v| + cubic·v³ +
+    stiffness·(q − springref) + frictionloss·sgn v.
 
     Attributes:
         name: Name in the file.
@@ -44,6 +50,12 @@ class Robot:
             there is none.
         kd: Their declared damping, shape (n,), [N·m·s/rad]; NaN where there is none.
         timestep: Declared step of the simulation, [s]; NaN without one.
+        quadratic: Declared friction by the square of speed, shape (n,), [N·m·s²/rad²].
+        cubic: Declared friction by its cube, shape (n,), [N·m·s³/rad³].
+        stiffness: Declared stiffness of springs, shape (n,), [N·m/rad].
+        springref: Position at which they are relaxed, shape (n,), [rad or m].
+        held: Positions at which joints off the arm are held, [rad or m], where those
+            are not the file's.
     """
 
     name: str
@@ -59,11 +71,17 @@ class Robot:
     kp: Array = field(default_factory=lambda: np.zeros(0))
     kd: Array = field(default_factory=lambda: np.zeros(0))
     timestep: float = np.nan
+    quadratic: Array = field(default_factory=lambda: np.zeros(0))
+    cubic: Array = field(default_factory=lambda: np.zeros(0))
+    stiffness: Array = field(default_factory=lambda: np.zeros(0))
+    springref: Array = field(default_factory=lambda: np.zeros(0))
+    held: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.name and (fault := name_fault(self.name)):
             raise RobotError(f"arm {fault}")
-        for name, none in (("a_max", np.inf), *((x, np.nan) for x in _SERVO)):
+        optional = dict.fromkeys(_SERVO, np.nan) | dict.fromkeys(_SPRINGS, 0.0)
+        for name, none in {"a_max": np.inf, **optional}.items():
             if getattr(self, name).size == 0:
                 object.__setattr__(self, name, np.full(self.chain.size, none))
         for name in _VECTORS:
@@ -82,37 +100,38 @@ class Robot:
                 )
 
     @classmethod
-    def load(cls, path: str | Path, *, joints: tuple[str, ...] | None = None) -> Robot:
-        """Read a serial arm from a URDF or MJCF file.
+    def load(
+        cls,
+        source: str | Path | mujoco.MjModel | mujoco.MjSpec | pinocchio.Model,
+        *,
+        joints: tuple[str, ...] | None = None,
+        held: Mapping[str, float] | None = None,
+    ) -> Robot:
+        """Read a serial arm from a robot file, by name, or from a model of a library.
 
         Args:
-            path: ``.urdf``, ``.xml`` or ``.mjcf`` file. Meshes are not needed for URDF.
-            joints: Joints to keep; the others are frozen at zero. By default the
-                longest chain, ending where a gripper forks.
+            source: A ``.urdf``, ``.xml``, ``.mjcf`` or ``.xacro`` file, whose meshes
+                are not needed where links have inertias; the name of a robot of
+                ``example-robot-data`` or ``robot_descriptions``; or a model of MuJoCo
+                or pinocchio, which stays as it is.
+            joints: Joints to keep; the others are held where the file has them. By
+                default the longest chain, ending where a gripper forks.
+            held: Positions of other joints by name, [rad or m].
 
         Raises:
-            RobotError: The file is missing, unreadable, or holds no serial arm.
+            RobotError: The file is missing or unreadable, holds no serial arm, or
+                declares what acts on the arm and is not modelled.
 
         Warns:
-            HybridWarning: Joints off the arm were frozen.
+            HybridWarning: Joints off the arm are held; or the file takes weight off
+                the drives.
         """
-        path = Path(path)
-        if path.suffix.lower() not in _READERS:
-            raise RobotError(
-                f"{path}: unknown kind of robot file; valid are {', '.join(_READERS)}"
-            )
-        if not path.is_file():
-            raise RobotError(f"{path}: no such robot file")
-        check_demand(path)
-        reader = _READERS[path.suffix.lower()]
-        try:
-            return cls(**reader(path, joints), path=str(path))
-        except RobotError as error:
-            if str(path) in str(error):
-                raise
-            raise RobotError(f"{path}: {error}") from error
-        except UnicodeDecodeError as error:
-            raise RobotError(f"{path}: a name in it is not UTF-8 ({error})") from error
+        held = {} if held is None else {name: float(x) for name, x in held.items()}
+        fields, model = read_robot(source, joints, held)
+        robot = cls(**fields)
+        if model is not None:
+            check_modelled(robot, model)
+        return robot
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -139,6 +158,22 @@ class Robot:
             f"no joint {joint!r}; valid are {', '.join(self.joints)}, "
             f"or 1 to {self.size}"
         )
+
+    def joint_torque(self, q: Array, v: Array, a: Array) -> Array:
+        """Torque of rotors, viscous friction and springs; dry friction is not in it.
+
+        Args:
+            q: Position, shape (N, n), [rad].
+            v: Speed, shape (N, n), [rad/s].
+            a: Acceleration, shape (N, n), [rad/s²].
+
+        Returns:
+            Torque, shape (N, n), [N·m].
+        """
+        speed = abs(v)
+        friction = (self.damping + (self.quadratic + self.cubic * speed) * speed) * v
+        spring = self.stiffness * (q - self.springref)
+        return np.asarray(self.chain.armature * a + friction + spring)
 
     def with_inertial(self, inertial: Array) -> Robot:
         """This arm with other link parameters, shape (n, 10)."""
@@ -168,9 +203,8 @@ class Robot:
         }
         names = (*_VECTORS, *_SERVO)
         content |= {name: _plain(getattr(self, name)) for name in names}
-        return content | {
-            "timestep": None if np.isnan(self.timestep) else self.timestep
-        }
+        step = None if np.isnan(self.timestep) else self.timestep
+        return content | {"timestep": step, "held": dict(self.held)}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Robot:
@@ -188,7 +222,9 @@ class Robot:
             own = {
                 name: _numbers(name, content[name], none=_none(name))
                 for name in (*_VECTORS, *_SERVO)
+                if name not in _SPRINGS or name in content  # older files have none
             }
+            held = {str(k): float(x) for k, x in content.get("held", {}).items()}
             step = _numbers("timestep", [content["timestep"]], none=np.nan)
             return cls(
                 name=content["name"],
@@ -196,6 +232,7 @@ class Robot:
                 chain=Chain(joints=joints, revolute=np.array(turning), **arrays),
                 **own,
                 timestep=float(step[0]),
+                held=held,
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise RobotError(f"not a saved robot: {error!r}") from error

@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# Of a moment of inertia: three numbers of six digits may be off by this much.
+ROUNDED = 1.5e-5
+
 
 def skew(x: Array) -> Array:
     """Matrix of the cross product, ``skew(x) @ y == cross(x, y)``; shape (3, 3)."""

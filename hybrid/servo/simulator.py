@@ -88,7 +88,7 @@ class Simulator:
             self._models[key] = self._compiled(drive, step)
         model = copy.copy(self._models[key])
         if drive is not None:
-            install(model, drive)
+            install(model, self.robot, drive)
         return model
 
     def _compiled(self, drive: Drive | None, step: float) -> Any:
@@ -188,11 +188,12 @@ def _actuator(spec: Any, joint: str) -> Any:
     return spec.add_actuator(name=joint, trntype=kind, target=joint)
 
 
-def install(model: Any, drive: Drive) -> None:
+def install(model: Any, robot: Robot, drive: Drive) -> None:
     """Set the numbers of servos in a compiled model, joints in the order of the arm.
 
     Args:
         model: MuJoCo model with a dcmotor at every joint.
+        robot: The arm.
         drive: The servos.
     """
     model.actuator_gainprm[:, 1] = CONSTANT
@@ -208,9 +209,17 @@ def install(model: Any, drive: Drive) -> None:
     model.dof_frictionloss[:] = 0.0
     model.dof_damping[:] = drive["damping"]
     model.dof_armature[:] = drive["armature"]
-    # A spring so soft that its torque does not change is a constant one.
-    model.jnt_stiffness[:] = SOFT
-    model.qpos_spring[:] = drive["offset"] / SOFT
+    model.jnt_stiffness[:], model.qpos_spring[:] = springs(robot, drive)
+
+
+def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
+    """Stiffness [N·m/rad] and relaxed position [rad] of every joint's spring, (n,).
+
+    An offset of torque is a spring so soft that its torque does not change, or shifts
+    the one that the file declares.
+    """
+    stiffness = np.maximum(robot.stiffness, SOFT)
+    return stiffness, robot.springref - drive["zero"] + drive["offset"] / stiffness
 
 
 def bristle_damping(drive: Drive) -> Array:

@@ -17,7 +17,7 @@ from hybrid.robot import Robot
 from hybrid.robot.build import spec_text
 from hybrid.robot.rewrite import Tag, tags
 from hybrid.servo.drive import Drive
-from hybrid.servo.simulator import CONSTANT, SOFT, bristle_damping, servo_spec
+from hybrid.servo.simulator import CONSTANT, bristle_damping, servo_spec, springs
 
 _ACTUATORS = (
     "general", "motor", "position", "velocity", "intvelocity", "damper", "dcmotor",
@@ -69,6 +69,7 @@ def _edits(
         for x in found
     )
     step = robot.timestep if np.isfinite(robot.timestep) else 0.002
+    stiffness, relaxed = springs(robot, drive)
     sections = [x for x in found if x.path == ("mujoco", "actuator")]
     for j, name in enumerate(robot.joints):
         joint = _joint(found, name, robot)
@@ -80,8 +81,8 @@ def _edits(
             "damping": drive["damping"][j],
             "frictionloss": 0.0,
             "armature": drive["armature"][j],
-            "stiffness": SOFT,
-            "springref": drive["offset"][j] / SOFT * turn,
+            "stiffness": stiffness[j],
+            "springref": relaxed[j] * turn,
             "ref": reference - drive["zero"][j] * turn,
         }
         yield _changed(content, joint, joint.path[-1], given)
@@ -157,12 +158,13 @@ def _skeleton(robot: Robot, drive: Drive) -> str:
     step = robot.timestep if np.isfinite(robot.timestep) else 0.002
     spec = servo_spec(robot, drive["zero"])
     spec.option.timestep = step
+    stiffness, relaxed = springs(robot, drive)
     for j, actuator in enumerate(spec.actuators):
         joint = spec.joint(robot.joints[j])
         joint.armature, joint.frictionloss = drive["armature"][j], 0.0
         joint.damping = np.array([drive["damping"][j], 0.0, 0.0])
-        joint.stiffness = np.array([SOFT, 0.0, 0.0])
-        joint.springref = drive["offset"][j] / SOFT
+        joint.stiffness = np.array([stiffness[j], 0.0, 0.0])
+        joint.springref = relaxed[j]
         given = actuator_attributes(drive, j, step)
         for name in ("gainprm", "biasprm", "dynprm"):
             getattr(actuator, name)[: len(given[name])] = given[name]

@@ -1,0 +1,103 @@
+"""Robots by name: files that other packages have already put on this computer."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, files
+from importlib.util import find_spec
+from pathlib import Path
+
+from hybrid.errors import RobotError
+
+_EXAMPLES, _DESCRIPTIONS = "example-robot-data", "robot_descriptions"
+
+
+def robot_file(source: str | Path, home: Path | None = None) -> Path:
+    """The file of a robot that is given by its path or by a name.
+
+    Names are those of the files of ``example-robot-data`` (``ur5``, ``panda``), and
+    after them those of ``robot_descriptions`` (``ur5e``, ``ur5e_mj_description``), of
+    which only what its cache holds is used.
+
+    Args:
+        source: A path; or a name, which has neither folder nor suffix.
+        home: Folder that a path starts from.
+
+    Raises:
+        RobotError: No robot has the name, or it is not on this computer.
+    """
+    path = Path(home or "", source)
+    name = str(source)
+    if path.is_file() or Path(name).name != name or Path(name).suffix:
+        return path
+    examples = _examples()
+    if name in examples:
+        return examples[name]
+    described = _described()
+    for known in (name, f"{name}_mj_description", f"{name}_description"):
+        if known in described:
+            return _cached(known, described[known])
+    names = sorted({*examples, *(x.removesuffix("_description") for x in described)})
+    valid = (
+        f"valid are files and {', '.join(names)}"
+        if names
+        else f"for robots by name install {_EXAMPLES} or {_DESCRIPTIONS}"
+    )
+    raise RobotError(f"{name}: no such robot file; {valid}")
+
+
+def _examples() -> Mapping[str, Path]:
+    """Files of the package ``example-robot-data``; the folder tells namesakes apart."""
+    try:
+        listed = files(_EXAMPLES) or ()
+    except PackageNotFoundError:
+        return {}
+    found = [Path(str(x.locate())) for x in listed if x.suffix == ".urdf"]
+    often = Counter(path.stem for path in found)
+    names = {}
+    for path in found:
+        folder = path.parents[1].name.removesuffix("_description")
+        names[path.stem if often[path.stem] == 1 else folder] = path
+    return {name.removesuffix("_robot"): names[name] for name in sorted(names)}
+
+
+def _described() -> Mapping[str, str]:
+    """Names that ``robot_descriptions`` knows, and the repository of each."""
+    if find_spec(_DESCRIPTIONS) is None:
+        return {}
+    known = import_module(f"{_DESCRIPTIONS}._descriptions").DESCRIPTIONS
+    return {name: str(item.repository) for name, item in known.items()}
+
+
+def _cached(name: str, repository: str) -> Path:
+    """File of a description whose repository was fetched before.
+
+    The module of a description fetches its repository unless the cache has it.
+    """
+    known = import_module(f"{_DESCRIPTIONS}._repositories").REPOSITORIES[repository]
+    cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")
+    folder = Path(cache).expanduser() / known.cache_path
+    if not _has(folder, known.commit):
+        raise RobotError(
+            f"{name}: not in the cache of {_DESCRIPTIONS}; run `python -m "
+            f"{_DESCRIPTIONS} pull {name}` once"
+        )
+    module = import_module(f"{_DESCRIPTIONS}.{name}")
+    for kind in ("MJCF_PATH", "URDF_PATH", "XACRO_PATH"):
+        if hasattr(module, kind):
+            return Path(getattr(module, kind))
+    raise RobotError(f"{name}: {_DESCRIPTIONS} has no file of it")
+
+
+def _has(folder: Path, commit: str) -> bool:
+    """Whether a folder is a repository that knows a commit."""
+    import git
+
+    try:
+        git.Repo(folder).git.rev_parse("--verify", f"{commit}^{{commit}}")
+    except git.exc.GitError:
+        return False
+    return True

@@ -1,0 +1,117 @@
+"""A robot against MuJoCo's own model: nothing that acts on its joints is left out.
+
+Both are asked for the torque of the same motions. Where they differ, the elements of
+the file without which MuJoCo's torque is another are those that are not modelled.
+Contacts and limits, which a log shows as such, and dry friction, which MuJoCo softens,
+stay out of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybrid.errors import RobotError
+from hybrid.robot.chain import Array
+from hybrid.robot.mjcf import joint_names, start
+
+if TYPE_CHECKING:
+    from hybrid.robot.robot import Robot
+
+_STATES = 3
+_SAME = 1e-6  # of the largest torque
+# What MuJoCo knows besides links, by the arrays that switch each of them off.
+_ELEMENTS = {
+    "tendon": (
+        "tendon_stiffness", "tendon_stiffnesspoly", "tendon_damping",
+        "tendon_dampingpoly", "tendon_armature", "tendon_frictionloss",
+    ),
+    "equality": ("eq_active0",),
+    "gravcomp of body": ("body_gravcomp",),
+    "nonlinear stiffness of joint": ("jnt_stiffnesspoly", "jnt_springyield"),
+    "damping of actuator": ("actuator_damping", "actuator_dampingpoly"),
+}  # fmt: skip
+
+
+def check_modelled(robot: Robot, model: Any) -> None:
+    """Refuse a robot that needs another torque than MuJoCo's model of it.
+
+    Args:
+        robot: What was read of the model.
+        model: MuJoCo's model; it is changed.
+
+    Raises:
+        RobotError: Something else acts on the arm's joints; it is named.
+    """
+    import mujoco
+
+    off = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
+    model.dof_frictionloss[:] = 0.0
+    names, home = joint_names(model), start(model, robot.held)
+    index = [names.index(name) for name in robot.joints]
+    states = np.random.default_rng(0).uniform(-1.0, 1.0, (3, _STATES, robot.size))
+    theirs = _torque(model, index, states, home)
+    different = np.abs(theirs - _ours(robot, states)).max(axis=0)
+    if (different <= _SAME * np.abs(theirs).max()).all():
+        return
+    guilty = [
+        name
+        for name in _without(model)
+        if not np.allclose(_torque(model, index, states, home), theirs, rtol=_SAME)
+    ]
+    joint = robot.joints[int(np.argmax(different))]
+    what = ", ".join(guilty) or f"something at joint {joint!r}"
+    raise RobotError(
+        f"{robot.path or robot.name}: {what} acts on the arm and is not modelled; take "
+        "it out of the file, or choose joints that it does not act on"
+    )
+
+
+def _ours(robot: Robot, states: Array) -> Array:
+    import pinocchio as pin
+
+    model = robot.pinocchio()
+    data = model.createData()
+    body = [pin.rnea(model, data, *state) for state in states.transpose(1, 0, 2)]
+    # pinocchio's model has the rotors already.
+    q, v, a = states
+    return np.array(body) + robot.joint_torque(q, v, np.zeros_like(a))
+
+
+def _torque(model: Any, index: list[int], states: Array, home: Array) -> Array:
+    """Torque that MuJoCo needs, shape (samples, n)."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    dofs, at = model.jnt_dofadr[index], model.jnt_qposadr[index]
+    found = []
+    for q, v, a in states.transpose(1, 0, 2):
+        data.qpos[:], data.qpos[at] = home, q
+        data.qvel[dofs], data.qacc[dofs] = v, a
+        mujoco.mj_inverse(model, data)
+        found.append(data.qfrc_inverse[dofs].copy())
+    return np.array(found)
+
+
+def _without(model: Any) -> Iterator[str]:
+    """Names of elements, each while it is switched off."""
+    for kind, fields in _ELEMENTS.items():
+        arrays = [getattr(model, field) for field in fields]
+        accessor = getattr(model, kind.rpartition(" ")[2])
+        for k in range(len(arrays[0])):
+            before = [x[k].copy() for x in arrays]
+            if not any(np.any(x) for x in before):
+                continue
+            for x in arrays:
+                x[k] = 0
+            yield f"{kind} {accessor(k).name or k!r}"
+            for x, old in zip(arrays, before, strict=True):
+                x[k] = old
+    density, viscosity = model.opt.density, model.opt.viscosity
+    if density or viscosity:
+        model.opt.density = model.opt.viscosity = 0.0
+        yield "the fluid of option"
+        model.opt.density, model.opt.viscosity = density, viscosity
