@@ -19,6 +19,8 @@ import numpy as np
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 
+_FAR = 20.0  # logarithm of a number in SI units that no servo has
+PRESLIDING = 1e-3  # rad: how far bristles bend before a joint breaks loose, mostly
 _LITTLE = 1e-4  # of a torque: what stands for none where a logarithm is fitted
 
 
@@ -52,7 +54,7 @@ QUANTITIES = (
     Quantity("coulomb", "N·m", "coulomb", 2.0),
     Quantity("stiction", "N·m", "stribeck", 0.05, "torque", False, 0.0),
     Quantity("stribeck_speed", "rad/s", "stribeck", 1.0),
-    Quantity("bristle", "N·m/rad", "presliding", 1.0),
+    Quantity("bristle", "N·m/rad", "presliding", 2.0),
     Quantity("armature", "kg·m²", "armature", 2.0),
     Quantity("stall", "N·m", "saturation", 1.0),
     Quantity("offset", "N·m", "torque_offset", 0.05, "torque", False),
@@ -103,7 +105,10 @@ class Drive:
     def moved(self, coordinates: Array) -> Drive:
         """Servos at other coordinates."""
         rows = zip(QUANTITIES, coordinates, strict=True)
-        values = [np.exp(x) if q.positive else np.maximum(x, q.least) for q, x in rows]
+        values = [
+            np.exp(np.clip(x, -_FAR, _FAR)) if q.positive else np.maximum(x, q.least)
+            for q, x in rows
+        ]
         return replace(self, values=np.array(values))
 
     @classmethod
@@ -124,7 +129,7 @@ class Drive:
             "damping": np.maximum(servo + robot.damping, little),
             "coulomb": friction,
             "stribeck_speed": np.full(n, 0.05),
-            "bristle": 2.0 * stall / 0.1,
+            "bristle": friction / PRESLIDING,
             "armature": np.maximum(robot.chain.armature, 1e-4 * stall),
             "stall": stall,
         }

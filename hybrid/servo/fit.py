@@ -11,14 +11,14 @@ slopes, which the covariance needs, are made one by one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.robot.chain import Array
-from hybrid.servo.drive import NAMES, QUANTITIES, Drive
+from hybrid.servo.drive import QUANTITIES, Drive
 from hybrid.servo.simulator import Simulator
 from hybrid.servo.stretch import Stretch
 
@@ -39,15 +39,52 @@ class Estimate:
 
     Attributes:
         drive: The servos.
-        std: Standard deviation of every coordinate, (len(QUANTITIES), n).
+        free: Which coordinates were fitted, (len(QUANTITIES), n), P of them.
+        covariance: Of those, shape (P, P).
         sigma: Usual error of a replay at each joint, shape (n,), [rad].
         cost: Negative logarithm of their posterior, but for a constant.
     """
 
     drive: Drive
-    std: Array
+    free: NDArray[np.bool_]
+    covariance: Array
     sigma: Array
     cost: float
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation of every coordinate, 0 of those not fitted, (…, n)."""
+        std = np.zeros(self.free.shape)
+        std[self.free] = np.sqrt(np.diagonal(self.covariance))
+        return std
+
+    def back(self, prior: Drive, k: int, j: int) -> Drive:
+        """Servos with one number of the prior, the others making up for it.
+
+        x' = x − C_i (x_i − f_i) / C_ii, the most probable others for small changes.
+
+        Args:
+            prior: Where the number is taken from.
+            k: Index of the quantity.
+            j: Index of the joint.
+        """
+        x, places = self.drive.coordinates, np.argwhere(self.free)
+        i = int(np.flatnonzero((places == (k, j)).all(axis=1))[0])
+        off = prior.coordinates[k, j] - x[k, j]
+        x[self.free] += self.covariance[i] / self.covariance[i, i] * off
+        return self.drive.moved(x)
+
+    def without(self, prior: Drive, k: int, j: int) -> Estimate:
+        """The same with one number known to be the prior's."""
+        places = np.argwhere(self.free)
+        i = int(np.flatnonzero((places == (k, j)).all(axis=1))[0])
+        row = self.covariance[i]
+        covariance = self.covariance - np.outer(row, row) / row[i]
+        rest = np.delete(np.delete(covariance, i, axis=0), i, axis=1)
+        free = self.free.copy()
+        free[k, j] = False
+        drive = self.back(prior, k, j)
+        return replace(self, drive=drive, free=free, covariance=rest)
 
 
 class _Problem:
@@ -125,8 +162,7 @@ def fitted(
     *,
     start: Drive,
     prior: Drive,
-    names: Collection[str] = NAMES,
-    resting: Collection[int] = (),
+    free: NDArray[np.bool_],
     progress: Callable[[str], None] = lambda _: None,
 ) -> Estimate:
     """The most probable servos.
@@ -136,13 +172,10 @@ def fitted(
         stretches: Logs.
         start: Where the search begins.
         prior: Numbers before a log is seen, from the robot file.
-        names: Quantities that are fitted; the others stay as in ``start``.
-        resting: Joints that never move, whose numbers stay.
+        free: Numbers that are fitted, (len(QUANTITIES), n); the others stay as in
+            ``start``.
         progress: Is told what is done.
     """
-    free = np.zeros_like(start.values, dtype=bool)
-    free[[NAMES.index(name) for name in names]] = True
-    free[:, list(resting)] = False
     floor = np.maximum(resolution(stretches), 1e-4)
     problem = _Problem(simulator, stretches, prior, free, floor)
     x = start.coordinates
@@ -160,11 +193,14 @@ def fitted(
     problem.weigh(errors)
     progress("servos: how sure they are")
     matrix, _ = problem.normal(errors, problem.slopes(x, errors, each=True), x)
-    std = np.zeros_like(x)
-    std[free] = np.sqrt(np.diagonal(np.linalg.inv(matrix)))
+    covariance: Array = np.asarray(np.linalg.inv(matrix))
     # What these logs do not tell stays as it was known before.
-    x = np.where(free & (std > _UNTOLD * problem.spread), problem.center, x)
-    return Estimate(prior.moved(x), std, problem.sigma, problem.cost(errors, x))
+    std = np.sqrt(np.diagonal(covariance))
+    x[free] = np.where(
+        std > _UNTOLD * problem.spread[free], problem.center[free], x[free]
+    )
+    cost = problem.cost(errors, x)
+    return Estimate(prior.moved(x), free, covariance, problem.sigma, cost)
 
 
 def _step(

@@ -3,7 +3,8 @@
 A number of the file is wrong with probability 1/(1 + e^(cost − log B)): B, the
 Savage–Dickey ratio, is the prior density of the file's own number over its posterior
 density, and the cost is that of one cause in some hundred places. One guard stays: with
-the number put back, replays of unseen motion must be worse.
+the number put back, and the others making up for it, replays of motion that was not
+fitted must be worse by more than a step of the encoder.
 
 Source: Dickey 1971, doi 10.1214/aoms/1177693507.
 """
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.recording import Recording
@@ -24,14 +26,17 @@ from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive
 from hybrid.servo.fit import Estimate, fitted, resolution
+from hybrid.servo.needed import missed, needed
 from hybrid.servo.simulator import Simulator
-from hybrid.servo.start import first_guess
+from hybrid.servo.start import first_guess, with_delays
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.threads import one_thread
 
 _COST = 5.0  # nats: prior odds of one number, among some hundred, to be wrong
 _SURE = 0.95
-_SECONDS, _EACH = 240.0, 10.0  # s of motion to fit, in parts of this length
+# s of motion to fit, to check, and of a part of either.
+_SECONDS, _CHECKED, _EACH = 240.0, 60.0, 10.0
+_WEIGHED = 120.0  # s of unseen motion, on which single numbers are weighed
 _UNSEEN = 4  # one recording in so many is kept aside
 _TAIL = 0.3  # of a single recording is kept aside
 _STILL = 3.0  # steps of the encoder: a joint that goes less far rests
@@ -53,7 +58,7 @@ class Finding:
         interval: 95 % of the posterior.
         probability: That the file is wrong in this.
         worth: Error of unseen replays of this joint that comes back with the file's
-            number, [rad].
+            number, the others making up for it as far as they can, [rad].
     """
 
     effect: str
@@ -95,6 +100,7 @@ class ServoFit:
     Attributes:
         robot: The arm as its file has it.
         drive: Servos as found.
+        plain_drive: Servos of a plain fit.
         std: Standard deviations: relative of positive numbers, else in the number's
             unit; shape (len(QUANTITIES), n).
         findings: What the file has wrong, the most worthy first.
@@ -111,6 +117,7 @@ class ServoFit:
 
     robot: Robot
     drive: Drive
+    plain_drive: Drive
     std: Array
     findings: tuple[Finding, ...]
     before: Array
@@ -222,28 +229,39 @@ def fit_servo(
     if len(rests) == robot.size:
         raise RecordingError("no joint moves; valid are logs of a moving arm")
     simulator, prior = Simulator(robot), Drive.declared(robot)
-    parts = chosen(learn, _SECONDS, _EACH)
-    start = first_guess(robot, learn)
-    still = {name: prior[name] for name in NAMES}
-    start = start.at(**{k: _mixed(start[k], still[k], rests) for k in NAMES})
-    search = partial(fitted, simulator, parts, prior=prior, resting=rests)
+    parts = chosen(learn, _SECONDS + _CHECKED, _EACH)
+    count = round(len(parts) * _SECONDS / (_SECONDS + _CHECKED))
+    parts, others = parts[:count], parts[count:] or parts
+    moving = np.ones_like(prior.values, dtype=bool)
+    moving[:, rests] = False
+    start = Drive(
+        np.where(moving, first_guess(robot, learn).values, prior.values), prior.stall
+    )
+    start = with_delays(simulator, parts, start)
+    search = partial(fitted, simulator, parts, prior=prior)
+    simple = moving & np.isin(NAMES, PLAIN)[:, None]
     plain = search(
-        start=start, names=PLAIN, progress=lambda text: progress(f"plain {text}")
+        start=start, free=simple, progress=lambda text: progress(f"plain {text}")
     )
-    found = search(start=plain.drive, progress=progress)
-    before, between, after = (
-        _missed(simulator, unseen, x) for x in (None, plain.drive, found.drive)
-    )
-    findings = _findings(robot, prior, found, simulator, unseen, after, rests)
+    whole = search(start=plain.drive, free=moving, progress=progress)
+    progress("servos: which numbers of the file can stay")
+    # As everywhere, more numbers are taken only if they help on motion not fitted.
+    errors = missed(simulator, others, [plain.drive, whole.drive]).mean(axis=1)
+    found = whole if errors[1] < errors[0] else plain
+    floor = resolution(logs)
+    differs = needed(simulator, others, prior, found, np.sqrt(12.0) * floor)
+    (before,) = missed(simulator, unseen, [None])
+    between, after = missed(simulator, unseen, [plain.drive, found.drive])
     return ServoFit(
         robot=robot,
         drive=found.drive,
+        plain_drive=plain.drive,
         std=found.std,
-        findings=findings,
+        findings=_findings(robot, prior, found, differs, simulator, unseen),
         before=before,
         plain=between,
         after=after,
-        floor=resolution(logs),
+        floor=floor,
         seconds=sum(x.duration for x in unseen),
         unseen=tuple(x.source for x in unseen),
         resting=tuple(robot.joints[j] for j in rests),
@@ -267,62 +285,57 @@ def _resting(logs: Sequence[Stretch]) -> list[int]:
     return [int(j) for j in np.flatnonzero(travel < least)]
 
 
-def _mixed(moving: Array, resting: Array, rests: Sequence[int]) -> Array:
-    mixed = moving.copy()
-    mixed[list(rests)] = resting[list(rests)]
-    return mixed
-
-
-def _missed(
-    simulator: Simulator, logs: Sequence[Stretch], drive: Drive | None
-) -> Array:
-    """RMS error of replays, shape (n,), [rad]."""
-    (moved,) = simulator.replay(logs, [drive])
-    pairs = zip(moved, logs, strict=True)
-    errors = np.concatenate([q - x.q for q, x in pairs])
-    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
-
-
 def _findings(
     robot: Robot,
     prior: Drive,
     found: Estimate,
+    differs: NDArray[np.bool_],
     simulator: Simulator,
     unseen: Sequence[Stretch],
-    after: Array,
-    rests: Sequence[int],
 ) -> tuple[Finding, ...]:
-    """Numbers that are wrong with probability 0.95, and whose file's value is worse."""
+    """Numbers that differ with probability 0.95, and whose file's value is worse."""
     file, x, spread = prior.coordinates, found.drive.coordinates, prior.spread
     std = np.minimum(np.maximum(found.std, 1e-9), spread)
     odds = np.log(spread / std) - 0.5 * ((x - file) / std) ** 2
     probability = 1.0 / (1.0 + np.exp(np.minimum(odds + _COST, 700.0)))
+    named = [q.name not in _SHAPES for q in QUANTITIES]
+    sure = differs & (probability >= _SURE) & np.array(named)[:, None]
+    places = np.argwhere(sure).tolist()
+    # Far off, the others that would make up for it are not known: then they stay.
+    back = [found.back(prior, k, j) for k, j in places]
+    alone = [found.drive.moved(_with(x, file, k, j)) for k, j in places]
+    parts = chosen(unseen, _WEIGHED, _EACH)
+    errors = missed(simulator, parts, [found.drive, *back, *alone])
+    errors[1 : 1 + len(back)] = np.minimum(
+        errors[1 : 1 + len(back)], errors[1 + len(back) :]
+    )
     findings = []
-    for k, quantity in enumerate(QUANTITIES):
-        if quantity.name in _SHAPES:
-            continue
-        back = found.drive.at(**{quantity.name: prior[quantity.name]})
-        worth = _missed(simulator, unseen, back) - after
-        for j, joint in enumerate(robot.joints):
-            if j in rests or probability[k, j] < _SURE or not worth[j] > 0:
-                continue
-            off = 1.96 * std[k, j]
-            ends = x[k, j] - off, x[k, j] + off
-            low, high = map(float, np.exp(ends) if quantity.positive else ends)
+    for (k, j), error in zip(places, errors[1 : 1 + len(back)], strict=True):
+        quantity, off = QUANTITIES[k], 1.96 * std[k, j]
+        ends = x[k, j] - off, x[k, j] + off
+        low, high = map(float, np.exp(ends) if quantity.positive else ends)
+        worth = float(error[j] - errors[0, j])
+        if worth > 0:
             findings.append(
                 Finding(
                     effect=quantity.effect,
-                    joint=joint,
+                    joint=robot.joints[j],
                     quantity=quantity.name,
                     unit=quantity.unit,
-                    file=float(prior[quantity.name][j]),
-                    value=float(found.drive[quantity.name][j]),
+                    file=float(prior.values[k, j]),
+                    value=float(found.drive.values[k, j]),
                     interval=(low, high),
                     probability=float(probability[k, j]),
-                    worth=float(worth[j]),
+                    worth=worth,
                 )
             )
     return tuple(sorted(findings, key=lambda f: -f.worth))
+
+
+def _with(x: Array, file: Array, k: int, j: int) -> Array:
+    changed = x.copy()
+    changed[k, j] = file[k, j]
+    return changed
 
 
 def _notes(robot: Robot, rests: Sequence[int]) -> tuple[str, ...]:

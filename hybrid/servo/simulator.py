@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,7 +46,7 @@ class Simulator:
 
         Args:
             stretches: What is replayed.
-            drives: Servos to replay it with; None for those of the robot file.
+            drives: Servos to replay it with; None alone for those of the robot file.
 
         Returns:
             For each drive and each stretch positions, shape (N, n), [rad].
@@ -63,14 +64,17 @@ class Simulator:
             for stretch, k in zip(stretches, steps, strict=True):
                 model = self._model(drive, stretch.step / k)
                 late = np.zeros(n) if drive is None else drive["delay"]
-                command = delayed(stretch, late, k)
+                # A semi-implicit step acts half of itself early.
+                early = 0.5 * (stretch.step / k - file_step(self.robot))
+                command = delayed(stretch, late + early, k)
                 rows = control[len(models)]
                 rows[: len(command)], rows[len(command) :] = command, command[-1]
                 models.append(model)
                 states.append(self._state(model, drive, stretch, command[0]))
         threads = len(os.sched_getaffinity(0))
         data = [mujoco.MjData(models[0]) for _ in range(min(threads, count))]
-        found, _ = rollout.rollout(models, data, np.array(states), control)
+        with _quiet():  # a servo that is tried may be unstable
+            found, _ = rollout.rollout(models, data, np.array(states), control)
         moved = []
         for i in range(len(drives)):
             own = []
@@ -120,6 +124,24 @@ class Simulator:
         state = np.empty(mujoco.mj_stateSize(model, full))
         mujoco.mj_getState(model, data, state, full)
         return state
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Nothing that MuJoCo warns of is shown, or left in a file of its own."""
+    import mujoco
+
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def file_step(robot: Robot) -> float:
+    """Step with which the file's simulation runs, or MuJoCo's usual one, [s]."""
+    return float(robot.timestep) if np.isfinite(robot.timestep) else 0.002
 
 
 def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:

@@ -17,15 +17,16 @@ import numpy as np
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
-from hybrid.servo.drive import Drive
+from hybrid.servo.drive import PRESLIDING, Drive
+from hybrid.servo.simulator import Simulator
 from hybrid.servo.stretch import Stretch
 from hybrid.signals.filters import butterworth, central_difference
 
 _BAND = 4.0  # Hz: of what a coarse encoder leaves of an acceleration
 _CREEP = 0.02  # rad/s
+_DELAYS = (0.0, 0.02, 0.04, 0.07, 0.1)  # s
 _LOADED = 0.1  # of the largest change of weight: less tells no stiffness
 _LEAST = 1e-3  # rad, s or s², of the stiffness: friction and rotors are not negative
-_BRISTLES = 2.0  # of the stiffness
 
 
 def first_guess(robot: Robot, stretches: Sequence[Stretch]) -> Drive:
@@ -58,10 +59,35 @@ def first_guess(robot: Robot, stretches: Sequence[Stretch]) -> Drive:
         stiffness=stiffness,
         damping=np.maximum(theta[1], _LEAST * stiffness),
         coulomb=friction,
-        bristle=_BRISTLES * stiffness,
+        bristle=friction / PRESLIDING,
         armature=np.maximum(theta[3], _LEAST * stiffness),
         offset=-theta[4],
     )
+
+
+def with_delays(
+    simulator: Simulator, stretches: Sequence[Stretch], guess: Drive
+) -> Drive:
+    """The same servos with the delay of each joint that replays best.
+
+    To a slow motion a delay d is damping k·d, which it takes the place of.
+
+    Args:
+        simulator: Replays.
+        stretches: Logs.
+        guess: Servos without delay.
+    """
+    tried, errors = [], []
+    for delay in _DELAYS:
+        damping = guess["damping"] - guess["stiffness"] * delay
+        least = _LEAST * guess["stiffness"]
+        tried.append(guess.at(delay=delay, damping=np.maximum(damping, least)))
+    for moved in simulator.replay(stretches, tried):
+        each = [q - x.q for q, x in zip(moved, stretches, strict=True)]
+        errors.append(np.mean(np.concatenate(each) ** 2, axis=0))
+    best = np.argmin(np.nan_to_num(np.array(errors), nan=np.inf), axis=0)
+    values = [tried[k].values[:, j] for j, k in enumerate(best.tolist())]
+    return Drive(np.stack(values, axis=1), guess.stall)
 
 
 def _signals(robot: Robot, stretch: Stretch) -> tuple[Array, Array, Array, Array]:

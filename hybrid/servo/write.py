@@ -17,7 +17,13 @@ from hybrid.robot import Robot
 from hybrid.robot.build import spec_text
 from hybrid.robot.rewrite import Tag, tags
 from hybrid.servo.drive import Drive
-from hybrid.servo.simulator import CONSTANT, bristle_damping, servo_spec, springs
+from hybrid.servo.simulator import (
+    CONSTANT,
+    bristle_damping,
+    file_step,
+    servo_spec,
+    springs,
+)
 
 _ACTUATORS = (
     "general", "motor", "position", "velocity", "intvelocity", "damper", "dcmotor",
@@ -68,7 +74,7 @@ def _edits(
         x.path[-1] == "compiler" and x.attributes.get("angle") == "radian"
         for x in found
     )
-    step = robot.timestep if np.isfinite(robot.timestep) else 0.002
+    step = file_step(robot)
     stiffness, relaxed = springs(robot, drive)
     sections = [x for x in found if x.path == ("mujoco", "actuator")]
     for j, name in enumerate(robot.joints):
@@ -155,7 +161,7 @@ def actuator_attributes(drive: Drive, j: int, step: float) -> dict[str, Any]:
 
 def _skeleton(robot: Robot, drive: Drive) -> str:
     """Links, joints and servos of an arm as MJCF; no shapes."""
-    step = robot.timestep if np.isfinite(robot.timestep) else 0.002
+    step = file_step(robot)
     spec = servo_spec(robot, drive["zero"])
     spec.option.timestep = step
     stiffness, relaxed = springs(robot, drive)
