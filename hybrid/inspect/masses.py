@@ -138,13 +138,13 @@ def _drives(state: State) -> Array:
     own = np.stack([state.a, state.v, dry, np.ones_like(dry), -np.ones_like(dry)], -1)
     each = np.arange(n)
     drive[:, each, each] = own
-    drive = drive.reshape(samples, n, _OWN * n)
+    drives = drive.reshape(samples, n, _OWN * n)
     if state.relaxed is None:
-        return drive
+        return drives
     there = np.flatnonzero(np.isfinite(state.relaxed))
     spring = np.zeros((samples, n, len(there)))
     spring[:, there, np.arange(len(there))] = (state.q - state.relaxed)[:, there]
-    return np.concatenate([drive, spring], axis=2)
+    return np.concatenate([drives, spring], axis=2)
 
 
 def _offset_costs(size: Array, joints: int, masses: int) -> Array:
