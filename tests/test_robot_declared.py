@@ -18,6 +18,7 @@ from hybrid.identify import identify
 from hybrid.plant import Plant, simulate
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
+from hybrid.robot.geometry import capsules_from_robot
 
 SOLID = "<inertial mass='2' pos='.1 .02 .03' diaginertia='.02 .03 .04'/>"
 MORE = "<geom type='box' size='.05 .03 .02' pos='.02 0 .01'/>"
@@ -238,6 +239,13 @@ def test_meshes_are_not_needed_where_links_have_inertias(tmp_path):
     np.testing.assert_array_equal(spec.chain.inertial, robot.chain.inertial)
 
 
+def test_a_scene_loads_without_the_meshes_of_what_it_includes(tmp_path):
+    saved(tmp_path, mjcf(link=SOLID + SHELL, option=MESHES))
+    scene = "<mujoco><include file='arm.xml'/></mujoco>"
+    robot = Robot.load(saved(tmp_path, scene, "scene.xml"))
+    assert_as_mujoco(mjcf(), robot)
+
+
 def test_an_inertia_that_a_missing_mesh_would_have_to_give_is_refused(tmp_path):
     text = mjcf(link=SHELL, option=MESHES)
     with pytest.raises(RobotError) as caught:
@@ -285,6 +293,14 @@ def test_a_link_that_could_not_be_built_is_refused_by_its_name(
     with pytest.raises(RobotError) as caught:
         Robot.load(saved(tmp_path, urdf(**wrong), "arm.urdf"))
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("mass", [-1.0, np.nan])
+def test_a_link_of_mujocos_model_that_could_not_be_built_is_refused(mass):
+    model = model_of(mjcf())
+    model.body("lower").mass[:] = mass
+    with pytest.raises(RobotError, match="link 'lower' has no physical inertia"):
+        Robot.load(model)
 
 
 def test_rounded_inertias_of_a_thin_rod_are_a_body(tmp_path):
@@ -418,6 +434,26 @@ def test_an_arm_of_a_tree_moves_as_it_does_where_the_rest_is_held():
         start[model.joint(name).qposadr] = x
     assert_as_mujoco(text, robot, start)
     assert Robot.from_dict(robot.as_dict()).held == held
+
+
+@pytest.mark.parametrize("kind", ["xml", "urdf"])
+def test_what_a_held_joint_carries_is_where_it_is_held(tmp_path, kind):
+    ball = "<geom type='sphere' size='.05' mass='1'/>"
+    body = f"<body><joint name='slide' type='slide' axis='1 0 0'/>{ball}</body>"
+    text = mjcf(link=SOLID + body)
+    if kind == "urdf":
+        shape = "<collision><geometry><sphere radius='.05'/></geometry></collision>"
+        link = urdf().split("<link name='upper'>")[1].split("</link>")[0]
+        text = urdf(
+            extra="<joint name='slide' type='prismatic'><parent link='lower'/>"
+            "<child link='ball'/><axis xyz='1 0 0'/><limit effort='9' velocity='2' "
+            f"lower='-1' upper='1'/></joint><link name='ball'>{link}{shape}</link>"
+        )
+    path = saved(tmp_path, text, f"arm.{kind}")
+    with pytest.warns(HybridWarning, match="slide at 0.25"):
+        robot = Robot.load(path, joints=("a", "b"), held={"slide": 0.25})
+    (ends,) = capsules_from_robot(robot).ends
+    np.testing.assert_allclose(ends, [[0.25, 0, 0]] * 2, atol=1e-12)
 
 
 def test_a_joint_of_the_arm_or_of_none_cannot_be_held():

@@ -16,6 +16,7 @@ from hybrid.robot.library import robot_file
 def test_a_name_of_example_robot_data_is_the_file_of_that_arm():
     assert robot_file("panda").name == "panda.urdf"
     assert robot_file("ur5").name == "ur5_robot.urdf"
+    assert robot_file("alexander_v1.lowerBodyOnly").is_file()
     assert robot_file("anymal_b_simple") != robot_file("anymal_c_simple")
     assert Robot.load("ur5").joints == Robot.load(robot_file("ur5")).joints
 

@@ -62,11 +62,9 @@ def corrected(
     off = scored.gains[: _rigid(scored)] if background is None else background
     links, rest = np.split(off, [10 * robot.size])
     inertial = robot.chain.inertial + links.reshape(-1, 10)
-    declared = []
-    chain = robot.chain
-    for values in (
-        chain.armature, robot.damping, robot.frictionloss, robot.stiffness
-    ):  # fmt: skip
+    declared, chain = [], robot.chain
+    numbers = chain.armature, robot.damping, robot.frictionloss, robot.stiffness
+    for values in numbers:
         new, there = values.copy(), np.flatnonzero(values)
         new[there] += rest[: len(there)]
         declared.append(new)

@@ -83,11 +83,16 @@ def robot_from_model(model: DynamicModel, fields: Sequence[str] = FIELDS) -> Exp
         quadratic=quadratic,
         cubic=cubic,
     )
-    learned: tuple[str, ...] = ()
+    return Expressed(found, tuple(rest), _learned(model))
+
+
+def _learned(model: DynamicModel) -> tuple[str, ...]:
+    """The learned remainder in words, if there is one."""
+    robot = model.robot
     if model.remainder is not None and model.remainder.parts:
         joints = [robot.joints[p.joint] for p in model.remainder.parts]
-        learned = (f"learned remainder of {', '.join(joints)}",)
-    return Expressed(found, tuple(rest), learned)
+        return (f"learned remainder of {', '.join(joints)}",)
+    return ()
 
 
 def _in_words(robot: Robot, effect: Effect) -> str:

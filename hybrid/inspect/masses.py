@@ -133,18 +133,18 @@ def direction(v: Array) -> Array:
 def _drives(state: State) -> Array:
     """Columns of rotors, friction, offsets and springs, shape (M, n, 5n + s)."""
     samples, n = state.q.shape
-    each_own = np.zeros((samples, n, n, _OWN))
+    drive = np.zeros((samples, n, n, _OWN))
     dry = direction(state.v)
     own = np.stack([state.a, state.v, dry, np.ones_like(dry), -np.ones_like(dry)], -1)
     each = np.arange(n)
-    each_own[:, each, each] = own
-    drive = each_own.reshape(samples, n, _OWN * n)
+    drive[:, each, each] = own
+    drives = drive.reshape(samples, n, _OWN * n)
     if state.relaxed is None:
-        return drive
+        return drives
     there = np.flatnonzero(np.isfinite(state.relaxed))
     spring = np.zeros((samples, n, len(there)))
     spring[:, there, np.arange(len(there))] = (state.q - state.relaxed)[:, there]
-    return np.concatenate([drive, spring], axis=2)
+    return np.concatenate([drives, spring], axis=2)
 
 
 def _offset_costs(size: Array, joints: int, masses: int) -> Array:

@@ -29,18 +29,24 @@ def compiled_without_files(path: str | Path) -> tuple[Any, Mapping[int, str]]:
     Raises:
         RobotError: The file does not compile for another reason.
     """
-    import mujoco
-
     try:
         return compiled(path), {}
     except RobotError:
-        file = Path(path)
-        text = file.read_text(encoding="utf-8", errors="replace")
-        spec = _quietly(lambda: mujoco.MjSpec.from_string(text), str(path))
+        spec = _quietly(lambda: _spec(Path(path)), str(path))
         if not (spec.meshes or spec.hfields or spec.textures):
             raise
-    spec.modelfiledir = str(file.parent)
     return compiled_spec(spec, str(path))
+
+
+def _spec(path: Path) -> Any:
+    import mujoco
+
+    if path.suffix.lower() == ".xml":
+        return mujoco.MjSpec.from_file(str(path))
+    text = path.read_text(encoding="utf-8", errors="replace")
+    spec = mujoco.MjSpec.from_string(text)  # which files of other endings need
+    spec.modelfiledir = str(path.parent)
+    return spec
 
 
 def compiled_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
@@ -54,6 +60,7 @@ def compiled_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
     """
     import mujoco
 
+    spec.compiler.fusestatic = False  # bodies stay what geometry belongs to
     missing = dict(_stand_ins(spec))
     model = _quietly(spec.compile, where)
     by = spec.compiler.inertiafromgeom

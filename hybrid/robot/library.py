@@ -23,7 +23,7 @@ def robot_file(source: str | Path, home: Path | None = None) -> Path:
     which only what its cache holds is used.
 
     Args:
-        source: A path; or a name, which has neither folder nor suffix.
+        source: A path; or a name, which has no folder.
         home: Folder that a path starts from.
 
     Raises:
@@ -31,7 +31,7 @@ def robot_file(source: str | Path, home: Path | None = None) -> Path:
     """
     path = Path(home or "", source)
     name = str(source)
-    if path.is_file() or Path(name).name != name or Path(name).suffix:
+    if path.is_file() or Path(name).name != name:
         return path
     examples = _examples()
     if name in examples:
@@ -40,6 +40,8 @@ def robot_file(source: str | Path, home: Path | None = None) -> Path:
     for known in (name, f"{name}_mj_description", f"{name}_description"):
         if known in described:
             return _cached(known, described[known])
+    if Path(name).suffix:
+        return path
     names = sorted({*examples, *(x.removesuffix("_description") for x in described)})
     valid = (
         f"valid are files and {', '.join(names)}"

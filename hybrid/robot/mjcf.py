@@ -15,7 +15,11 @@ import numpy as np
 from hybrid.errors import HybridWarning, RobotError
 from hybrid.robot.chain import Chain
 from hybrid.robot.selection import Tree, serial_joints
-from hybrid.robot.spatial import inertial_about, rotation_from_axis_angle
+from hybrid.robot.spatial import (
+    inertia_fault,
+    inertial_about,
+    rotation_from_axis_angle,
+)
 
 _FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint; mujoco is imported only when used
 _KINDS = {_FREE: "is free", _BALL: "is a ball"}
@@ -87,9 +91,7 @@ def start(model: Any, held: Mapping[str, float]) -> np.ndarray:
 def _passive(model: Any, index: list[int], drives: list[Any]) -> dict[str, Any]:
     """Friction and springs of the joints."""
     dofs = model.jnt_dofadr[index]
-    damping = model.dof_damping.copy()
-    for a, joint, gear in drives:
-        damping[model.jnt_dofadr[joint]] += gear**2 * model.actuator_damping[a]
+    damping = _with_drives(model, "damping", drives)
     damper, spring, dry = (
         _on(model, name) for name in ("DAMPER", "SPRING", "FRICTIONLOSS")
     )
@@ -102,6 +104,15 @@ def _passive(model: Any, index: list[int], drives: list[Any]) -> dict[str, Any]:
         "stiffness": spring * model.jnt_stiffness[index],
         "springref": model.qpos_spring[model.jnt_qposadr[index]].copy(),
     }
+
+
+def _with_drives(model: Any, name: str, drives: list[Any]) -> np.ndarray:
+    """Armature or damping of each dof, with that of actuators behind their gears."""
+    values = getattr(model, f"dof_{name}").copy()
+    for a, joint, gear in drives:
+        own = getattr(model, f"actuator_{name}")[a]
+        values[model.jnt_dofadr[joint]] += gear**2 * own
+    return np.asarray(values)
 
 
 def _on(model: Any, flag: str) -> float:
@@ -149,20 +160,13 @@ def _chain(
         for joint in range(first, first + model.body_jntnum[body]):
             if model.jnt_type[joint] not in (_HINGE, _SLIDE):
                 continue
-            # The file's posture is at the reference position; links count from zero.
-            direction, offset = model.jnt_axis[joint], model.jnt_pos[joint]
-            reference = model.qpos0[model.jnt_qposadr[joint]]
-            at = 0.0 if joint in index else held.get(names[joint], reference)
-            anchor = p + R @ offset
-            if model.jnt_type[joint] == _HINGE:
-                R = R @ rotation_from_axis_angle(direction, at - reference)
-            else:
-                anchor = anchor + (at - reference) * (R @ direction)
-            p = anchor - R @ offset
+            at = 0.0 if joint in index else held.get(names[joint])
+            R, p = _moved(model, joint, R, p, at)
             if joint in index:
-                k = index.index(joint)
-                axis[k], rotation[k], translation[k] = direction, R, anchor
-                link, R, p = k, np.eye(3), -offset
+                link, offset = index.index(joint), model.jnt_pos[joint]
+                axis[link] = model.jnt_axis[joint]
+                rotation[link], translation[link] = R, p + R @ offset
+                R, p = np.eye(3), -offset
         home[body] = (link, R, p)
         if link >= 0:
             if body in wanting:
@@ -172,9 +176,6 @@ def _chain(
                     "an <inertial>"
                 )
             inertial[link] += _body_inertial(model, body, R, p)
-    armature = model.dof_armature.copy()
-    for a, joint, gear in drives:
-        armature[model.jnt_dofadr[joint]] += gear**2 * model.actuator_armature[a]
     moved = [body for body, (link, _, _) in home.items() if link >= 0]
     return Chain(
         joints=tuple(names[j] for j in index),
@@ -184,8 +185,27 @@ def _chain(
         revolute=model.jnt_type[index] == _HINGE,
         inertial=inertial,
         gravity=_gravity(model, index, moved),
-        armature=armature[model.jnt_dofadr[index]],
+        armature=_with_drives(model, "armature", drives)[model.jnt_dofadr[index]],
     )
+
+
+def _moved(
+    model: Any, joint: int, R: np.ndarray, p: np.ndarray, at: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pose of a body when a joint is at a position, of the pose at its reference.
+
+    The file has its posture there; links count from zero.
+    """
+    if at is None:
+        return R, p
+    direction, offset = model.jnt_axis[joint], model.jnt_pos[joint]
+    far = at - model.qpos0[model.jnt_qposadr[joint]]
+    anchor = p + R @ offset
+    if model.jnt_type[joint] == _HINGE:
+        R = R @ rotation_from_axis_angle(direction, far)
+    else:
+        anchor = anchor + far * (R @ direction)
+    return R, anchor - R @ offset
 
 
 def _gravity(model: Any, index: list[int], moved: list[int]) -> np.ndarray:
@@ -205,6 +225,9 @@ def _gravity(model: Any, index: list[int], moved: list[int]) -> np.ndarray:
 
 
 def _body_inertial(model: Any, body: int, R: np.ndarray, p: np.ndarray) -> np.ndarray:
+    fault = inertia_fault(model.body_mass[body], np.diag(model.body_inertia[body]))
+    if fault:
+        raise RobotError(f"link {model.body(body).name or body!r} {fault}")
     center = p + R @ model.body_ipos[body]
     principal = R @ _matrix(model.body_iquat[body])
     inertia = principal @ np.diag(model.body_inertia[body]) @ principal.T

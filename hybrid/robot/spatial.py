@@ -9,6 +9,7 @@ Array = NDArray[np.float64]
 
 # Of a moment of inertia: three numbers of six digits may be off by this much.
 ROUNDED = 1.5e-5
+_SMALLEST = 1e-9  # kg·m²: moments of which rounding does not matter
 
 
 def skew(x: Array) -> Array:
@@ -60,3 +61,23 @@ def central_inertia(inertial: Array) -> tuple[float, Array, Array]:
     center = inertial[1:4] / mass if mass > 0 else np.zeros(3)
     k = skew(center)
     return mass, center, inertia_matrix(inertial) + mass * (k @ k)
+
+
+def inertia_fault(mass: float, about: Array) -> str:
+    """Why no body has a mass and an inertia about its centre, or nothing.
+
+    Args:
+        mass: Mass, [kg].
+        about: Inertia about the centre of mass, shape (3, 3), [kg·m²].
+    """
+    size, moments = np.abs(about).max(), np.full(3, np.nan)
+    if 0 <= size < np.inf:
+        moments = np.linalg.eigvalsh(about / (size or 1.0)) * size
+    least = min(moments[0], moments[0] + moments[1] - moments[2])
+    if mass >= 0 and least >= -ROUNDED * max(moments[2], _SMALLEST):
+        return ""
+    return (
+        f"has no physical inertia (mass {mass:g} kg, moments "
+        f"{', '.join(f'{x:.4g}' for x in moments)} kg·m²); valid are a mass of 0 or "
+        "more and moments of which none is above the sum of the others"
+    )

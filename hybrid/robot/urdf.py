@@ -20,9 +20,8 @@ import numpy as np
 from hybrid.errors import RobotError
 from hybrid.robot.chain import Chain
 from hybrid.robot.selection import Tree, serial_joints
-from hybrid.robot.spatial import ROUNDED
+from hybrid.robot.spatial import inertia_fault
 
-_SMALLEST = 1e-9  # kg·m²: moments of which rounding does not matter
 Follower = tuple[str, float, float]  # of which joint, by which ratio, from where
 
 
@@ -116,18 +115,9 @@ def _check_links(model: Any, index: list[int]) -> None:
     for j in range(1, model.njoints):
         if not {*model.supports[j]} & {*index}:
             continue
-        mass, about = model.inertias[j].mass, model.inertias[j].inertia
-        size, values = np.abs(about).max(), np.full(3, np.nan)
-        if 0 <= size < np.inf:
-            values = np.linalg.eigvalsh(about / (size or 1.0)) * size
-        least = min(values[0], values[0] + values[1] - values[2])
-        if not (mass >= 0 and least >= -ROUNDED * max(values[2], _SMALLEST)):
-            raise RobotError(
-                f"link {_link(model, j)!r} has no physical inertia (mass {mass:g} kg, "
-                f"moments {', '.join(f'{x:.4g}' for x in values)} kg·m²); valid are a "
-                "mass of 0 or more and moments of which none is above the sum of the "
-                "others"
-            )
+        fault = inertia_fault(model.inertias[j].mass, model.inertias[j].inertia)
+        if fault:
+            raise RobotError(f"link {_link(model, j)!r} {fault}")
 
 
 def _link(model: Any, joint: int) -> str:
