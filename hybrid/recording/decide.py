@@ -1,0 +1,405 @@
+"""One mapping for every format: a table, a map and the labels' words -> columns.
+
+For each channel, the map's columns come first; where it has none, the labels' words
+decide. Joints are told by name where columns have names, else by number. A unit is the
+map's, else the label's, else the file's, else the one of SI.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from hybrid.errors import HybridWarning, RecordingError
+from hybrid.recording.joints import MatchedJoints, match_joints
+from hybrid.recording.mapping import Mapping, preset_of
+from hybrid.recording.reading import Reading, Used
+from hybrid.recording.recording import CHANNELS, joint_mismatch, numbered_joints
+from hybrid.recording.table import MOST_COLUMNS, Table
+from hybrid.recording.units import SI, converted
+from hybrid.recording.words import (
+    CHANNEL_WORDS,
+    TIME,
+    Meaning,
+    is_time,
+    meaning,
+    split_unit,
+)
+
+_NEEDED = ("q", "tau")
+HELP = "or say which column is what with --map FILE.yaml"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Columns of each channel in the order of the joints, and how it came about."""
+
+    joints: tuple[str, ...]
+    time: Used
+    channels: dict[str, tuple[Used, ...]]
+    reading: Reading
+
+
+@dataclass(frozen=True)
+class _Column:
+    index: int
+    label: str
+    said: Meaning
+
+
+def decide(
+    table: Table,
+    *,
+    joints: tuple[str, ...] | None = None,
+    mapping: Mapping | None = None,
+    torque: bool = True,
+    quiet: bool = False,
+) -> Decision:
+    """Decide which column of a table is which channel of which joint in which unit.
+
+    Args:
+        table: Named columns.
+        joints: Joint names of the robot, base to tip; None if not known.
+        mapping: What the user says.
+        torque: Whether torques must be there.
+        quiet: Whether to keep the warning about columns set aside.
+
+    Raises:
+        RecordingError: Time, positions or torques are missing, two columns are for the
+            same joint, a unit fits no channel, or the joints are not the robot's.
+
+    Warns:
+        HybridWarning: Columns were set aside; they are listed.
+    """
+    return _Decider(table, joints, mapping or Mapping(), torque).decide(quiet)
+
+
+class _Decider:
+    """The steps of one decision; what is set aside is gathered along the way."""
+
+    def __init__(
+        self,
+        table: Table,
+        joints: tuple[str, ...] | None,
+        mapping: Mapping,
+        torque: bool,
+    ) -> None:
+        if len(table.labels) > MOST_COLUMNS:
+            raise RecordingError(
+                f"{table.place}: {len(table.labels)} columns; valid are up to "
+                f"{MOST_COLUMNS}"
+            )
+        labels = tuple(label.strip() for label in table.labels)
+        found = preset_of(labels, mapping.preset or table.preset)
+        self.table, self.labels, self.torque = table, labels, torque
+        self.map = mapping.over(found)
+        self.joints = joints or self.map.joints or table.joints or None
+        self.aside: dict[int, str] = {}
+        self.notes: list[str] = []
+
+    def decide(self, quiet: bool) -> Decision:
+        time = self.time()
+        columns = self.columns(time.index)
+        self._check_needed(columns)
+        joints = self.joints or self._joints_of(columns)
+        channels: dict[str, tuple[Used, ...]] = {}
+        for channel in CHANNELS:
+            if placed := self.placed(channel, columns.get(channel, []), joints):
+                channels[channel] = placed
+        if self.torque and "tau" not in channels:
+            raise self._missing("tau")
+        taken = {u.index for used in channels.values() for u in used} | {time.index}
+        aside = {
+            k: self.aside.get(k, "not used")
+            for k, label in enumerate(self.labels)
+            if label and k not in taken
+        }
+        if aside and not quiet:
+            warnings.warn(
+                f"{self.table.place}: ignored columns: "
+                f"{_listed([self.labels[k] for k in aside])}",
+                HybridWarning,
+                stacklevel=4,
+            )
+        used = (time, *(u for group in channels.values() for u in group))
+        reading = Reading(
+            self.table.kind, self.table.name, self.map.preset, used,
+            tuple((self.labels[k], why) for k, why in aside.items()),
+            tuple(self.notes),
+        )  # fmt: skip
+        return Decision(joints, time, channels, reading)
+
+    def _error(self, text: str) -> RecordingError:
+        return RecordingError(f"{self.table.place}: {text}")
+
+    def time(self) -> Used:
+        """The column of time."""
+        source = self.map.source("time")
+        if source.columns is not None and (not self.map.preset or "time" in str(
+            source.columns) or source.columns in self.labels):  # fmt: skip
+            found = [k for k, x in enumerate(self.labels) if x == source.columns]
+            what = f"no column {source.columns!r}"
+        else:
+            words = [split_unit(label)[0] for label in self.labels]
+            exact = [k for k, word in enumerate(words) if word.lower() in TIME]
+            found = exact or [k for k, word in enumerate(words) if is_time(word)]
+            what = "no column of time" if not found else "more than one column of time"
+        if len(found) != 1:
+            raise self._error(
+                f"{what} among {_listed(self.labels)}; valid is one of "
+                f"{', '.join(TIME)}, in seconds or with its unit (time_ms), {HELP}"
+            )
+        label = self.labels[found[0]]
+        unit = source.unit or split_unit(label)[1] or self.table.unit(found[0])
+        if unit and converted(unit, "time") is None:
+            raise self._unit_error(label, unit, "time")
+        return Used(found[0], label, "t", "", unit, bool(unit))
+
+    def columns(self, time: int) -> dict[str, list[_Column]]:
+        """Columns of each channel: the map's, or those whose words say so."""
+        known = (*(self.joints or ()), *self.map.names)
+        spoken: dict[str, list[_Column]] = {}
+        bare = any(
+            meaning(label, known).channel == "q" and not meaning(label, known).joint
+            for label in self.labels
+        )
+        for k, label in enumerate(self.labels):
+            if k == time:
+                continue
+            said = meaning(label, known)
+            if said.channel and not said.joint:
+                if not bare:
+                    continue
+                said = replace(said, number=1, joint="1")
+            if self.map.topic and not self._in_topic(label):
+                self.aside[k] = f"not of {self.map.topic}"
+            elif said.channel:
+                spoken.setdefault(said.channel, []).append(_Column(k, label, said))
+            else:
+                self.aside[k] = said.why
+        found: dict[str, list[_Column]] = {}
+        for channel in CHANNELS:
+            source = self.map.source(channel)
+            if source.dropped:
+                continue
+            mapped = self._mapped(channel, source.columns)
+            found[channel] = mapped or spoken.get(channel, [])
+        if not found.get("tau") and not self.map.source("tau").dropped:
+            found["tau"] = spoken.get("current", [])
+        taken = {c.index for columns in found.values() for c in columns}
+        for c in spoken.get("current", []):
+            if c.index not in taken:
+                self.aside[c.index] = "current, beside a torque"
+        return {name: columns for name, columns in found.items() if columns}
+
+    def _in_topic(self, label: str) -> bool:
+        return label.strip("/").startswith(self.map.topic.strip("/"))
+
+    def _mapped(
+        self, channel: str, columns: str | tuple[str, ...] | dict[str, str] | None
+    ) -> list[_Column]:
+        if columns is None:
+            return []
+        found: list[_Column] = []
+        if isinstance(columns, str):
+            pattern = re.escape(columns).replace(r"\{\}", "(.+)").replace(r"\*", ".*")
+            for k, label in enumerate(self.labels):
+                plain = split_unit(label)[0]
+                match = re.fullmatch(pattern, label) or re.fullmatch(pattern, plain)
+                if match:
+                    joint = match.group(1) if match.groups() else "1"
+                    found.append(self._at(k, channel, joint))
+            if not found and self._own(channel):
+                raise self._error(
+                    f"no column like {columns!r} for {channel} of {self.map.origin} "
+                    f"among {_listed(self.labels)}"
+                )
+            return found
+        pairs = columns.items() if isinstance(columns, dict) else (
+            (str(k + 1), label) for k, label in enumerate(columns)
+        )  # fmt: skip
+        for joint, label in pairs:
+            if label not in self.labels:
+                raise self._error(
+                    f"no column {label!r} for {channel} of {self.map.origin} among "
+                    f"{_listed(self.labels)}"
+                )
+            found.append(self._at(self.labels.index(label), channel, joint))
+        return found
+
+    def _own(self, channel: str) -> bool:
+        """Whether the user, and not a preset, speaks of a channel."""
+        preset = preset_of((), self.map.preset) if self.map.preset else Mapping()
+        return self.map.source(channel) != preset.source(channel)
+
+    def _at(self, index: int, channel: str, joint: str) -> _Column:
+        number = int(joint) if joint.isascii() and joint.isdigit() else None
+        unit = split_unit(self.labels[index])[1]
+        said = Meaning(channel, joint, number, unit=unit, why="")
+        return _Column(index, self.labels[index], said)
+
+    def _check_needed(self, columns: dict[str, list[_Column]]) -> None:
+        for channel in _NEEDED if self.torque else ("q",):
+            if not columns.get(channel):
+                raise self._missing(channel)
+
+    def _missing(self, channel: str) -> RecordingError:
+        word = "positions" if channel == "q" else "torques"
+        currents = [k for k, why in self.aside.items() if why.startswith("current")]
+        if channel == "tau" and currents:
+            return self._error(
+                f"no torques, but currents ({_listed([self.labels[k] for k in currents])}"
+                "); valid is --map FILE.yaml with tau: {torque_constant: N·m/A, "
+                "gear_ratio: ...}, a number or a list in the order of the joints"
+            )
+        words = (w for w in CHANNEL_WORDS[channel].split()[:3] if w != "tauj")
+        return self._error(
+            f"no {word} among the columns {_listed(self.labels)}; valid are "
+            f"{', '.join(f'{w}1 or {w}_<joint>' for w in words)}, {HELP}"
+        )
+
+    def _joints_of(self, columns: dict[str, list[_Column]]) -> tuple[str, ...]:
+        """Joint names of the file: those of the first channel that has names."""
+        for channel in _NEEDED:
+            group = self._numbered_first(columns.get(channel, []))
+            names = [c.said.joint for c in group if c.said.number is None]
+            if names:
+                return tuple(dict.fromkeys(self.map.names.get(x, x) for x in names))
+        group = self._numbered_first(columns["q"])
+        return numbered_joints(len({c.said.joint for c in self._one_space(group)}))
+
+    def _numbered_first(self, columns: list[_Column]) -> list[_Column]:
+        """Without names beside numbers: q_motor1 beside q1 is no joint."""
+        numbered = [c for c in columns if c.said.number is not None]
+        for c in columns:
+            if numbered and c.said.number is None:
+                self.aside[c.index] = "a name beside numbered joints"
+        return numbered or columns
+
+    def _one_space(
+        self, columns: list[_Column], joints: tuple[str, ...] | None = None
+    ) -> list[_Column]:
+        """The columns under one topic or group: the one that has the joints."""
+        spaces = dict.fromkeys(c.said.space for c in columns)
+        if len(spaces) < 2:
+            return columns
+        groups = {s: [c for c in columns if c.said.space == s] for s in spaces}
+        good = {
+            s: group
+            for s, group in groups.items()
+            if joints is None or not self._match(group, joints).missing
+        }
+        if len(good) != 1:
+            raise self._error(
+                f"columns of {columns[0].said.channel} under {_listed(list(spaces))}"
+                f", {len(good) or 'none'} of them for the joints; valid is --map "
+                "FILE.yaml with topic: and the beginning of the right ones"
+            )
+        ((space, group),) = good.items()
+        for c in columns:
+            if c.said.space != space:
+                self.aside[c.index] = f"not of {space or 'the joints'}"
+        return group
+
+    def _match(self, group: list[_Column], joints: tuple[str, ...]) -> MatchedJoints:
+        names = [self.map.names.get(c.said.joint, c.said.joint) for c in group]
+        return match_joints(names, [c.said.number for c in group], joints)
+
+    def placed(
+        self, channel: str, columns: list[_Column], joints: tuple[str, ...]
+    ) -> tuple[Used, ...]:
+        """Columns of one channel in the order of the joints, with their units."""
+        if not columns:
+            return ()
+        named = self._match(columns, joints)
+        if named.missing:
+            columns = self._numbered_first(columns)
+        columns = self._one_space(columns, joints)
+        match = self._match(columns, joints)
+        places: dict[str, _Column] = {}
+        for column, joint in zip(columns, match.joints, strict=True):
+            if joint in places:
+                raise self._error(
+                    f"columns {places[joint].label!r} and {column.label!r} are both "
+                    f"{channel} of {joint}; valid is one column for each joint, {HELP}"
+                )
+            places[joint] = column
+        extra = [joint for joint in places if joint not in joints]
+        if channel not in _NEEDED and len(extra) == len(places):
+            self.aside |= {c.index: "of no joint of the arm" for c in columns}
+            return ()
+        if match.missing or (extra and places[extra[0]].said.number is not None):
+            raise self._error(
+                f"columns of {channel} ({_listed([c.label for c in columns])}): "
+                f"{joint_mismatch(tuple(places), joints)}"
+            )
+        for joint in extra:
+            self.aside[places.pop(joint).index] = f"{joint} is no joint of the arm"
+        return self._used(channel, [places[joint] for joint in joints], joints)
+
+    def _used(
+        self, channel: str, columns: Sequence[_Column], joints: tuple[str, ...]
+    ) -> tuple[Used, ...]:
+        source, used = self.map.source(channel), []
+        for place, (column, joint) in enumerate(zip(columns, joints, strict=True)):
+            unit = source.unit or column.said.unit or self.table.unit(column.index)
+            current = column.said.channel == "current" and not unit
+            unit = "A" if current else unit
+            scale, shift = converted(unit, channel) or (None, 0.0) if unit else (1.0, 0)
+            if scale is None and channel == "tau" and converted(unit, "current"):
+                if "torque_constant" not in source.factors:
+                    if self.torque and column.said.channel != "current" and not (
+                        self.map.preset and not self._own("tau")
+                    ):
+                        raise self._unit_error(column.label, unit, channel)
+                    why = f"current in {unit}: a map with a torque_constant is needed"
+                    self.aside |= {c.index: why for c in columns}
+                    return ()
+                scale = (converted(unit, "current") or (1.0, 0.0))[0]
+            if scale is None:
+                raise self._unit_error(column.label, unit, channel)
+            factor = scale * source.factor(joint, place)
+            label = column.label
+            used.append(
+                Used(
+                    column.index, label, channel, joint,
+                    unit or SI[channel][0], bool(unit), factor, shift,
+                )  # fmt: skip
+            )
+        return tuple(used)
+
+    def _unit_error(self, label: str, unit: str, channel: str) -> RecordingError:
+        valid = " and ".join(SI[channel])
+        more = ", or a current with torque_constant in --map FILE.yaml"
+        return self._error(
+            f"column {label!r} is in {unit}; valid are {valid} and units that convert "
+            f"to them{more if channel == 'tau' else ''}"
+        )
+
+
+def _listed(labels: Sequence[str]) -> str:
+    shown = ", ".join(labels[:12])
+    return shown if len(labels) <= 12 else f"{shown} and {len(labels) - 12} more"
+
+
+def decide_command(
+    table: Table, joints: tuple[str, ...], mapping: Mapping
+) -> Decision | None:
+    """Columns of the command alone, for a stream without positions; None if none.
+
+    Args:
+        table: Named columns.
+        joints: Joints of the recording that the command is for.
+        mapping: What the user says of channels; its topic does not count here.
+    """
+    decider = _Decider(table, joints, replace(mapping, topic=""), torque=False)
+    try:
+        time = decider.time()
+        columns = decider.columns(time.index).get("command", [])
+        used = decider.placed("command", columns, joints)
+    except RecordingError:
+        return None
+    reading = Reading(table.kind, table.name, "", (time, *used))
+    return Decision(joints, time, {"command": used}, reading) if used else None
