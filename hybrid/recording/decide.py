@@ -350,8 +350,10 @@ class _Decider:
             scale, shift = converted(unit, channel) or (None, 0.0) if unit else (1.0, 0)
             if scale is None and channel == "tau" and converted(unit, "current"):
                 if "torque_constant" not in source.factors:
-                    if self.torque and column.said.channel != "current" and not (
-                        self.map.preset and not self._own("tau")
+                    if (
+                        self.torque
+                        and column.said.channel != "current"
+                        and not (self.map.preset and not self._own("tau"))
                     ):
                         raise self._unit_error(column.label, unit, channel)
                     why = f"current in {unit}: a map with a torque_constant is needed"
@@ -364,8 +366,14 @@ class _Decider:
             label = column.label
             used.append(
                 Used(
-                    column.index, label, channel, joint,
-                    unit or SI[channel][0], bool(unit), factor, shift,
+                    column.index,
+                    label,
+                    channel,
+                    joint,
+                    unit or SI[channel][0],
+                    bool(unit),
+                    factor,
+                    shift,
                 )  # fmt: skip
             )
         return tuple(used)

@@ -36,6 +36,12 @@ class Source:
     factors: dict[str, Factor] = field(default_factory=dict)
     dropped: bool = False
 
+    def over(self, below: Source) -> Source:
+        """This source, with what it leaves open from another."""
+        columns = below.columns if self.columns is None else self.columns
+        factors = below.factors | self.factors
+        return Source(columns, self.unit or below.unit, factors, self.dropped)
+
     def factor(self, joint: str, place: int) -> float:
         """Product of all factors for a joint at its place from 0."""
         product = 1.0
@@ -83,7 +89,8 @@ class Mapping:
             self,
             preset=self.preset or below.preset,
             joints=self.joints or below.joints,
-            sources=below.sources | self.sources,
+            sources=below.sources
+            | {k: x.over(below.source(k)) for k, x in self.sources.items()},
         )
 
 

@@ -134,9 +134,7 @@ def recording_of(
         return _recording(tables[0], decision)
 
     def decided(table: Table, quiet: bool) -> Decision:
-        return decide(
-            table, joints=joints, mapping=mapping, torque=torque, quiet=quiet
-        )
+        return decide(table, joints=joints, mapping=mapping, torque=torque, quiet=quiet)
 
     def commanded(table: Table, joints: tuple[str, ...]) -> Decision | None:
         return decide_command(table, joints, mapping)
@@ -145,7 +143,9 @@ def recording_of(
 
 
 def _recording(table: Table, decision: Decision) -> Recording:
-    columns = table.load(tuple(dict.fromkeys(u.index for u in decision.reading.columns)))
+    columns = table.load(
+        tuple(dict.fromkeys(u.index for u in decision.reading.columns))
+    )
     raw = columns[decision.time.index]
     _check_numbers(raw, decision.time, table)
     t, unit = seconds(raw, decision.time.unit)

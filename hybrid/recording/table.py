@@ -53,7 +53,9 @@ class Table:
         return self.units[index] if self.units else ""
 
 
-def table_of_arrays(columns: dict[str, NDArray[Any]], source: str, **more: Any) -> Table:
+def table_of_arrays(
+    columns: dict[str, NDArray[Any]], source: str, **more: Any
+) -> Table:
     """A table of columns at hand.
 
     Args:

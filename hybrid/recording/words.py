@@ -121,7 +121,9 @@ def _named(text: str, joints: tuple[str, ...]) -> Meaning | None:
         end = at + len(joint)
         if at < 0 or joint.isdigit():
             continue
-        if (at and lower[at - 1].isalnum()) or (end < len(text) and text[end].isalnum()):
+        if (at and lower[at - 1].isalnum()) or (
+            end < len(text) and text[end].isalnum()
+        ):
             continue
         before, after = text[:at], text[end:]
         words = [w for part in (before, after) for w in _words(part)]
@@ -192,7 +194,9 @@ def _phrase(words: list[_Word]) -> tuple[int, int]:
             runs.append((k, end))
         k = max(end, k + 1)
     quantity = [r for r in runs if any(w.kind == "quantity" for w in words[slice(*r)])]
-    commanded = [r for r in runs if any(w.kind == "commanded" for w in words[slice(*r)])]
+    commanded = [
+        r for r in runs if any(w.kind == "commanded" for w in words[slice(*r)])
+    ]
     good = quantity or commanded
     return good[0] if good[0][0] == 0 else good[-1]
 

@@ -168,7 +168,11 @@ def _explained(
             )
         for k in used:
             cell = cells[k].strip()
-            if cell and not _is_date((cell,)) and not _is_number(cell.replace(dialect.decimal_point, ".")):
+            if (
+                cell
+                and not _is_date((cell,))
+                and not _is_number(cell.replace(dialect.decimal_point, "."))
+            ):
                 return RecordingError(
                     f"{path}: {dialect.labels[k].strip()}, {row_words(row)}: {cell!r} "
                     "is not a number"
@@ -179,9 +183,7 @@ def _explained(
 
 def _cells(path: Path, dialect: _Dialect) -> Iterator[list[str]]:
     opened = gzip.open if path.suffix.lower() == ".gz" else open
-    with opened(
-        path, "rt", encoding="utf-8-sig", errors="replace", newline=""
-    ) as file:
+    with opened(path, "rt", encoding="utf-8-sig", errors="replace", newline="") as file:
         reader = csv.reader(file, delimiter=dialect.delimiter)
         try:
             next(reader)

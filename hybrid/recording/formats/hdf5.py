@@ -17,7 +17,9 @@ from hybrid.recording.words import is_time, meaning, split_unit
 
 _MOST = 20_000  # groups and arrays in a file
 _DEEPEST = 16
-_EPISODE = re.compile(r"(.*/)?(demo|episode|ep|trajectory|traj|run)_?\d+", re.IGNORECASE)
+_EPISODE = re.compile(
+    r"(.*/)?(demo|episode|ep|trajectory|traj|run)_?\d+", re.IGNORECASE
+)
 
 
 def read_hdf5(path: Path) -> list[tuple[Table]]:
@@ -93,7 +95,9 @@ def _table(
             x.decode("utf-8", "replace") if isinstance(x, bytes) else str(x)
             for x in names.ravel()
         )
-    numbers = {k: x for k, x in group.items() if x.dtype.kind in "fiu" and 0 < x.ndim < 3}
+    numbers = {
+        k: x for k, x in group.items() if x.dtype.kind in "fiu" and 0 < x.ndim < 3
+    }
     rows = max((len(x) for x in numbers.values()), default=0)
     if rate > 0 and not any(is_time(split_unit(label)[0]) for label in numbers):
         numbers["time"] = np.arange(rows) / rate
@@ -118,8 +122,10 @@ def _arrays(file: Any, source: str) -> dict[str, NDArray[Any]]:
             item, label = group[name], f"{prefix}{name}"
             if isinstance(item, h5py.Group):
                 waiting.append((f"{label}/", item, depth + 1))
-            elif isinstance(item, h5py.Dataset) and item.ndim < 3 and item.external is (
-                None
+            elif (
+                isinstance(item, h5py.Dataset)
+                and item.ndim < 3
+                and item.external is (None)
             ):
                 size += item.size * item.dtype.itemsize if item.size else 0
                 if size > LARGEST_FILE:

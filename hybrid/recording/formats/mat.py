@@ -79,7 +79,9 @@ def _plain(x: Any) -> NDArray[Any]:
     """An array; cells of texts become texts."""
     x = np.asarray(x)
     if x.dtype == object and all(np.asarray(v).dtype.kind == "U" for v in x.ravel()):
-        return np.array([str(np.asarray(v).ravel()[0]) for v in x.ravel() if np.size(v)])
+        return np.array(
+            [str(np.asarray(v).ravel()[0]) for v in x.ravel() if np.size(v)]
+        )
     return x
 
 

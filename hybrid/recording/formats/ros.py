@@ -214,5 +214,3 @@ def _check_frame(head: bytes, declared: int, file: Path) -> None:
         raise RecordingError(
             f"{file}: a chunk of {declared} bytes unpacks to {size:.3g}"
         )
-
-
