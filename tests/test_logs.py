@@ -92,8 +92,8 @@ def test_any_order_of_joints_and_columns_in_any_dialect_is_the_same(
 @pytest.mark.parametrize("storage", list(StoragePlugin))
 def test_a_bag_of_ros_2_is_read_by_the_names_in_its_messages(tmp_path, storage):
     path = bag(tmp_path / "bag", states(Messages()), Messages(), storage)
-    for given in (path, next(path.glob("*.[dm]*[3p]"))):
-        recording = taken(read, given)
+    for place in (path, next(path.glob("*.[dm]*[3p]"))):
+        recording = taken(read, place)
         check_same(recording, without=("command",))
         assert recording.reading.preset == "joint_state"
     assert len(taken(read_all, [tmp_path])) == 1
@@ -116,7 +116,7 @@ def test_a_gripper_beside_the_arm_is_set_aside_and_said(tmp_path):
     messages, log = Messages(), truth()
     content = states(messages)
     grip = [0.5]
-    for k, t in enumerate(log.t):
+    for t in log.t:
         stamp = START + round(t * 1e9) + 50
         message = messages.state(stamp, ["finger"], grip, grip, grip)
         content.append(("/joint_states", stamp, message))

@@ -15,6 +15,7 @@ from hybrid.cli.options import (
     load_robot,
     names,
     positive,
+    read_logs,
     record,
     whole,
     write_record,
@@ -88,7 +89,6 @@ def run(args: Namespace, screen: Screen) -> None:
     """Identify, save and show."""
     from hybrid.identify import identify
     from hybrid.identify.three_stage import STAGES
-    from hybrid.recording import read_all
     from hybrid.report.fit import content_from_fit
 
     if args.out.suffix != ".json":
@@ -96,9 +96,8 @@ def run(args: Namespace, screen: Screen) -> None:
     args.stages = args.stages or STAGES
     robot = load_robot(args)
     effects = load_effects(args.effects, robot)
-    with screen.working("reading recordings"):
-        recordings = read_all(args.recordings, joints=robot.joints)
-    inputs = [args.robot, *(Path(x.source) for x in recordings)]
+    recordings, files = read_logs(args, screen, robot.joints)
+    inputs = [args.robot, *files]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
     with screen.working(f"identifying {robot.name} from {len(recordings)} recordings"):

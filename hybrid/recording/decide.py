@@ -249,10 +249,11 @@ class _Decider:
         word = "positions" if channel == "q" else "torques"
         currents = [k for k, why in self.aside.items() if why.startswith("current")]
         if channel == "tau" and currents:
+            labels = _listed([self.labels[k] for k in currents])
             return self._error(
-                f"no torques, but currents ({_listed([self.labels[k] for k in currents])}"
-                "); valid is --map FILE.yaml with tau: {torque_constant: N·m/A, "
-                "gear_ratio: ...}, a number or a list in the order of the joints"
+                f"no torques, but currents ({labels}); valid is --map FILE.yaml with "
+                "tau: {torque_constant: N·m/A, gear_ratio: ...}, each a number or a "
+                "list in the order of the joints"
             )
         words = (w for w in CHANNEL_WORDS[channel].split()[:3] if w != "tauj")
         return self._error(

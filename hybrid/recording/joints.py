@@ -66,7 +66,8 @@ def _matched(found: list[str], joints: tuple[str, ...]) -> MatchedJoints:
 
 def _by_name(names: Sequence[str], joints: tuple[str, ...]) -> dict[str, str]:
     """The robot's joint for each name that has one, under the strictest spelling."""
-    unique, best = tuple(dict.fromkeys(names)), {}
+    unique = tuple(dict.fromkeys(names))
+    best: dict[str, str] = {}
     prefix = _prefix(joints)
     spellings: tuple[tuple[Callable[[str], str], Callable[[str], str]], ...] = (
         (str, str),

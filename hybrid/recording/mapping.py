@@ -1,4 +1,4 @@
-"""What a user, or a format, says about columns: the map of ``--map`` and the presets."""
+"""What a user, or a format, says about columns: ``--map`` and the presets."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Source:
     Attributes:
         columns: A pattern with ``{}`` for the joint's name or number, labels in the
             order of the joints, or joint -> label; None leaves it to the labels' words.
-        unit: Unit of the columns, whatever the file states; empty leaves it to the file.
+        unit: Unit of the columns, whatever the file states; empty leaves it to that.
         factors: Numbers to multiply with, each one for all joints, a list in the order
             of the joints, or joint -> number.
         dropped: Whether the channel is not to be read at all.

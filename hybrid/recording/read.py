@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from collections.abc import Mapping as MappingType
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording.decide import Decision, decide, decide_command
 from hybrid.recording.formats import FOLDERS, READERS, STREAMED, kind_of
+from hybrid.recording.formats.ros import read_ros
 from hybrid.recording.mapping import Mapping, read_mapping
 from hybrid.recording.reading import Used
 from hybrid.recording.recording import Recording
@@ -33,6 +34,7 @@ def read(
     joints: tuple[str, ...] | None = None,
     map: Map = None,
     torque: bool = True,
+    progress: Callable[[str], None] | None = None,
 ) -> Recording:
     """Read one recording.
 
@@ -43,6 +45,7 @@ def read(
         map: Which column is which channel: a YAML file, its content as a dict, or the
             name of a preset. None leaves it to the labels and the file's format.
         torque: Refuse a log without torques.
+        progress: Told now and then how far a large bag is read.
 
     Raises:
         RecordingError: The file is missing, of an unknown kind, or not a valid log.
@@ -51,7 +54,7 @@ def read(
         HybridWarning: Columns were set aside.
     """
     path = Path(path)
-    logs = list(_logs(path, _opened(path)))
+    logs = list(_logs(_opened(path), progress))
     if len(logs) != 1:
         names = [tables[0].name for tables in logs]
         raise RecordingError(
@@ -68,6 +71,7 @@ def read_all(
     joints: tuple[str, ...] | None = None,
     map: Map = None,
     torque: bool = True,
+    progress: Callable[[str], None] | None = None,
 ) -> list[Recording]:
     """Read all recordings of files, folders and globs.
 
@@ -78,6 +82,7 @@ def read_all(
         joints: As in :func:`read`.
         map: As in :func:`read`.
         torque: As in :func:`read`.
+        progress: As in :func:`read`.
 
     Raises:
         RecordingError: A path holds no recording, or one is not valid.
@@ -96,7 +101,7 @@ def read_all(
     mapping, recordings = read_mapping(map), []
     for file, single in found.items():
         try:
-            logs = _logs(file, _opened(file))
+            logs = _logs(_opened(file), progress)
             recordings += [
                 recording_of(log, joints=joints, map=mapping, torque=torque)
                 for log in logs
@@ -192,7 +197,8 @@ def _opened(path: Path) -> Path:
     if path.is_dir():
         if kind_of(path) is None:
             raise RecordingError(
-                f"{path}: is a folder, and neither a bag nor a dataset; valid is a file"
+                f"{path}: is a folder, and neither a bag nor a dataset; valid are "
+                f"these and files of {', '.join(READERS)}"
             )
         return path
     if kind_of(path) is None:
@@ -208,9 +214,20 @@ def _opened(path: Path) -> Path:
     return path
 
 
-def _logs(path: Path, opened: Path) -> Iterator[tuple[Table, ...]]:
-    reader = FOLDERS.get(kind_of(opened) or "") or READERS[kind_of(opened) or ""]
-    return iter(reader(opened))
+def _logs(
+    path: Path, progress: Callable[[str], None] | None
+) -> Iterator[tuple[Table, ...]]:
+    """The tables of each recording of a file or folder."""
+    kind = kind_of(path) or ""
+    reader = FOLDERS.get(kind) or READERS[kind]
+    if reader is read_ros and progress is not None:
+        tell = progress
+
+        def told(done: int, total: int) -> None:
+            tell(f"reading {path.name}: {done:,} of {total:,} messages")
+
+        return iter(read_ros(path, tell=told))
+    return iter(reader(path))
 
 
 def _files(path: Path) -> list[tuple[Path, bool]]:

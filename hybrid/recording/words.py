@@ -32,7 +32,7 @@ _MEASURED = set(
 # Of no joint, or no channel: accelerations, estimates, limits, the tool.
 _OTHER = set(
     "acc accel acceleration accelerations ddq qdd dddq error err ext external output "
-    "raw std min max limit eef ee tcp cos sin cartesian pose quat raw dtau dtauj".split()
+    "raw std min max limit eef ee tcp cos sin cartesian pose quat dtau dtauj".split()
 )
 _TOKEN = re.compile(r"\d+|(?:[^\W\d_](?!(?<=[a-z]{2})(?=[A-Z])))*[^\W\d_]")
 _UNIT = re.compile(r"\s*[\[(]([^\[\]()]+)[\])]$")

@@ -21,7 +21,10 @@ _SIZES = {
     "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8",
     "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_TIME = ([], [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))])
+_TIME: tuple[Any, Any] = (
+    [],
+    [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))],
+)
 _DEEPEST = 12  # messages within each other
 MOST_NUMBERS = 1 << 20  # of a message: more are no state and no trajectory
 

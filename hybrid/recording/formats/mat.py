@@ -77,12 +77,11 @@ def _old(path: Path) -> dict[str, NDArray[Any]]:
 
 def _plain(x: Any) -> NDArray[Any]:
     """An array; cells of texts become texts."""
-    x = np.asarray(x)
-    if x.dtype == object and all(np.asarray(v).dtype.kind == "U" for v in x.ravel()):
-        return np.array(
-            [str(np.asarray(v).ravel()[0]) for v in x.ravel() if np.size(v)]
-        )
-    return x
+    plain: NDArray[Any] = np.asarray(x)
+    cells = [np.asarray(v) for v in plain.ravel()] if plain.dtype == object else []
+    if cells and all(v.dtype.kind == "U" and v.size for v in cells):
+        return np.array([str(v.ravel()[0]) for v in cells])
+    return plain
 
 
 def _without_struct(found: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

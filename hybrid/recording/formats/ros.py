@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording.formats.topic import Topic
 from hybrid.recording.table import LARGEST_FILE, NoJointsError, Table
@@ -201,7 +200,7 @@ LARGEST_CHUNK = min(1 << 30, LARGEST_FILE)  # bytes, unpacked
 
 
 def _check_frame(head: bytes, declared: int, file: Path) -> None:
-    """Refuse a zstandard frame whose header has another size than its chunk (RFC 8878)."""
+    """Refuse a zstandard frame of another size than its chunk's (RFC 8878)."""
     if len(head) < 6 or head[:4] != b"\x28\xb5\x2f\xfd":
         return
     flags = head[4]
