@@ -186,8 +186,8 @@ def _labels(path: Path) -> object:
 
 
 LABELS = (
-    b"__time,/joint_states/elbow/position [deg],/joint_states/elbow/effort,"
-    b"actual_current_0,target_q_0,tau_J[0],observation.state[a],q_ref1_deg"
+    b"__time,/joint_states/elbow/position [deg],/joint_states/elbow/effort,ddq_elbow,"
+    b"q_ref_elbow_deg,tau_ext[0],elbow_temp (K)"
 )
 
 

@@ -83,8 +83,14 @@ def is_time(label: str) -> bool:
 def split_unit(label: str) -> tuple[str, str]:
     """A label without its unit, and the unit; other brackets hold a joint."""
     label = label.strip()
-    if (match := _UNIT.search(label)) and fits(match.group(1)):
-        return label[: match.start()], match.group(1).strip()
+    if (match := _UNIT.search(label)) and fits(unit := match.group(1).strip()):
+        word = label[: match.start()]
+        said = _meant(word)
+        channel = "time" if is_time(word) else said.channel
+        # q[a] is joint a, not a year; q1 [a] is in years, and will be refused.
+        apart = said.joint if channel else match.group()[0] in " ("
+        if apart or (channel and fits(unit, channel)):
+            return word, unit
     if match := _SUFFIX.search(label):
         word, unit = label[: match.start()], match.group(1)
         meant = "time" if is_time(word) else _meant(word).channel
