@@ -18,6 +18,7 @@ from rosbags.rosbag2 import StoragePlugin
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all
 
+REAL = Path(__file__).parents[2] / "shared" / "data" / "ur10_bag"
 TEXTS = (*DIALECTS, "gzip", "tab", "other units", "ur_rtde", "libfranka",
          "pandas index", "nanoseconds", "bare stamps", "gripper", "map")  # fmt: skip
 TABLES = ("pandas parquet", "polars parquet", "lists", "npz", "npz of names", "hdf5",
@@ -103,6 +104,17 @@ def test_a_bag_of_ros_1_is_read_by_the_names_in_its_messages(tmp_path):
     messages = Messages(ros1=True)
     path = bag(tmp_path / "log.bag", states(messages), messages)
     check_same(taken(read, path), without=("command",))
+
+
+@pytest.mark.skipif(not REAL.exists(), reason="the real bag is not here")
+def test_a_real_bag_is_what_its_owner_made_a_table_of():
+    with pytest.warns(HybridWarning, match="left out: .*no joint states there"):
+        (recording,) = read_all(REAL, joints=ARM)
+    table = read(REAL.parent / "ur10_salerno" / "exciting_1.csv", joints=ARM)
+    assert np.allclose(recording.t, table.t, atol=1e-8)
+    for name, x in table.channels.items():
+        # The table has five digits.
+        assert np.allclose(recording.channels[name], x, rtol=1e-4, atol=1e-5), name
 
 
 def test_alphabetical_order_in_a_bag_is_not_misread_without_a_robot(tmp_path):
@@ -228,6 +240,7 @@ def test_a_map_is_a_file_a_preset_or_a_dict(tmp_path):
         ({"q": "angle_{}"}, "no column like 'angle_{}' for q of map among time"),
         ({"q": ["nope"]}, "no column 'nope' for q of map among time, q1"),
         ({"tau": {"scale": [1, 2]}}, "the map gives no scale for elbow_joint"),
+        ({"time": {"rate": 0}}, "valid is a rate above 0, in Hz"),
         ({"time": "clock"}, "no column 'clock' among time, q1"),
         ("my.json", "my.json: no map; valid are a .yaml file and ur_rtde"),
         ("none.yaml", "none.yaml: cannot be read as a map"),
@@ -239,6 +252,44 @@ def test_a_map_that_fits_nothing_says_what_is_valid(tmp_path, content, message):
     with pytest.raises(RecordingError) as error:
         taken(read, path, map=content)
     assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_log_without_a_clock_is_read_at_the_rate_of_the_map():
+    log = truth()
+    table = {"observations/qpos": log.q, "observations/effort": log.tau}
+    with pytest.raises(RecordingError, match="no column of time"):
+        Recording.from_table(table, joints=ARM)
+    found = taken(Recording.from_table, table, map={"time": {"rate": 125}})
+    assert np.allclose(found.t, log.t) and np.array_equal(found.tau, log.tau)
+
+
+def test_torques_that_hold_no_number_are_not_measured(tmp_path):
+    messages, log = Messages(), truth()
+    content = [
+        ("/joint_states", START + 8_000_000 * k,
+         messages.state(START + 8_000_000 * k, ARM, x, x, np.full(6, np.nan)))
+        for k, x in enumerate(log.q)
+    ]  # fmt: skip
+    path = bag(tmp_path / "bag", content, messages)
+    with pytest.raises(RecordingError, match="no torques: tau holds no number"):
+        taken(read, path)
+    recording = taken(read, path, torque=False)
+    assert not recording.has_torque and "tau holds no number" in recording.reading.notes
+
+
+def test_plain_labels_come_before_those_of_motors():
+    log = truth()
+    table = {"t": log.t} | columns(log, DIALECTS["hybrid"])
+    table |= {f"motor_position_{k}": 100 * log.q[:, k] for k in range(6)}
+    check_same(taken(Recording.from_table, table))
+
+
+def test_a_unit_that_the_file_states_is_above_a_preset():
+    log = truth()
+    degrees = {f"position_{k} [deg]": np.degrees(log.q[:, k]) for k in range(6)}
+    table = {"t": log.t} | degrees
+    found = taken(Recording.from_table, table, map="joint_state", torque=False)
+    assert np.allclose(found.q, log.q)
 
 
 def test_a_column_in_units_that_no_channel_has_is_refused(tmp_path):

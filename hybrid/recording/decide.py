@@ -7,12 +7,12 @@ map's, else the label's, else the file's, else the one of SI.
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from hybrid.errors import HybridWarning, RecordingError
+from hybrid.recording.candidates import HELP, Column, columns_of, listed
 from hybrid.recording.joints import MatchedJoints, match_joints
 from hybrid.recording.mapping import Mapping, preset_of
 from hybrid.recording.reading import Reading, Used
@@ -22,14 +22,11 @@ from hybrid.recording.units import SI, converted
 from hybrid.recording.words import (
     CHANNEL_WORDS,
     TIME,
-    Meaning,
     is_time,
-    meaning,
     split_unit,
 )
 
 _NEEDED = ("q", "tau")
-HELP = "or say which column is what with --map FILE.yaml"
 
 
 @dataclass(frozen=True)
@@ -40,13 +37,6 @@ class Decision:
     time: Used
     channels: dict[str, tuple[Used, ...]]
     reading: Reading
-
-
-@dataclass(frozen=True)
-class _Column:
-    index: int
-    label: str
-    said: Meaning
 
 
 def decide(
@@ -97,7 +87,7 @@ class _Decider:
         self.map = mapping.over(found)
         self.joints = joints or self.map.joints or table.joints or None
         self.aside: dict[int, str] = {}
-        self.notes: list[str] = []
+        self.notes = [table.note] if table.note else []
 
     def decide(self, quiet: bool) -> Decision:
         time = self.time()
@@ -119,7 +109,7 @@ class _Decider:
         if aside and not quiet:
             warnings.warn(
                 f"{self.table.place}: ignored columns: "
-                f"{_listed([self.labels[k] for k in aside])}",
+                f"{listed([self.labels[k] for k in aside])}",
                 HybridWarning,
                 stacklevel=4,
             )
@@ -135,8 +125,11 @@ class _Decider:
         return RecordingError(f"{self.table.place}: {text}")
 
     def time(self) -> Used:
-        """The column of time."""
+        """The column of time, or one of index -1 if the map gives a rate."""
         source = self.map.source("time")
+        if "rate" in source.factors:
+            step = 1 / source.factor("time", 0)
+            return Used(-1, "", "t", "", "s", True, step)
         if source.columns is not None and (not self.map.preset or "time" in str(
             source.columns) or source.columns in self.labels):  # fmt: skip
             found = [k for k, x in enumerate(self.labels) if x == source.columns]
@@ -148,7 +141,7 @@ class _Decider:
             what = "no column of time" if not found else "more than one column of time"
         if len(found) != 1:
             raise self._error(
-                f"{what} among {_listed(self.labels)}; valid is one of "
+                f"{what} among {listed(self.labels)}; valid is one of "
                 f"{', '.join(TIME)}, in seconds or with its unit (time_ms), {HELP}"
             )
         label = self.labels[found[0]]
@@ -157,90 +150,15 @@ class _Decider:
             raise self._unit_error(label, unit, "time")
         return Used(found[0], label, "t", "", unit, bool(unit))
 
-    def columns(self, time: int) -> dict[str, list[_Column]]:
-        """Columns of each channel: the map's, or those whose words say so."""
-        known = (*(self.joints or ()), *self.map.names)
-        spoken: dict[str, list[_Column]] = {}
-        bare = any(
-            meaning(label, known).channel == "q" and not meaning(label, known).joint
-            for label in self.labels
+    def columns(self, time: int) -> dict[str, list[Column]]:
+        """Columns of each channel, not yet of joints."""
+        found, aside = columns_of(
+            self.labels, self.map, self.joints or (), time, self.table.place
         )
-        for k, label in enumerate(self.labels):
-            if k == time:
-                continue
-            said = meaning(label, known)
-            if said.channel and not said.joint:
-                if not bare:
-                    continue
-                said = replace(said, number=1, joint="1")
-            if self.map.topic and not self._in_topic(label):
-                self.aside[k] = f"not of {self.map.topic}"
-            elif said.channel:
-                spoken.setdefault(said.channel, []).append(_Column(k, label, said))
-            else:
-                self.aside[k] = said.why
-        found: dict[str, list[_Column]] = {}
-        for channel in CHANNELS:
-            source = self.map.source(channel)
-            if source.dropped:
-                continue
-            mapped = self._mapped(channel, source.columns)
-            found[channel] = mapped or spoken.get(channel, [])
-        if not found.get("tau") and not self.map.source("tau").dropped:
-            found["tau"] = spoken.get("current", [])
-        taken = {c.index for columns in found.values() for c in columns}
-        for c in spoken.get("current", []):
-            if c.index not in taken:
-                self.aside[c.index] = "current, beside a torque"
-        return {name: columns for name, columns in found.items() if columns}
-
-    def _in_topic(self, label: str) -> bool:
-        return label.strip("/").startswith(self.map.topic.strip("/"))
-
-    def _mapped(
-        self, channel: str, columns: str | tuple[str, ...] | dict[str, str] | None
-    ) -> list[_Column]:
-        if columns is None:
-            return []
-        found: list[_Column] = []
-        if isinstance(columns, str):
-            pattern = re.escape(columns).replace(r"\{\}", "(.+)").replace(r"\*", ".*")
-            for k, label in enumerate(self.labels):
-                plain = split_unit(label)[0]
-                match = re.fullmatch(pattern, label) or re.fullmatch(pattern, plain)
-                if match:
-                    joint = match.group(1) if match.groups() else "1"
-                    found.append(self._at(k, channel, joint))
-            if not found and self._own(channel):
-                raise self._error(
-                    f"no column like {columns!r} for {channel} of {self.map.origin} "
-                    f"among {_listed(self.labels)}"
-                )
-            return found
-        pairs = columns.items() if isinstance(columns, dict) else (
-            (str(k + 1), label) for k, label in enumerate(columns)
-        )  # fmt: skip
-        for joint, label in pairs:
-            if label not in self.labels:
-                raise self._error(
-                    f"no column {label!r} for {channel} of {self.map.origin} among "
-                    f"{_listed(self.labels)}"
-                )
-            found.append(self._at(self.labels.index(label), channel, joint))
+        self.aside |= aside
         return found
 
-    def _own(self, channel: str) -> bool:
-        """Whether the user, and not a preset, speaks of a channel."""
-        preset = preset_of((), self.map.preset) if self.map.preset else Mapping()
-        return self.map.source(channel) != preset.source(channel)
-
-    def _at(self, index: int, channel: str, joint: str) -> _Column:
-        number = int(joint) if joint.isascii() and joint.isdigit() else None
-        unit = split_unit(self.labels[index])[1]
-        said = Meaning(channel, joint, number, unit=unit, why="")
-        return _Column(index, self.labels[index], said)
-
-    def _check_needed(self, columns: dict[str, list[_Column]]) -> None:
+    def _check_needed(self, columns: dict[str, list[Column]]) -> None:
         for channel in _NEEDED if self.torque else ("q",):
             if not columns.get(channel):
                 raise self._missing(channel)
@@ -249,7 +167,7 @@ class _Decider:
         word = "positions" if channel == "q" else "torques"
         currents = [k for k, why in self.aside.items() if why.startswith("current")]
         if channel == "tau" and currents:
-            labels = _listed([self.labels[k] for k in currents])
+            labels = listed([self.labels[k] for k in currents])
             return self._error(
                 f"no torques, but currents ({labels}); valid is --map FILE.yaml with "
                 "tau: {torque_constant: N·m/A, gear_ratio: ...}, each a number or a "
@@ -257,11 +175,11 @@ class _Decider:
             )
         words = (w for w in CHANNEL_WORDS[channel].split()[:3] if w != "tauj")
         return self._error(
-            f"no {word} among the columns {_listed(self.labels)}; valid are "
+            f"no {word} among the columns {listed(self.labels)}; valid are "
             f"{', '.join(f'{w}1 or {w}_<joint>' for w in words)}, {HELP}"
         )
 
-    def _joints_of(self, columns: dict[str, list[_Column]]) -> tuple[str, ...]:
+    def _joints_of(self, columns: dict[str, list[Column]]) -> tuple[str, ...]:
         """Joint names of the file: those of the first channel that has names."""
         for channel in _NEEDED:
             group = self._numbered_first(columns.get(channel, []))
@@ -271,7 +189,7 @@ class _Decider:
         group = self._numbered_first(columns["q"])
         return numbered_joints(len({c.said.joint for c in self._one_space(group)}))
 
-    def _numbered_first(self, columns: list[_Column]) -> list[_Column]:
+    def _numbered_first(self, columns: list[Column]) -> list[Column]:
         """Without names beside numbers: q_motor1 beside q1 is no joint."""
         numbered = [c for c in columns if c.said.number is not None]
         for c in columns:
@@ -280,8 +198,8 @@ class _Decider:
         return numbered or columns
 
     def _one_space(
-        self, columns: list[_Column], joints: tuple[str, ...] | None = None
-    ) -> list[_Column]:
+        self, columns: list[Column], joints: tuple[str, ...] | None = None
+    ) -> list[Column]:
         """The columns under one topic or group: the one that has the joints."""
         spaces = dict.fromkeys(c.said.space for c in columns)
         if len(spaces) < 2:
@@ -292,9 +210,11 @@ class _Decider:
             for s, group in groups.items()
             if joints is None or not self._match(group, joints).missing
         }
+        if "" in good:  # the plain names: q1 beside motor_position_1
+            good = {"": good[""]}
         if len(good) != 1:
             raise self._error(
-                f"columns of {columns[0].said.channel} under {_listed(list(spaces))}"
+                f"columns of {columns[0].said.channel} under {listed(list(spaces))}"
                 f", {len(good) or 'none'} of them for the joints; valid is --map "
                 "FILE.yaml with topic: and the beginning of the right ones"
             )
@@ -304,12 +224,12 @@ class _Decider:
                 self.aside[c.index] = f"not of {space or 'the joints'}"
         return group
 
-    def _match(self, group: list[_Column], joints: tuple[str, ...]) -> MatchedJoints:
+    def _match(self, group: list[Column], joints: tuple[str, ...]) -> MatchedJoints:
         names = [self.map.names.get(c.said.joint, c.said.joint) for c in group]
         return match_joints(names, [c.said.number for c in group], joints)
 
     def placed(
-        self, channel: str, columns: list[_Column], joints: tuple[str, ...]
+        self, channel: str, columns: list[Column], joints: tuple[str, ...]
     ) -> tuple[Used, ...]:
         """Columns of one channel in the order of the joints, with their units."""
         if not columns:
@@ -319,7 +239,7 @@ class _Decider:
             columns = self._numbered_first(columns)
         columns = self._one_space(columns, joints)
         match = self._match(columns, joints)
-        places: dict[str, _Column] = {}
+        places: dict[str, Column] = {}
         for column, joint in zip(columns, match.joints, strict=True):
             if joint in places:
                 raise self._error(
@@ -333,7 +253,7 @@ class _Decider:
             return ()
         if match.missing or (extra and places[extra[0]].said.number is not None):
             raise self._error(
-                f"columns of {channel} ({_listed([c.label for c in columns])}): "
+                f"columns of {channel} ({listed([c.label for c in columns])}): "
                 f"{joint_mismatch(tuple(places), joints)}"
             )
         for joint in extra:
@@ -341,11 +261,14 @@ class _Decider:
         return self._used(channel, [places[joint] for joint in joints], joints)
 
     def _used(
-        self, channel: str, columns: Sequence[_Column], joints: tuple[str, ...]
+        self, channel: str, columns: Sequence[Column], joints: tuple[str, ...]
     ) -> tuple[Used, ...]:
         source, used = self.map.source(channel), []
         for place, (column, joint) in enumerate(zip(columns, joints, strict=True)):
-            unit = source.unit or column.said.unit or self.table.unit(column.index)
+            stated = (source.unit, column.said.unit, self.table.unit(column.index))
+            if not self.map.own(channel):  # what a file states is above a preset
+                stated = (*stated[1:], source.unit)
+            unit = next(filter(None, stated), "")
             current = column.said.channel == "current" and not unit
             unit = "A" if current else unit
             scale, shift = converted(unit, channel) or (None, 0.0) if unit else (1.0, 0)
@@ -354,7 +277,7 @@ class _Decider:
                     if (
                         self.torque
                         and column.said.channel != "current"
-                        and not (self.map.preset and not self._own("tau"))
+                        and not (self.map.preset and not self.map.own("tau"))
                     ):
                         raise self._unit_error(column.label, unit, channel)
                     why = f"current in {unit}: a map with a torque_constant is needed"
@@ -386,11 +309,6 @@ class _Decider:
             f"column {label!r} is in {unit}; valid are {valid} and units that convert "
             f"to them{more if channel == 'tau' else ''}"
         )
-
-
-def _listed(labels: Sequence[str]) -> str:
-    shown = ", ".join(labels[:12])
-    return shown if len(labels) <= 12 else f"{shown} and {len(labels) - 12} more"
 
 
 def decide_command(

@@ -13,7 +13,7 @@ from hybrid.files import read_yaml
 from hybrid.recording.recording import CHANNELS
 from hybrid.recording.units import SI, converted
 
-_FACTORS = ("torque_constant", "gear_ratio", "scale")
+_FACTORS = ("torque_constant", "gear_ratio", "scale", "rate")
 _KEYS = ("preset", "joints", "topic", "time", *CHANNELS)
 Factor = float | tuple[float, ...] | dict[str, float]
 
@@ -82,6 +82,11 @@ class Mapping:
     def source(self, channel: str) -> Source:
         """Where a channel comes from; a channel without a word leaves all open."""
         return self.sources.get(channel, Source())
+
+    def own(self, channel: str) -> bool:
+        """Whether the user, and not the preset, speaks of a channel."""
+        preset = preset_of((), self.preset) if self.preset else Mapping()
+        return self.source(channel) != preset.source(channel)
 
     def over(self, below: Mapping) -> Mapping:
         """This map, with what it leaves open from another."""
@@ -180,6 +185,13 @@ def _source(value: Any, channel: str, origin: str) -> Source:
         )
     columns = value.get("columns", value.get("column"))
     factors = {k: _factor(value[k], f"{where}: {k}") for k in _FACTORS if k in value}
+    rate = factors.get("rate", 1.0)
+    if not isinstance(rate, float) or not rate > 0 or (
+        "rate" in factors) != (channel == "time" and bool(factors)):  # fmt: skip
+        raise RecordingError(
+            f"{where} is {value!r}; valid is a rate above 0, in Hz, of time alone, "
+            "which takes no other factor"
+        )
     return Source(None if columns is None else _columns(columns, where), unit, factors)
 
 

@@ -134,9 +134,10 @@ def recording_of(
         RecordingError: The samples are not a valid recording.
     """
     mapping = read_mapping(map)
+    tables = tuple(x for x in tables if x.name == mapping.topic) or tables
     if len(tables) == 1:
         decision = decide(tables[0], joints=joints, mapping=mapping, torque=torque)
-        return _recording(tables[0], decision)
+        return _recording(tables[0], decision, torque)
 
     def decided(table: Table, quiet: bool) -> Decision:
         return decide(table, joints=joints, mapping=mapping, torque=torque, quiet=quiet)
@@ -144,36 +145,35 @@ def recording_of(
     def commanded(table: Table, joints: tuple[str, ...]) -> Decision | None:
         return decide_command(table, joints, mapping)
 
-    return main_stream(tables, decided, _recording, commanded)
+    def built(table: Table, decision: Decision) -> Recording:
+        return _recording(table, decision, torque)
+
+    return main_stream(tables, decided, built, commanded)
 
 
-def _recording(table: Table, decision: Decision) -> Recording:
-    columns = table.load(
-        tuple(dict.fromkeys(u.index for u in decision.reading.columns))
-    )
-    raw = columns[decision.time.index]
-    _check_numbers(raw, decision.time, table)
-    t, unit = seconds(raw, decision.time.unit)
-    time = replace(decision.time, unit=unit, stated=decision.time.stated or unit != "s")
-    reading = decision.reading
-    reading = replace(reading, columns=(time, *reading.columns[1:]))
-    channels = {}
-    for channel, used in decision.channels.items():
-        values = np.empty((len(t), len(used)))
-        for k, u in enumerate(used):
-            x = columns[u.index]
-            _check_numbers(x, u, table)
-            if x.shape != t.shape:
-                raise RecordingError(
-                    f"{table.place}: {channel}{k + 1} ({u.joint}) has {len(x)} rows; "
-                    f"valid are {len(t)}, as many as there are times"
-                )
-            values[:, k] = x
-            if u.factor != 1.0:
-                values[:, k] *= u.factor
-            if u.offset:
-                values[:, k] += u.offset
-        channels[channel] = values
+def _recording(table: Table, decision: Decision, torque: bool) -> Recording:
+    reading, time = decision.reading, decision.time
+    wanted = (u.index for u in reading.columns if u.index >= 0)
+    columns = table.load(tuple(dict.fromkeys(wanted)))
+    if time.index < 0:  # no clock, but a rate
+        rows = len(next(iter(columns.values())))
+        t, unit = np.arange(rows, dtype=np.float64) * time.factor, "s"
+    else:
+        _check_numbers(columns[time.index], time, table)
+        t, unit = seconds(columns[time.index], time.unit)
+    time = replace(time, unit=unit, stated=time.stated or unit != "s")
+    used, notes, channels = [time], list(reading.notes), {}
+    for channel, group in decision.channels.items():
+        x = _channel(table, columns, group, t.shape)
+        # How ROS says that something was not measured.
+        if channel != "q" and x.size and np.isnan(x).all():
+            notes.append(f"{channel} holds no number")
+            continue
+        channels[channel] = x
+        used += group
+    if torque and "tau" not in channels:
+        raise RecordingError(f"{table.place}: no torques: tau holds no number")
+    reading = replace(reading, columns=tuple(used), notes=tuple(notes))
     return Recording(
         t=t,
         joints=decision.joints,
@@ -181,6 +181,30 @@ def _recording(table: Table, decision: Decision) -> Recording:
         reading=reading,
         **channels,  # type: ignore[arg-type]
     )
+
+
+def _channel(
+    table: Table,
+    columns: dict[int, NDArray[Any]],
+    used: tuple[Used, ...],
+    shape: tuple[int, ...],
+) -> Array:
+    """Samples of a channel in SI, shape (N, n)."""
+    values = np.empty((*shape, len(used)))
+    for k, u in enumerate(used):
+        x = columns[u.index]
+        _check_numbers(x, u, table)
+        if x.shape != shape:
+            raise RecordingError(
+                f"{table.place}: {u.channel}{k + 1} ({u.joint}) has {len(x)} rows; "
+                f"valid are {shape[0]}, as many as there are times"
+            )
+        values[:, k] = x
+        if u.factor != 1.0:
+            values[:, k] *= u.factor
+        if u.offset:
+            values[:, k] += u.offset
+    return values
 
 
 def _check_numbers(x: NDArray[Any], used: Used, table: Table) -> None:

@@ -32,6 +32,7 @@ class Table:
         kind: Name of the format.
         name: Which recording or topic of the source it is; empty if there is one.
         preset: Name of the preset that the format itself stands for.
+        note: What the reader decided, in one line; empty if nothing.
     """
 
     source: str
@@ -42,6 +43,7 @@ class Table:
     kind: str = ""
     name: str = ""
     preset: str = ""
+    note: str = ""
 
     @property
     def place(self) -> str:

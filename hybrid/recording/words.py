@@ -27,7 +27,8 @@ _COMMANDED = set(
     "action qref qcmd d".split()
 )
 _MEASURED = set(
-    "actual act measured meas state states observation obs feedback present fb".split()
+    "actual act measured meas state states observation observations obs feedback "
+    "present fb".split()
 )
 # Of no joint, or no channel: accelerations, estimates, limits, the tool.
 _OTHER = set(

@@ -97,7 +97,8 @@ def _episodes(file: Path, features: dict[str, Any]) -> Iterator[tuple[Table]]:
     index = column_of(table, ("episode_index", "episode_index", None), str(file))
     for episode in np.unique(index):
         rows = np.flatnonzero(index == episode)
-        part = table.slice(rows[0], len(rows))  # episodes lie in one piece
+        part = table.take(rows) if np.ptp(rows) >= len(rows) else table.slice(
+            rows[0], len(rows))  # fmt: skip
 
         def load(used: tuple[int, ...], part: Any = part) -> dict[int, NDArray[Any]]:
             return {k: column_of(part, spread[k], str(file)) for k in used}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.cdr import Layout, LayoutError, Path, layout_of
-from hybrid.recording.table import MOST_COLUMNS, Table
+from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, Table
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class Topic:
         self.ros2, self.source = ros2, source
         self._raw: list[bytes] = []
         self._stamps: list[int] = []
-        self._held = 0
+        self._held = self._size = 0
         self._streams: dict[tuple[str, ...], _Stream] = {}
         self._layouts: dict[int, list[tuple[Layout, dict[str, Path]]]] = {}
         self._plans: list[tuple[int, Layout, bytes]] = []
@@ -89,14 +89,18 @@ class Topic:
             yield self._planned()
         for stream in self._streams.values():
             stamps, times = np.concatenate(stream.stamps), np.concatenate(stream.times)
-            clock = stamps if len(stamps) and (np.diff(stamps) > 0).all() else times
-            if stamps.any() and clock is times and (np.diff(times) <= 0).any():
-                clock = stamps  # both fail; the header's is the one to be told of
+            headed = bool((np.diff(stamps) > 0).all())
+            note = "" if headed else "time is the recorder's, not the headers'"
             values = np.concatenate(stream.values)
-            yield self._table(stream.labels, clock, values)
+            clock = stamps if headed else times
+            yield self._table(stream.labels, clock, values, note)
 
     def _table(
-        self, labels: tuple[str, ...], clock: NDArray[np.int64], values: Array
+        self,
+        labels: tuple[str, ...],
+        clock: NDArray[np.int64],
+        values: Array,
+        note: str = "",
     ) -> Table:
         def load(used: tuple[int, ...]) -> dict[int, NDArray[Any]]:
             return {k: clock if k == 0 else values[:, k - 1] for k in used}
@@ -106,7 +110,7 @@ class Topic:
         preset = "joint_state" if self.kind.endswith("/JointState") else ""
         return Table(
             self.source, names, load, units, kind=f"ROS ({self.kind})",
-            name=self.name, preset=preset,
+            name=self.name, preset=preset, note=note,
         )  # fmt: skip
 
     def _layout(
@@ -171,6 +175,12 @@ class Topic:
         values = np.empty((len(times), len(labels)))
         for k, path in enumerate(columns.values()):
             values[:, k] = layout.values(messages, path)
+        self._size += values.nbytes
+        if self._size > LARGEST_FILE:
+            raise RecordingError(
+                f"{self.source}: {self.name}: more than {LARGEST_FILE:.3g} bytes of "
+                "numbers; valid are logs of as many or less"
+            )
         stream.stamps.append(stamps)
         stream.times.append(times)
         stream.values.append(values)
