@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from hybrid.errors import HybridWarning, RecordingError
+from hybrid.names import printable
 from hybrid.recording.candidates import HELP, Column, columns_of, listed
 from hybrid.recording.joints import MatchedJoints, match_joints
 from hybrid.recording.mapping import Mapping, preset_of
@@ -81,7 +82,7 @@ class _Decider:
                 f"{table.place}: {len(table.labels)} columns; valid are up to "
                 f"{MOST_COLUMNS}"
             )
-        labels = tuple(label.strip() for label in table.labels)
+        labels = tuple(printable(label.strip()) for label in table.labels)
         found = preset_of(labels, mapping.preset or table.preset)
         self.table, self.labels, self.torque = table, labels, torque
         self.map = mapping.over(found)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hybrid.errors import HybridWarning, RecordingError
+from hybrid.names import printable
 from hybrid.recording.formats.topic import Topic
 from hybrid.recording.table import LARGEST_FILE, NoJointsError, Table
 
@@ -82,7 +83,9 @@ def read_ros(
 
 
 def _held(connections: Any) -> str:
-    held = [f"{c.topic} ({c.msgtype}, {c.msgcount})" for c in connections]
+    held = [
+        printable(f"{c.topic} ({c.msgtype}, {c.msgcount})")[:200] for c in connections
+    ]
     return ", ".join(held[:8]) + (f" and {len(held) - 8} more" if held[8:] else "")
 
 

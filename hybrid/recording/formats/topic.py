@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
+from hybrid.names import printable
 from hybrid.recording.formats.cdr import Layout, LayoutError, Path, layout_of
 from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, Table
 
@@ -47,7 +48,7 @@ class Topic:
     def __init__(
         self, name: str, kind: str, types: dict[str, Any], ros2: bool, source: str
     ) -> None:
-        self.name, self.kind, self.types = name, kind, types
+        self.name, self.kind, self.types = printable(name), printable(kind), types
         self.ros2, self.source = ros2, source
         self._raw: list[bytes] = []
         self._stamps: list[int] = []
