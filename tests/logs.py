@@ -133,6 +133,9 @@ def text_files(folder: Path) -> dict[str, tuple[Path, dict]]:
             "timestamp"),
         {"map": {"tau": {"torque_constant": CONSTANT, "gear_ratio": [100] * 6}}},
     )  # fmt: skip
+    spaced = csv(folder / "spaced.csv", columns(log, RTDE, tau=1 / CONSTANT),
+                 "timestamp", sep=" ")  # fmt: skip
+    found["ur_rtde, spaces"] = (spaced, {"map": {"tau": {"torque_constant": CONSTANT}}})
     more = {f"tau_ext_hat_filtered[{k}]": log.t for k in range(6)}
     more |= {f"dtau_J[{k}]": log.t for k in range(6)}
     found["libfranka"] = (

@@ -1,9 +1,12 @@
 """Whatever a log is written in, the same recording is read."""
 
+import sys
 import warnings
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import logs
 import numpy as np
 import pandas as pd
@@ -15,12 +18,15 @@ from hypothesis import strategies as st
 from logs import ARM, DIALECTS, START, Messages, bag, columns, states, truth
 from rosbags.rosbag2 import StoragePlugin
 
+from hybrid.cli.options import read_logs
+from hybrid.cli.screen import Screen
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "ur10_bag"
-TEXTS = (*DIALECTS, "gzip", "tab", "other units", "ur_rtde", "libfranka",
-         "pandas index", "nanoseconds", "bare stamps", "gripper", "map")  # fmt: skip
+TEXTS = (*DIALECTS, "gzip", "tab", "other units", "ur_rtde", "ur_rtde, spaces",
+         "libfranka", "pandas index", "nanoseconds", "bare stamps", "gripper",
+         "map")  # fmt: skip
 TABLES = ("pandas parquet", "polars parquet", "lists", "npz", "npz of names", "hdf5",
           "robomimic", "mat", "mat struct", "mat 7.3")  # fmt: skip
 
@@ -252,6 +258,55 @@ def test_a_map_that_fits_nothing_says_what_is_valid(tmp_path, content, message):
     with pytest.raises(RecordingError) as error:
         taken(read, path, map=content)
     assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_the_command_line_takes_a_map(tmp_path):
+    log = truth()
+    path = logs.csv(tmp_path / "a.csv", columns(log, logs.RTDE), "timestamp")
+    (tmp_path / "map.yaml").write_text("tau: {torque_constant: 1.0}\n")
+    given = Namespace(recordings=[str(path)], map=str(tmp_path / "map.yaml"))
+    (recording,), files = taken(lambda joints: read_logs(given, Screen(), joints))
+    check_same(recording)
+    assert files == [path, tmp_path / "map.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("file", "library", "extra"),
+    [("a.mcap", "rosbags.rosbag1", "ros"), ("a.h5", "h5py", "hdf5")],
+)
+def test_a_library_that_is_not_there_is_named(
+    tmp_path, monkeypatch, file, library, extra
+):
+    (tmp_path / file).write_bytes(b"x")
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(RecordingError, match=rf"pip install 'hybrid-arm\[{extra}\]'$"):
+        read(tmp_path / file)
+
+
+def test_links_of_hdf5_to_other_files_are_not_followed(tmp_path):
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["q"] = np.ones((5, 1))
+    layout = h5py.VirtualLayout(shape=(5, 1), dtype="f8")
+    layout[:] = h5py.VirtualSource(str(tmp_path / "other.h5"), "q", shape=(5, 1))
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["t"], file["tau"] = np.arange(5.0), np.ones((5, 1))
+        file["q"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "q")
+        file.create_virtual_dataset("qpos", layout)
+    with pytest.raises(RecordingError, match="no positions among"):
+        read(tmp_path / "log.h5")
+
+
+def test_a_chunk_that_unpacks_to_more_than_any_log_is_refused(tmp_path):
+    messages = Messages()
+    path = bag(tmp_path / "bag", states(messages), messages, StoragePlugin.MCAP)
+    content = bytearray(next(path.glob("*.mcap")).read_bytes())
+    at = 8
+    while content[at] != 6:  # a chunk: its size unpacked follows two times
+        at += 9 + int.from_bytes(content[at + 1 : at + 9], "little")
+    content[at + 25 : at + 33] = (1 << 40).to_bytes(8, "little")
+    (tmp_path / "log.mcap").write_bytes(content)
+    with pytest.raises(RecordingError, match="a chunk unpacks to 1.1e.12 bytes"):
+        read(tmp_path / "log.mcap")
 
 
 def test_a_log_without_a_clock_is_read_at_the_rate_of_the_map():

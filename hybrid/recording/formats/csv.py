@@ -119,6 +119,8 @@ def _dialect_of(path: Path) -> _Dialect:
         empty = "is empty" if path.stat().st_size == 0 else "has an empty first line"
         raise RecordingError(f"{path}: {empty}; valid is a first line of column names")
     delimiter = max(DELIMITERS, key=header.count)
+    if delimiter not in header and " " in header.strip():
+        delimiter = " "  # as UR's recorder writes
     try:
         line = csv.reader([header], delimiter=delimiter, skipinitialspace=True)
         labels = tuple(next(line))

@@ -122,19 +122,21 @@ def _arrays(file: Any, source: str) -> dict[str, NDArray[Any]]:
             item, label = group[name], f"{prefix}{name}"
             if isinstance(item, h5py.Group):
                 waiting.append((f"{label}/", item, depth + 1))
-            elif (
-                isinstance(item, h5py.Dataset)
-                and item.ndim < 3
-                and item.external is (None)
-            ):
-                size += item.size * item.dtype.itemsize if item.size else 0
+            elif isinstance(item, h5py.Dataset) and _kept(item):
+                size += item.size * item.dtype.itemsize
                 if size > LARGEST_FILE:
                     raise RecordingError(
                         f"{source}: arrays of more than {LARGEST_FILE:.3g} bytes"
                     )
-                if item.dtype.kind in "fiuSUO" and item.ndim:
-                    found[_labelled(label, item)] = item[()]
+                found[_labelled(label, item)] = item[()]
     return found
+
+
+def _kept(item: Any) -> bool:
+    """Whether an array may be a column, and lies in this file."""
+    columns = item.shape is not None and 0 < item.ndim < 3
+    elsewhere = item.external or item.is_virtual
+    return columns and item.dtype.kind in "fiuSUO" and not elsewhere
 
 
 def _labelled(label: str, item: Any) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
+from hybrid.names import printable
 from hybrid.recording.recording import Recording
 from hybrid.recording.table import LARGEST_FILE, Table, table_of_arrays
 from hybrid.recording.words import is_time, meaning, split_unit
@@ -95,7 +96,7 @@ def _split(
         return {f"{word}[{k + 1}]{unit}": x for k, x in enumerate(values.T)}
     if meaning(label).channel and values.shape[1] != len(joints):
         raise RecordingError(
-            f"{source}: {label} has {values.shape[1]} columns; valid are "
+            f"{source}: {printable(label)} has {values.shape[1]} columns; valid are "
             f"{len(joints)}, one for each of joints {', '.join(joints)}"
         )
     pairs = zip(joints, values.T, strict=False)
@@ -110,7 +111,8 @@ def _check_numbers(
 ) -> None:
     if values.ndim not in dimensions or values.dtype.kind not in "fiu":
         raise RecordingError(
-            f"{source}: {label} has shape {values.shape} and type {values.dtype}; "
+            f"{source}: {printable(label)} has shape {values.shape} and type "
+            f"{values.dtype}; "
             "valid are numbers, (N,) or (N, n)"
         )
 
