@@ -136,6 +136,12 @@ def text_files(folder: Path) -> dict[str, tuple[Path, dict]]:
     spaced = csv(folder / "spaced.csv", columns(log, RTDE, tau=1 / CONSTANT),
                  "timestamp", sep=" ")  # fmt: skip
     found["ur_rtde, spaces"] = (spaced, {"map": {"tau": {"torque_constant": CONSTANT}}})
+    echo = worded(q="field.position{n}", v="field.velocity{n}", tau="field.effort{n}",
+                  command="field.reference_{joint}")  # fmt: skip
+    names = {f"field.name{k}": [x] * len(log.t) for k, x in enumerate(ALPHABETICAL)}
+    stamps = START + np.round(log.t * 1e9).astype(np.int64)
+    echoed = names | columns(log, echo, ALPHABETICAL)
+    found["rostopic echo"] = (csv(folder / "echo.csv", echoed, "%time", t=stamps), {})
     more = {f"tau_ext_hat_filtered[{k}]": log.t for k in range(6)}
     more |= {f"dtau_J[{k}]": log.t for k in range(6)}
     found["libfranka"] = (
@@ -146,7 +152,6 @@ def text_files(folder: Path) -> dict[str, tuple[Path, dict]]:
     named = columns(log, DIALECTS["named"], ALPHABETICAL)
     pd.DataFrame(named, index=dates).to_csv(folder / "pandas.csv")
     found["pandas index"] = (folder / "pandas.csv", {})
-    stamps = START + np.round(log.t * 1e9).astype(np.int64)
     found["nanoseconds"] = (
         csv(folder / "ns.csv", named, "timestamp_ns", t=stamps), {}
     )  # fmt: skip
@@ -180,6 +185,13 @@ def table_files(folder: Path) -> dict[str, tuple[Path, dict]]:
     lists = {"time": log.t} | {k: list(x) for k, x in log.channels.items()}
     parquet.write_table(pa.table(lists), folder / "lists.parquet")
     found["lists"] = (folder / "lists.parquet", {})
+    at = [ARM.index(x) for x in ALPHABETICAL]
+    words = {"q": "position", "v": "velocity", "tau": "effort"}
+    lists = {"time": log.t, "name": [ALPHABETICAL] * len(log.t)}
+    lists |= {word: list(log.channels[k][:, at]) for k, word in words.items()}
+    lists |= {f"command_{joint}": log.command[:, k] for k, joint in enumerate(ARM)}
+    parquet.write_table(pa.table(lists), folder / "names.parquet")
+    found["lists beside names"] = (folder / "names.parquet", {})
     np.savez(folder / "log.npz", t=log.t, **log.channels)
     found["npz"] = (folder / "log.npz", {})
     np.savez_compressed(folder / "n.npz", t=log.t, joints=ARM, **log.channels)

@@ -25,9 +25,10 @@ from hybrid.recording import Recording, read, read_all
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "ur10_bag"
 TEXTS = (*DIALECTS, "gzip", "tab", "other units", "ur_rtde", "ur_rtde, spaces",
-         "libfranka", "pandas index", "nanoseconds", "bare stamps", "gripper",
-         "map")  # fmt: skip
-TABLES = ("pandas parquet", "polars parquet", "lists", "npz", "npz of names", "hdf5",
+         "rostopic echo", "libfranka", "pandas index", "nanoseconds", "bare stamps",
+         "gripper", "map")  # fmt: skip
+TABLES = ("pandas parquet", "polars parquet", "lists",
+          "lists beside names", "npz", "npz of names", "hdf5",
           "robomimic", "mat", "mat struct", "mat 7.3")  # fmt: skip
 
 
@@ -336,7 +337,9 @@ def test_plain_labels_come_before_those_of_motors():
     log = truth()
     table = {"t": log.t} | columns(log, DIALECTS["hybrid"])
     table |= {f"motor_position_{k}": 100 * log.q[:, k] for k in range(6)}
-    check_same(taken(Recording.from_table, table))
+    recording = taken(Recording.from_table, table)
+    check_same(recording)
+    assert "of the motor" in dict(recording.reading.aside)["motor_position_0"]
 
 
 def test_a_unit_that_the_file_states_is_above_a_preset():

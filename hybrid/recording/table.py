@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,9 @@ from hybrid.recording.recording import Recording, numbered_joints
 
 LARGEST_FILE = 4 << 30  # bytes: an hour at 1 kHz of 50 joints is less
 MOST_COLUMNS = 20_000  # of a table: more are no log of an arm
+
+_NAME = re.compile(r"(.*[./]|)(?:joint_)?names?[_.]?\[?(\d+)\]?")
+_STATE = re.compile(r"(.*[./]|)(position|velocity|effort)s?[_.]?\[?(\d+)\]?")
 
 Load = Callable[[tuple[int, ...]], dict[int, NDArray[Any]]]
 
@@ -69,6 +73,30 @@ def table_of_arrays(
     return Table(
         source, tuple(columns), lambda used: {k: values[k] for k in used}, **more
     )
+
+
+def named_labels(labels: Sequence[str], texts: Mapping[str, str]) -> tuple[str, ...]:
+    """Labels of numbered columns with the names that stand in columns beside them.
+
+    ``rostopic echo -p`` writes ``field.name0`` with a joint's name in it, and its
+    position as ``field.position0``.
+
+    Args:
+        labels: Labels of a table.
+        texts: Label -> text in the first row.
+    """
+    names = {
+        (match.group(1), match.group(2)): text
+        for label, text in texts.items()
+        if text and (match := _NAME.fullmatch(label))
+    }
+
+    def named(label: str) -> str:
+        match = _STATE.fullmatch(label)
+        name = names.get((match.group(1), match.group(3))) if match else None
+        return f"{match.group(1)}{match.group(2)}/{name}" if match and name else label
+
+    return tuple(map(named, labels)) if names else tuple(labels)
 
 
 def labels_of(recording: Recording) -> dict[str, NDArray[np.float64]]:

@@ -13,7 +13,9 @@ from dataclasses import dataclass
 
 from hybrid.recording.units import fits
 
-TIME = ("t", "time", "timestamp", "time_s", "t_s", "__time", "stamp", "datetime")
+TIME = (
+    "t", "time", "timestamp", "time_s", "t_s", "__time", "%time", "stamp", "datetime"
+)  # fmt: skip
 CHANNEL_WORDS = {
     "q": "q pos position positions angle angles qpos",
     "tau": "tau tauj torque torques effort efforts moment moments",
@@ -35,6 +37,7 @@ _OTHER = set(
     "acc accel acceleration accelerations ddq qdd dddq error err ext external output "
     "raw std min max limit eef ee tcp cos sin cartesian pose quat dtau dtauj".split()
 )
+_MOTOR = ("motor", "rotor")
 _TOKEN = re.compile(r"\d+|(?:[^\W\d_](?!(?<=[a-z]{2})(?=[A-Z])))*[^\W\d_]")
 _UNIT = re.compile(r"\s*[\[(]([^\[\]()]+)[\])]$")
 _SUFFIX = re.compile(
@@ -42,7 +45,6 @@ _SUFFIX = re.compile(
     r"[mun]s|sec|seconds|nanoseconds|milliseconds|microseconds|ns|nsec|msec|usec)$"
 )
 _NUMBER = re.compile(r"\[?(\d+)\]?")
-_JOINT_NUMBER = re.compile(r"(?:joints?|axis|ax|j|a|motor)?[\W_]*(\d+)", re.IGNORECASE)
 _SEPARATORS = " _./:[]-"
 
 
@@ -166,13 +168,13 @@ def _meant(text: str) -> Meaning:
     if not channel:
         return Meaning(why=why)
     if after and (match := _NUMBER.fullmatch(after)):
+        if before.lower().endswith(_MOTOR) and channel in ("q", "v", "tau"):
+            return Meaning(why="of the motor; a map with its gear_ratio says so")
         return Meaning(channel, after, int(match.group(1)), before, why="")
     if after and not before:
         return Meaning(channel, _unbracketed(after), None, why="")
     if after:
-        found = _JOINT_NUMBER.fullmatch(after)
-        number = int(found.group(1)) if found else None
-        return Meaning(channel, _unbracketed(after), number, before, why="")
+        return Meaning(channel, _unbracketed(after), None, before, why="")
     space, _, joint = before.rpartition("/")
     if not space:
         space, _, joint = before.rpartition(".")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.recording.recording import Recording, row_words
-from hybrid.recording.table import LARGEST_FILE, Table, labels_of
+from hybrid.recording.table import LARGEST_FILE, Table, labels_of, named_labels
 
 DELIMITERS = (",", ";", "\t")
 
@@ -44,6 +44,8 @@ def read_csv(path: Path) -> list[tuple[Table]]:
     labels = dialect.labels
     if labels and not labels[0].strip() and _is_date(dialect.first[:1]):
         labels = ("time", *labels[1:])  # the index of pandas, which has no name
+    texts = dict(zip(labels, dialect.first, strict=False))
+    labels = named_labels(labels, texts)
     return [
         (Table(str(path), labels, lambda used: _read_columns(path, dialect, used),
                kind="CSV"),)

@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.recording.recording import Recording
-from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, Table, labels_of
+from hybrid.recording.table import (
+    LARGEST_FILE,
+    MOST_COLUMNS,
+    Table,
+    labels_of,
+    named_labels,
+)
 
 
 def read_parquet(path: Path) -> list[tuple[Table]]:
@@ -85,15 +91,20 @@ def spread_columns(schema: Any, first: Any) -> list[tuple[str, str, int | None]]
             are no rows.
     """
     spread: list[tuple[str, str, int | None]] = []
+    texts: dict[str, str] = {}
     for f in schema:
         values = first.column(f.name)[0].as_py() if first and _is_list(f.type) else None
         if values is None or len(values) > 1000:
             # a nameless index of pandas, which is time if it holds dates
             name = "time" if f.name == "__index_level_0__" and _is_date(f.type) else ""
             spread.append((name or f.name, f.name, None))
-        else:
-            spread += [(f"{f.name}[{k}]", f.name, k) for k in range(len(values))]
-    return spread
+            continue
+        spread += [(f"{f.name}[{k}]", f.name, k) for k in range(len(values))]
+        places = enumerate(values)
+        texts |= {f"{f.name}[{k}]": x for k, x in places if isinstance(x, str)}
+    labels = named_labels([label for label, _, _ in spread], texts)
+    pairs = zip(labels, spread, strict=True)
+    return [(label, name, place) for label, (_, name, place) in pairs]
 
 
 def _is_date(kind: Any) -> bool:
