@@ -158,9 +158,11 @@ def test_a_command_comes_from_the_controller_or_the_trajectory(tmp_path, kind):
                   for t, x in zip(log.t, log.command, strict=True)]  # fmt: skip
         plan = messages.plan(START, ARM, points)
         content.append(("/controller/joint_trajectory", START, plan))
-    recording = taken(read, bag(tmp_path / "bag", content, messages))
-    check_same(recording)
-    assert any("command of /controller" in note for note in recording.reading.notes)
+    path = bag(tmp_path / "bag", content, messages)
+    for torque in (True, False):
+        recording = taken(read, path, torque=torque)
+        check_same(recording)
+        assert any("command of /controller" in x for x in recording.reading.notes)
 
 
 def test_joints_in_several_topics_are_told_apart_by_the_map(tmp_path):

@@ -1,7 +1,7 @@
 """Several streams of one log, each on its own clock -> one recording.
 
-The stream that has what is asked for is the recording; a command that it lacks comes
-from another stream, on the recording's clock.
+The stream that has most of what is asked for, torques before all, is the recording; a
+command that it lacks comes from another stream, on the recording's clock.
 """
 
 from __future__ import annotations
@@ -33,37 +33,41 @@ def main_stream(
         commanded: Decides on the commands of joints in a table; None if it has none.
 
     Raises:
-        RecordingError: No stream has the joints, or several have.
+        RecordingError: No stream has the joints, or several have them alike.
     """
-    good, bad = [], []
+    good: list[tuple[tuple[bool, bool, int], Table]] = []
+    bad = []
     for table in tables:
         try:
-            decided(table, True)
-            good.append(table)
+            channels = decided(table, True).channels
         except RecordingError as error:
             bad.append(str(error))
+            continue
+        rank = ("tau" in channels, table.preset == "joint_state", len(channels))
+        good.append((rank, table))
     if not good:
-        closest = min(bad, key=lambda line: "no positions among" in line)
-        raise RecordingError(closest)
-    if len(good) > 1:
+        raise RecordingError(min(bad, key=lambda line: "no positions among" in line))
+    best = max(rank for rank, _ in good)
+    first, *more = (table for rank, table in good if rank == best)
+    if more:
         raise RecordingError(
-            f"{good[0].source}: joints in several topics: "
-            f"{', '.join(table.name for table in good)}; valid is --map FILE.yaml with "
-            "topic: and one of them"
+            f"{first.source}: joints in several topics: "
+            f"{', '.join(table.name for table in (first, *more))}; valid is --map "
+            "FILE.yaml with topic: and one of them"
         )
-    recording = build(good[0], decided(good[0], False))
+    recording = build(first, decided(first, False))
     if recording.command is None:
         for table in tables:
             decision = commanded(table, recording.joints)
-            if table is not good[0] and decision is not None:
-                return _with_command(recording, good[0], table, decision)
+            if table is not first and decision is not None:
+                return _with_command(recording, first, table, decision)
     return recording
 
 
 def _with_command(
     recording: Recording, main: Table, table: Table, decision: Decision
 ) -> Recording:
-    """The recording with a command of another stream, held between its samples.
+    """The recording with a command of another stream, interpolated to its clock.
 
     A controller keeps to the last command; before the first, nothing is known, and the
     arm is taken to stay at it.
