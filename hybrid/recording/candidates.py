@@ -63,7 +63,7 @@ def columns_of(
 
 def listed(labels: Sequence[str]) -> str:
     """Labels for a message: a dozen, and how many more."""
-    shown = ", ".join(labels[:12])
+    shown = ", ".join(label[:80] for label in labels[:12])
     return shown if len(labels) <= 12 else f"{shown} and {len(labels) - 12} more"
 
 

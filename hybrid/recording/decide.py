@@ -22,12 +22,14 @@ from hybrid.recording.table import MOST_COLUMNS, Table
 from hybrid.recording.units import SI, converted
 from hybrid.recording.words import (
     CHANNEL_WORDS,
+    LONGEST,
     TIME,
     is_time,
     split_unit,
 )
 
 _NEEDED = ("q", "tau")
+MOST = LONGEST + 1  # characters of a label that are kept
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ class _Decider:
                 f"{table.place}: {len(table.labels)} columns; valid are up to "
                 f"{MOST_COLUMNS}"
             )
-        labels = tuple(printable(label.strip()) for label in table.labels)
+        labels = tuple(printable(label.strip())[:MOST] for label in table.labels)
         found = preset_of(labels, mapping.preset or table.preset)
         self.table, self.labels, self.torque = table, labels, torque
         self.map = mapping.over(found)

@@ -37,6 +37,7 @@ _OTHER = set(
     "acc accel acceleration accelerations ddq qdd dddq error err ext external output "
     "raw std min max limit eef ee tcp cos sin cartesian pose quat dtau dtauj".split()
 )
+LONGEST = 300  # characters of a label; more are no words
 _MOTOR = ("motor", "rotor")
 _TOKEN = re.compile(r"\d+|(?:[^\W\d_](?!(?<=[a-z]{2})(?=[A-Z])))*[^\W\d_]")
 _UNIT = re.compile(r"\s*[\[(]([^\[\]()]+)[\])]$")
@@ -79,13 +80,15 @@ class _Word:
 
 def is_time(label: str) -> bool:
     """Whether a label, without unit, is one for time."""
-    last = re.split(r"[/.]", label.strip())[-1].lower()
-    return label.strip().lower() in TIME or last in ("stamp", "__time")
+    word = label.strip().lower()
+    return word in TIME or word.endswith(("/stamp", ".stamp", "/__time", ".__time"))
 
 
 def split_unit(label: str) -> tuple[str, str]:
     """A label without its unit, and the unit; other brackets hold a joint."""
     label = label.strip()
+    if len(label) > LONGEST:
+        return label, ""
     if (match := _UNIT.search(label)) and fits(unit := match.group(1).strip()):
         word = label[: match.start()]
         said = _meant(word)
@@ -109,6 +112,8 @@ def meaning(label: str, joints: tuple[str, ...] = ()) -> Meaning:
         label: As the file has it.
         joints: Names of joints, which are recognised before any other word.
     """
+    if len(label) > LONGEST:
+        return Meaning(why=f"a label of more than {LONGEST} characters")
     # 'q_A' is joint A, not a current
     for text, unit in ((label.strip(), ""), split_unit(label)):
         named = _named(text, joints)
