@@ -15,7 +15,7 @@ import pyarrow as pa
 import scipy.io
 from pyarrow import parquet
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -268,10 +268,21 @@ string[] multi_dof_joint_names
 """
 
 
+DYNAMIC = "control_msgs/msg/DynamicJointState"
+DYNAMIC_TEXT = """std_msgs/Header header
+string[] joint_names
+control_msgs/InterfaceValue[] interface_values
+"""
+INTERFACE = "control_msgs/msg/InterfaceValue"
+INTERFACE_TEXT = "string[] interface_names\nfloat64[] values\n"
+
+
 def store(ros1: bool = False):
     """Message types of a distribution, with one of control_msgs."""
     found = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     found.register(get_types_from_msg(CONTROL_TEXT, CONTROL))
+    found.register(get_types_from_msg(INTERFACE_TEXT, INTERFACE))
+    found.register(get_types_from_msg(DYNAMIC_TEXT, DYNAMIC))
     return found
 
 
@@ -312,6 +323,14 @@ class Messages:
             multi_dof_joint_names=[],
         )  # fmt: skip
 
+    def dynamic(self, stamp: int, names, rows):
+        value = self.types[INTERFACE]
+        words = ["position", "velocity", "effort"]
+        return self.types[DYNAMIC](
+            header=self.header(stamp), joint_names=list(names),
+            interface_values=[value(words, np.array(row)) for row in rows],
+        )  # fmt: skip
+
     def plan(self, stamp: int, names, points):
         return self.types[PLAN](
             header=self.header(stamp), joint_names=list(names), points=points
@@ -324,11 +343,18 @@ class Messages:
         return bytes(self.store.serialize_cdr(message, kind))
 
 
-def bag(path: Path, content: list[tuple[str, int, object]], messages: Messages,
-        storage: StoragePlugin = StoragePlugin.SQLITE3) -> Path:  # fmt: skip
+def bag(
+    path: Path,
+    content: list[tuple[str, int, object]],
+    messages: Messages,
+    storage: StoragePlugin = StoragePlugin.SQLITE3,
+    packed: bool = False,
+) -> Path:
     """Write messages, (topic, time, message), as a bag."""
     writer = Writer1(path) if messages.ros1 else Writer2(
         path, version=9, storage_plugin=storage)  # fmt: skip
+    if packed:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with writer:
         topics = {}
         for topic, stamp, message in sorted(content, key=lambda x: x[1]):

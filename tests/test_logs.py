@@ -107,6 +107,24 @@ def test_a_bag_of_ros_2_is_read_by_the_names_in_its_messages(tmp_path, storage):
     assert len(taken(read_all, [tmp_path])) == 1
 
 
+def test_a_bag_of_compressed_chunks_is_read(tmp_path):
+    messages, storage = Messages(), StoragePlugin.MCAP
+    path = bag(tmp_path / "bag", states(messages), messages, storage, packed=True)
+    check_same(taken(read, path), without=("command",))
+
+
+def test_dynamic_joint_states_are_read_by_their_names(tmp_path):
+    messages, log = Messages(), truth()
+    at, content = [ARM.index(joint) for joint in logs.ALPHABETICAL], []
+    for k, t in enumerate(log.t):
+        stamp = START + round(t * 1e9)
+        rows = np.stack([log.q[k, at], log.v[k, at], log.tau[k, at]], axis=1)
+        message = messages.dynamic(stamp, logs.ALPHABETICAL, rows)
+        content.append(("/dynamic_joint_states", stamp, message))
+    recording = taken(read, bag(tmp_path / "bag", content, messages))
+    check_same(recording, without=("command",))
+
+
 def test_a_bag_of_ros_1_is_read_by_the_names_in_its_messages(tmp_path):
     messages = Messages(ros1=True)
     path = bag(tmp_path / "log.bag", states(messages), messages)
