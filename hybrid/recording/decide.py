@@ -109,13 +109,8 @@ class _Decider:
             for k, label in enumerate(self.labels)
             if label and k not in taken
         }
-        if aside and not quiet:
-            warnings.warn(
-                f"{self.table.place}: ignored columns: "
-                f"{listed([self.labels[k] for k in aside])}",
-                HybridWarning,
-                stacklevel=4,
-            )
+        if not quiet:
+            self._warn([self.labels[k] for k in aside], channels["q"])
         used = (time, *(u for group in channels.values() for u in group))
         reading = Reading(
             self.table.kind, self.table.name, self.map.preset, used,
@@ -123,6 +118,19 @@ class _Decider:
             tuple(self.notes),
         )  # fmt: skip
         return Decision(joints, time, channels, reading)
+
+    def _warn(self, aside: list[str], positions: tuple[Used, ...]) -> None:
+        """Say once for a file what was set aside, and which unit nobody knows."""
+        home = self.table.home or self.table.place
+        lines = [f"ignored columns: {listed(aside)}"] if aside else []
+        if self.map.preset == "lerobot" and not positions[0].stated:
+            lines.append(
+                "units are not in a LeRobot dataset: positions are taken as radians; "
+                "if they are degrees, use --map FILE.yaml with q: {unit: deg}, "
+                "command: {unit: deg}"
+            )
+        for line in lines:
+            warnings.warn(f"{home}: {line}", HybridWarning, stacklevel=6)
 
     def _error(self, text: str) -> RecordingError:
         return RecordingError(f"{self.table.place}: {text}")

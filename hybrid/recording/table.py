@@ -36,6 +36,8 @@ class Table:
         kind: Name of the format.
         name: Which recording or topic of the source it is; empty if there is one.
         preset: Name of the preset that the format itself stands for.
+        home: What warnings name instead of the source: the dataset of an episode, so
+            that a thousand episodes are warned of once.
         note: What the reader decided, in one line; empty if nothing.
     """
 
@@ -47,6 +49,7 @@ class Table:
     kind: str = ""
     name: str = ""
     preset: str = ""
+    home: str = ""
     note: str = ""
 
     @property

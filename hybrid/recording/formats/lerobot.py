@@ -7,7 +7,6 @@ Each episode is a recording. Joint names and the feature that each belongs to ar
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import RecordingError
 from hybrid.files import read_json
 from hybrid.recording.formats.parquet import column_of, damaged, spread_columns
 from hybrid.recording.table import LARGEST_FILE, Table
@@ -38,9 +37,6 @@ def read_lerobot(folder: Path) -> Iterator[tuple[Table]]:
 
     Raises:
         RecordingError: The dataset is of another version, damaged or empty.
-
-    Warns:
-        HybridWarning: Its units are not known.
     """
     try:
         info = read_json(folder / "meta" / "info.json")
@@ -54,18 +50,13 @@ def read_lerobot(folder: Path) -> Iterator[tuple[Table]]:
     files = sorted((folder / "data").rglob("*.parquet"))[:_MOST_FILES]
     if not files:
         raise RecordingError(f"{folder}: no Parquet files in data/")
-    warnings.warn(
-        f"{folder}: units are not in the dataset: positions are taken as radians; if "
-        "they are degrees, read with --map FILE.yaml and q: {unit: deg}, command: "
-        "{unit: deg}",
-        HybridWarning,
-        stacklevel=2,
-    )
     for file in files:
-        yield from _episodes(file, features)
+        yield from _episodes(file, features, str(folder))
 
 
-def _episodes(file: Path, features: dict[str, Any]) -> Iterator[tuple[Table]]:
+def _episodes(
+    file: Path, features: dict[str, Any], home: str
+) -> Iterator[tuple[Table]]:
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -105,7 +96,7 @@ def _episodes(file: Path, features: dict[str, Any]) -> Iterator[tuple[Table]]:
 
         yield (
             Table(str(file), labels, load, kind="LeRobot", name=f"episode {episode}",
-                  preset="lerobot"),
+                  preset="lerobot", home=home),
         )  # fmt: skip
 
 
