@@ -250,6 +250,18 @@ def test_currents_become_torques_only_with_a_torque_constant(tmp_path):
     assert any("torque_constant" in why for _, why in recording.reading.aside)
 
 
+def test_a_torque_constant_is_for_currents_and_nothing_else():
+    log = truth()
+    table = {"t": log.t} | columns(log, DIALECTS["hybrid"])
+    constant = {"tau": {"torque_constant": 2.0, "columns": "tau{}"}}
+    found = taken(Recording.from_table, table, map=constant)
+    assert {u.unit for u in found.reading.columns if u.channel == "tau"} == {"A"}
+    assert np.allclose(found.tau, 2 * log.tau)
+    table |= {f"{k} [Nm]": table.pop(k) for k in [f"tau{j}" for j in range(1, 7)]}
+    with pytest.raises(RecordingError, match="is in Nm; .* or a current with torque_c"):
+        taken(Recording.from_table, table, map={"tau": {"torque_constant": 2.0}})
+
+
 def test_a_map_is_a_file_a_preset_or_a_dict(tmp_path):
     log = truth()
     path = logs.csv(tmp_path / "a.csv", columns(log, logs.RTDE), "timestamp")

@@ -274,44 +274,43 @@ class _Decider:
     def _used(
         self, channel: str, columns: Sequence[Column], joints: tuple[str, ...]
     ) -> tuple[Used, ...]:
+        """Columns of a channel with their units; none if they are but currents."""
         source, used = self.map.source(channel), []
         for place, (column, joint) in enumerate(zip(columns, joints, strict=True)):
-            stated = (source.unit, column.said.unit, self.table.unit(column.index))
-            if not self.map.own(channel):  # what a file states is above a preset
-                stated = (*stated[1:], source.unit)
-            unit = next(filter(None, stated), "")
-            current = column.said.channel == "current" and not unit
-            unit = "A" if current else unit
-            scale, shift = converted(unit, channel) or (None, 0.0) if unit else (1.0, 0)
-            if scale is None and channel == "tau" and converted(unit, "current"):
+            unit = self._unit(channel, column)
+            known = converted(unit or SI[channel][0], channel)
+            if channel == "tau" and (current := converted(unit, "current")):
                 if "torque_constant" not in source.factors:
-                    if (
-                        self.torque
-                        and column.said.channel != "current"
-                        and not (self.map.preset and not self.map.own("tau"))
-                    ):
+                    if not self._bare_current(column):
                         raise self._unit_error(column.label, unit, channel)
                     why = f"current in {unit}: a map with a torque_constant is needed"
                     self.aside |= {c.index: why for c in columns}
                     return ()
-                scale = (converted(unit, "current") or (1.0, 0.0))[0]
-            if scale is None:
+                known = current
+            elif known is None or "torque_constant" in source.factors:
                 raise self._unit_error(column.label, unit, channel)
-            factor = scale * source.factor(joint, place)
-            label = column.label
-            used.append(
-                Used(
-                    column.index,
-                    label,
-                    channel,
-                    joint,
-                    unit or SI[channel][0],
-                    bool(unit),
-                    factor,
-                    shift,
-                )  # fmt: skip
-            )
+            factor = known[0] * source.factor(joint, place)
+            words = (column.index, column.label, channel, joint)
+            shown = unit or SI[channel][0]
+            used.append(Used(*words, shown, bool(unit), factor, known[1]))
         return tuple(used)
+
+    def _unit(self, channel: str, column: Column) -> str:
+        """Unit of a column: the user's, the label's, the file's, the preset's."""
+        source = self.map.source(channel)
+        stated = (source.unit, column.said.unit, self.table.unit(column.index))
+        if not self.map.own(channel):  # what a file states is above a preset
+            stated = (*stated[1:], source.unit)
+        unit = next(filter(None, stated), "")
+        current = (
+            column.said.channel == "current" or "torque_constant" in source.factors
+        )
+        return "A" if current and not unit else unit
+
+    def _bare_current(self, column: Column) -> bool:
+        """Whether a current is set aside, not refused as the torque it should be."""
+        of_preset = bool(self.map.preset) and not self.map.own("tau")
+        return not self.torque or column.said.channel == "current" or of_preset
 
     def _unit_error(self, label: str, unit: str, channel: str) -> RecordingError:
         valid = " and ".join(SI[channel])

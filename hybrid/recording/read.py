@@ -92,12 +92,7 @@ def read_all(
     """
     if isinstance(paths, (str, Path)):
         paths = [paths]
-    found: dict[Path, bool] = {}
-    for path in paths:
-        for file, single in _files(Path(path)):
-            found[file] = single or found.get(file, False)
-    if not found:
-        raise RecordingError("no paths given; valid are files, folders and globs")
+    found = _all_files(paths)
     mapping, recordings = read_mapping(map), []
     for file, single in found.items():
         try:
@@ -252,6 +247,17 @@ def _logs(
 
         return iter(read_ros(path, tell=told))
     return iter(reader(path))
+
+
+def _all_files(paths: Iterable[str | Path]) -> dict[Path, bool]:
+    """Files of all paths, each once, and whether it was asked for by itself."""
+    found: dict[Path, bool] = {}
+    for path in paths:
+        for file, single in _files(Path(path)):
+            found[file] = single or found.get(file, False)
+    if not found:
+        raise RecordingError("no paths given; valid are files, folders and globs")
+    return found
 
 
 def _files(path: Path) -> list[tuple[Path, bool]]:

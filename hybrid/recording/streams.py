@@ -35,6 +35,20 @@ def main_stream(
     Raises:
         RecordingError: No stream has the joints, or several have them alike.
     """
+    first = _best(tables, decided)
+    recording = build(first, decided(first, False))
+    if recording.command is None:
+        for table in tables:
+            decision = commanded(table, recording.joints)
+            if table is not first and decision is not None:
+                return _with_command(recording, first, table, decision)
+    return recording
+
+
+def _best(
+    tables: tuple[Table, ...], decided: Callable[[Table, bool], Decision]
+) -> Table:
+    """The stream with most channels: torques before all, then joint states."""
     good: list[tuple[tuple[bool, bool, int], Table]] = []
     bad = []
     for table in tables:
@@ -55,13 +69,7 @@ def main_stream(
             f"{', '.join(table.name for table in (first, *more))}; valid is --map "
             "FILE.yaml with topic: and one of them"
         )
-    recording = build(first, decided(first, False))
-    if recording.command is None:
-        for table in tables:
-            decision = commanded(table, recording.joints)
-            if table is not first and decision is not None:
-                return _with_command(recording, first, table, decision)
-    return recording
+    return first
 
 
 def _with_command(

@@ -57,29 +57,9 @@ def read_lerobot(folder: Path) -> Iterator[tuple[Table]]:
 def _episodes(
     file: Path, features: dict[str, Any], home: str
 ) -> Iterator[tuple[Table]]:
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    try:
-        with parquet.ParquetFile(file) as content:
-            schema = content.schema_arrow
-            names = [
-                f.name for f in schema
-                if f.name in ("timestamp", "episode_index")
-                or f.name.startswith(("observation", "action"))
-                and "image" not in f.name and not pa.types.is_struct(f.type)
-            ]  # fmt: skip
-            size = sum(
-                content.metadata.row_group(k).total_byte_size
-                for k in range(content.metadata.num_row_groups)
-            )
-            if size > LARGEST_FILE:
-                raise RecordingError(f"{file}: unpacks to {size:.3g} bytes")
-            table = content.read(columns=names)
-        first = table.slice(0, 1).combine_chunks().to_batches()
-    except (pa.ArrowException, OSError, MemoryError) as error:
-        raise damaged(str(file), error) from error
-    if "episode_index" not in names or not first:
+    table = _loaded(file)
+    first = table.slice(0, 1).combine_chunks().to_batches()
+    if "episode_index" not in table.column_names or not first:
         raise RecordingError(f"{file}: no rows, or no episode_index")
     spread = [
         x for x in spread_columns(table.schema, first[0]) if x[1] != "episode_index"
@@ -98,6 +78,31 @@ def _episodes(
             Table(str(file), labels, load, kind="LeRobot", name=f"episode {episode}",
                   preset="lerobot", home=home),
         )  # fmt: skip
+
+
+def _loaded(file: Path) -> Any:
+    """The columns of states, actions and times, without images."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(file) as content:
+            schema = content.schema_arrow
+            names = [
+                f.name for f in schema
+                if f.name in ("timestamp", "episode_index")
+                or f.name.startswith(("observation", "action"))
+                and "image" not in f.name and not pa.types.is_struct(f.type)
+            ]  # fmt: skip
+            size = sum(
+                content.metadata.row_group(k).total_byte_size
+                for k in range(content.metadata.num_row_groups)
+            )
+            if size > LARGEST_FILE:
+                raise RecordingError(f"{file}: unpacks to {size:.3g} bytes")
+            return content.read(columns=names)
+    except (pa.ArrowException, OSError, MemoryError) as error:
+        raise damaged(str(file), error) from error
 
 
 def _label(label: str, features: dict[str, Any]) -> str:

@@ -35,10 +35,8 @@ def read_parquet(path: Path) -> list[tuple[Table]]:
     try:
         with parquet.ParquetFile(path) as file:
             schema, rows = file.schema_arrow, file.metadata.num_rows
-            if len(schema) > MOST_COLUMNS or not rows:
-                first = None
-            else:
-                first = next(file.iter_batches(1, columns=_lists(schema)), None)
+            lists = _lists(schema) if rows and len(schema) <= MOST_COLUMNS else []
+            first = next(file.iter_batches(1, columns=lists), None) if lists else None
     except (pa.ArrowException, OSError, UnicodeDecodeError, MemoryError) as error:
         raise damaged(source, error) from error
     spread = spread_columns(schema, first)

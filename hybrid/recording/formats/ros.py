@@ -50,16 +50,8 @@ def read_ros(
         RecordingError: It is damaged, or rosbags is not installed.
         NoJointsError: It holds no joints; the message says what it holds instead.
     """
-    try:
-        import rosbags.rosbag1
-        import rosbags.rosbag2
-    except ImportError as error:
-        raise RecordingError(
-            f"{path}: a bag is read by rosbags; install it: pip install "
-            "'hybrid-arm[ros]'"
-        ) from error
     ros2 = path.suffix.lower() != ".bag"
-    opened = rosbags.rosbag2.Reader if ros2 else rosbags.rosbag1.Reader
+    opened = _reader(path, ros2)
     try:
         _check_chunks(path)
         with opened(path) as reader:
@@ -80,6 +72,19 @@ def read_ros(
             "is a topic of sensor_msgs/JointState"
         )
     yield tables
+
+
+def _reader(path: Path, ros2: bool) -> Any:
+    """The class of rosbags that reads a bag."""
+    try:
+        import rosbags.rosbag1
+        import rosbags.rosbag2
+    except ImportError as error:
+        raise RecordingError(
+            f"{path}: a bag is read by rosbags; install it: pip install "
+            "'hybrid-arm[ros]'"
+        ) from error
+    return rosbags.rosbag2.Reader if ros2 else rosbags.rosbag1.Reader
 
 
 def _held(connections: Any) -> str:
