@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import shutil
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
 
 from hybrid.calibrate.read import read_measurements
 from hybrid.dynamics import stacked_base
@@ -21,7 +25,7 @@ from hybrid.identify import DynamicModel
 from hybrid.model.model_file import content_digest
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
-from hybrid.recording import Recording, read, write
+from hybrid.recording import Recording, read, read_all, write
 from hybrid.robot import Robot
 
 MODELS = Path(__file__).parents[1] / "models"
@@ -67,6 +71,124 @@ def _recording(suffix: str) -> Callable[[Path], Sequence[bytes]]:
         return [path.read_bytes()]
 
     return made
+
+
+def _small() -> Recording:
+    x = np.random.default_rng(0).normal(size=(20, 2))
+    return Recording(t=np.arange(20) / 100, q=x, tau=x)
+
+
+def _bag(suffix: str) -> Callable[[Path], Sequence[bytes]]:
+    """A bag of twenty joint states, in the format of a suffix."""
+
+    def made(folder: Path) -> Sequence[bytes]:
+        from rosbags.rosbag1 import Writer as Writer1
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as Writer2
+        from rosbags.typesys import Stores, get_typestore
+
+        ros1, log = suffix == ".bag", _small()
+        store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+        kind, types = "sensor_msgs/msg/JointState", store.types
+        path = folder / f"made{suffix}"
+        plugin = StoragePlugin.MCAP if suffix == ".mcap" else StoragePlugin.SQLITE3
+        plain = Writer1(path) if ros1 else Writer2(
+            path.with_suffix(""), version=9, storage_plugin=plugin)  # fmt: skip
+        with plain as writer:
+            topic = writer.add_connection("/joint_states", kind, typestore=store)
+            for k, t in enumerate(log.t):
+                at = types["builtin_interfaces/msg/Time"](sec=1, nanosec=int(t * 1e9))
+                seq = {"seq": k} if ros1 else {}
+                header = types["std_msgs/msg/Header"](stamp=at, frame_id="", **seq)
+                message = types[kind](
+                    header=header, name=["a", "b"], position=log.q[k],
+                    velocity=log.q[k], effort=log.tau[k],
+                )  # fmt: skip
+                raw = (store.serialize_ros1 if ros1 else store.serialize_cdr)(
+                    message, kind
+                )
+                writer.write(topic, 10**9 + k * 10**7, bytes(raw))
+        if ros1:
+            return [path.read_bytes()]
+        return [next(path.with_suffix("").glob(f"*{suffix}")).read_bytes()]
+
+    return made
+
+
+def _hdf5(folder: Path) -> Sequence[bytes]:
+    import h5py
+
+    log = _small()
+    with h5py.File(folder / "made.h5", "w") as file:
+        file["t"], file["q"], file["tau"] = log.t, log.q, log.tau
+        file["q"].attrs["units"] = "rad"
+    return [(folder / "made.h5").read_bytes()]
+
+
+def _mat(folder: Path) -> Sequence[bytes]:
+    import scipy.io
+
+    log, seeds = _small(), []
+    for compressed in (True, False):
+        content = {"t": log.t, "q": log.q, "tau": log.tau}
+        scipy.io.savemat(folder / "made.mat", content, do_compression=compressed)
+        seeds.append((folder / "made.mat").read_bytes())
+    return seeds
+
+
+def _gzipped(folder: Path) -> Sequence[bytes]:
+    write(_small(), folder / "made.csv")
+    return [gzip.compress((folder / "made.csv").read_bytes())]
+
+
+def _dataset(path: Path) -> object:
+    """Read a LeRobot dataset with this ``info.json``."""
+    folder = path.parent / "set"
+    (folder / "meta").mkdir(parents=True, exist_ok=True)
+    (folder / "data").mkdir(exist_ok=True)
+    (folder / "meta" / "info.json").write_bytes(path.read_bytes())
+    log = _small()
+    columns = {"timestamp": log.t, "episode_index": np.zeros(20, dtype=int)}
+    columns |= {"observation.state": list(log.q), "action": list(log.q)}
+    parquet.write_table(pa.table(columns), folder / "data" / "episode.parquet")
+    try:
+        return read_all(folder, torque=False)
+    finally:
+        shutil.rmtree(folder)
+
+
+def _mapped(path: Path) -> object:
+    """Read a log with labels of its own by this map."""
+    log = path.parent / "mapped.csv"
+    log.write_text("clk,a1,b1\n0,1,2\n1,2,3\n2,3,4\n")
+    try:
+        return read(log, map=path)
+    finally:
+        log.unlink()
+
+
+INFO = (
+    b'{"codebase_version": "v2.1", "fps": 100, "features": {"observation.state": '
+    b'{"dtype": "float32", "shape": [2], "names": ["a.pos", "b.pos"]}, "action": '
+    b'{"dtype": "float32", "shape": [2], "names": {"motors": ["a", "b"]}}}}'
+)
+MAP = (
+    b"time: {column: clk, unit: ms}\nq: {columns: 'a{}', unit: deg}\n"
+    b"tau: {columns: [b1], unit: mA, torque_constant: 0.1, gear_ratio: [100]}\n"
+)
+
+
+def _labels(path: Path) -> object:
+    """Read a log of one row of labels, whose columns are all numbers."""
+    labels = path.read_bytes().decode("utf-8", errors="replace").split(",")[:50]
+    x = {label: np.arange(5.0) for label in labels}
+    return Recording.from_table(x)
+
+
+LABELS = (
+    b"__time,/joint_states/elbow/position [deg],/joint_states/elbow/effort,ddq_elbow,"
+    b"q_ref_elbow_deg,tau_ext[0],elbow_temp (K)"
+)
 
 
 def _model() -> DynamicModel:
@@ -117,6 +239,15 @@ READERS = {
     "CSV": Reader("log.csv", read, _recording(".csv")),
     "Parquet": Reader("log.parquet", read, _recording(".parquet")),
     "NPZ": Reader("log.npz", read, _recording(".npz")),
+    "CSV, gzipped": Reader("log.csv.gz", read, _gzipped),
+    "bag, sqlite3": Reader("log.db3", read, _bag(".db3")),
+    "bag, MCAP": Reader("log.mcap", read, _bag(".mcap")),
+    "bag, ROS 1": Reader("log.bag", read, _bag(".bag")),
+    "HDF5": Reader("log.h5", read, _hdf5),
+    "MATLAB": Reader("log.mat", read, _mat),
+    "LeRobot": Reader("info.json", _dataset, lambda _: [INFO]),
+    "map": Reader("map.yaml", _mapped, lambda _: [MAP]),
+    "labels": Reader("labels.txt", _labels, lambda _: [LABELS]),
     "model": Reader("model.json", DynamicModel.load, _saved),
     "model, hash made to fit": Reader("model.json", _resealed, _saved),
     "manifest": Reader("manifest.json", lambda p: read_manifest(p.parent), _exported),

@@ -288,8 +288,9 @@ class TestIdentifyAndPredict:
         assert content["cutoff"] == DynamicModel.load(tmp_path / "m.json").cutoff == 7
         assert content["provenance"]["seed"] == 5
         assert content["provenance"]["settings"] == {
-            "joints": None, "hold": {}, "estimator": "ls", "stages": ["rigid"],
-            "effects": "", "cutoff": 7, "robust": True, "consistent": False,
+            "joints": None, "hold": {}, "map": None, "estimator": "ls",
+            "stages": ["rigid"], "effects": "", "cutoff": 7, "robust": True,
+            "consistent": False,
         }  # fmt: skip
 
     @pytest.mark.parametrize("suffix", ["parquet", "npz"])

@@ -167,7 +167,12 @@ def test_it_says_how_the_result_came_about(diagnose, logs, tmp_path):
     text = (tmp_path / "out" / "diagnosis.json").read_text("utf-8")
     how = json.loads(text)["provenance"]
     assert (how["command"], how["seed"]) == ("diagnose", 5)
-    assert how["settings"] == {"joints": None, "hold": {}, "cutoff": 9}
+    assert how["settings"] == {
+        "joints": None,
+        "hold": {},
+        "map": None,
+        "cutoff": 9,
+    }
     assert how["thresholds"] == thresholds().version
     hashes = {x["file"]: x["sha256"] for x in how["inputs"]}
     assert hashes["planar.xml"] == sha256(Path(PLANAR))

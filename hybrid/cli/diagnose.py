@@ -16,6 +16,7 @@ from hybrid.cli.options import (
     check_outputs,
     load_robot,
     positive,
+    read_logs,
     record,
     whole,
     write_record,
@@ -72,14 +73,12 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.diagnose.replayed import replayed
     from hybrid.diagnose.thresholds import thresholds
     from hybrid.files import atomic_folder
-    from hybrid.recording import read_all
     from hybrid.report.diagnosis import CONTENT, PAGE, write_diagnosis
     from hybrid.report.diagnosis_text import verdict_lines
 
     robot = load_robot(args)
-    with screen.working("reading recordings"):
-        recordings = read_all(args.recordings, joints=robot.joints, torque=False)
-    inputs = [args.robot, *(Path(x.source) for x in recordings)]
+    recordings, files = read_logs(args, screen, robot.joints, torque=False)
+    inputs = [args.robot, *files]
     names = (PAGE, CONTENT, SIMULATOR, MODEL)
     check_outputs([*(args.out / name for name in names), args.json], inputs)
     how = record(args, inputs) | {"thresholds": thresholds().version}

@@ -15,6 +15,7 @@ from hybrid.cli.options import (
     load_robot,
     names,
     positive,
+    read_logs,
     record,
     whole,
     write_record,
@@ -93,18 +94,16 @@ def run(args: Namespace, screen: Screen) -> None:
     """Identify, save and show."""
     from hybrid.identify import identify
     from hybrid.identify.three_stage import STAGES
-    from hybrid.recording import read_all
     from hybrid.report.fit import content_from_fit
 
     args.stages = args.stages or STAGES
     robot = load_robot(args)
     effects = load_effects(args.effects, robot)
-    with screen.working("reading recordings"):
-        recordings = read_all(args.recordings, joints=robot.joints, torque=False)
+    recordings, files = read_logs(args, screen, robot.joints, torque=False)
     servo = without_torque(recordings)
     if not servo and args.out.suffix != ".json":
         raise HybridError(f"{args.out}: a model is saved as .json")
-    inputs = [args.robot, *(Path(x.source) for x in recordings)]
+    inputs = [args.robot, *files]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
     if servo:

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 from hybrid.cli.options import (
     add_common,
+    add_map,
     add_robot,
     check_outputs,
     load_robot,
+    read_logs,
     record,
     write_record,
 )
@@ -37,6 +39,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "recordings", nargs="+", metavar="PATH", help="files, folders or globs"
     )
+    add_map(parser)
     add_robot(parser, required=False, more=", to hold the logs against physics")
     parser.add_argument(
         "--page", type=Path, metavar="FILE.html", help="write all of it, with a picture"
@@ -48,12 +51,12 @@ def run(args: Namespace, screen: Screen) -> None:
     """Inspect, write and show; refuse what would mislead."""
     from hybrid.inspect import inspect_recording
     from hybrid.inspect.doubt import is_error
-    from hybrid.recording import read_all
     from hybrid.report import numbers_table
     from hybrid.report.inspection import (
         clocks_table,
         doubts_table,
         joints_table,
+        readings_tables,
         untold_sentences,
         verdict,
         write_inspection,
@@ -63,10 +66,8 @@ def run(args: Namespace, screen: Screen) -> None:
         raise HybridError(f"{args.page}: a page is saved as .html")
     robot = load_robot(args) if args.robot else None
     joints = robot.joints if robot else None
-    with screen.working("reading recordings"):
-        recordings = read_all(args.recordings, joints=joints, torque=False)
-    inputs = [args.robot] if args.robot else []
-    inputs += [Path(x.source) for x in recordings]
+    recordings, files = read_logs(args, screen, joints, torque=False)
+    inputs = [*([args.robot] if args.robot else []), *files]
     check_outputs([args.page, args.json], inputs)
     how = record(args, inputs)
     with screen.working(f"inspecting {len(recordings)} recordings"):
@@ -74,7 +75,7 @@ def run(args: Namespace, screen: Screen) -> None:
     write_record(args, how, {"logs": [x.as_dict() for x in found]})
     if args.page:
         write_inspection(args.page, found, provenance=how)
-    for table in (clocks_table(found), joints_table(found)):
+    for table in (*readings_tables(found), clocks_table(found), joints_table(found)):
         if table.rows:
             screen.show_numbers(numbers_table(table))
     doubts = doubts_table(found)

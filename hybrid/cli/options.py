@@ -13,10 +13,16 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
+    from hybrid.cli.screen import Screen
     from hybrid.effects import Effect
     from hybrid.plant import Plant
+    from hybrid.recording import Recording
     from hybrid.robot import Robot
 
+LOGS = (
+    "ROS 2 bags (folder, .mcap, .db3), ROS 1 .bag, LeRobot datasets, .csv(.gz), .tsv, "
+    ".parquet, .npz, .h5, .mat"
+)
 _NOT_SETTINGS = {
     "verb", "parser", "robot", "recordings", "recording", "model", "effects_from",
     "out", "json", "seed", "poses", "page",
@@ -62,14 +68,68 @@ def add_robot(parser: ArgumentParser, *, required: bool = True, more: str = "") 
 
 
 def add_recordings(parser: ArgumentParser) -> None:
-    """Add ``--recordings``."""
+    """Add ``--recordings`` and ``--map``."""
     parser.add_argument(
         "--recordings",
         nargs="+",
         required=True,
         metavar="PATH",
-        help="files, folders or globs of .csv, .parquet and .npz",
+        help=f"files, folders or globs of {LOGS}",
     )
+    add_map(parser)
+
+
+def add_recording(parser: ArgumentParser) -> None:
+    """Add ``--recording``, for verbs that take one, and ``--map``."""
+    parser.add_argument(
+        "--recording", type=Path, required=True, metavar="PATH", help=LOGS
+    )
+    add_map(parser)
+
+
+def add_map(parser: ArgumentParser) -> None:
+    """Add ``--map``."""
+    parser.add_argument(
+        "--map",
+        metavar="FILE.yaml",
+        help="which column is which channel of which joint in which unit, or the name "
+        "of a preset: ur_rtde, libfranka, lerobot, joint_state, plotjuggler (default: "
+        "what labels and formats say)",
+    )
+
+
+def read_logs(
+    args: Namespace,
+    screen: Screen,
+    joints: tuple[str, ...] | None,
+    *,
+    torque: bool = True,
+) -> tuple[list[Recording], list[Path]]:
+    """The recordings of ``--recordings`` or ``--recording``, read by ``--map``.
+
+    Args:
+        args: Parsed arguments.
+        screen: Where progress is shown.
+        joints: Joint names of the robot, base to tip; None if not known.
+        torque: Refuse a log without torques.
+
+    Returns:
+        The recordings, and the files that they and the map come from.
+    """
+    from hybrid.recording import read, read_all
+
+    one = getattr(args, "recording", None)
+    with screen.working("reading recordings") as tell:
+        options: dict[str, Any] = {"joints": joints, "map": args.map, "torque": torque}
+        found = (
+            [read(one, **options, progress=tell)]
+            if one
+            else read_all(args.recordings, **options, progress=tell)
+        )
+    files = list(dict.fromkeys(Path(log.source) for log in found))
+    if args.map and Path(args.map).is_file():
+        files.append(Path(args.map))
+    return found, files
 
 
 def add_common(parser: ArgumentParser) -> None:
@@ -220,7 +280,12 @@ def record(args: Namespace, inputs: Iterable[Path]) -> dict[str, Any]:
 
 
 def sha256(path: Path) -> str:
-    """Hash of a file's content."""
+    """Hash of a file's content, or of those of all files in a folder."""
+    if path.is_dir():
+        whole = hashlib.sha256()
+        for part in sorted(x for x in path.rglob("*") if x.is_file()):
+            whole.update(f"{part.relative_to(path)} {sha256(part)}\n".encode())
+        return whole.hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

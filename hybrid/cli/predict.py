@@ -6,7 +6,14 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hybrid.cli.options import add_common, check_outputs, record, write_record
+from hybrid.cli.options import (
+    add_common,
+    add_recording,
+    check_outputs,
+    read_logs,
+    record,
+    write_record,
+)
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
@@ -26,13 +33,7 @@ example:
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
-    parser.add_argument(
-        "--recording",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help="a .csv, .parquet or .npz file",
-    )
+    add_recording(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE")
     add_common(parser)
 
@@ -43,16 +44,15 @@ def run(args: Namespace, screen: Screen) -> None:
 
     from hybrid.identify import DynamicModel, predict
     from hybrid.inspect import check_recordings
-    from hybrid.recording import read
     from hybrid.report.columns import write_columns, writer_of
 
     writer_of(args.out)
     model = DynamicModel.load(args.model)
     joints = model.robot.joints
-    recording = read(args.recording, joints=joints, torque=False)
+    (recording,), files = read_logs(args, screen, joints, torque=False)
     # On the clock that the prediction will have.
     pieces = check_recordings([recording], model.robot)
-    inputs = [args.model, args.recording]
+    inputs = [args.model, *files]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
     with screen.working("predicting"):

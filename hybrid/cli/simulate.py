@@ -96,12 +96,12 @@ def run(args: Namespace, screen: Screen) -> None:
 
 def _warn_of_others(folder: Path, paths: list[Path]) -> None:
     # '--recordings DIR' would mix this run with what else lies there.
-    from hybrid.recording.read import READERS
+    from hybrid.recording.formats import kind_of
 
     others = sorted(
         path.name
         for path in folder.iterdir()
-        if path.suffix.lower() in READERS and path not in paths and path.name[0] != "."
+        if kind_of(path) and path not in paths and path.name[0] != "."
     )
     if others:
         more = f" and {len(others) - 1} more" if len(others) > 1 else ""

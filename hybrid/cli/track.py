@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 from hybrid.cli.options import (
     add_common,
+    add_recording,
     check_outputs,
     positive,
+    read_logs,
     record,
     write_record,
 )
@@ -40,13 +42,7 @@ _WEIGHED = 1.0  # s after which the mass of a payload is read
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
-    parser.add_argument(
-        "--recording",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help="a .csv, .parquet or .npz file",
-    )
+    add_recording(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE")
     parser.add_argument(
         "--prior",
@@ -69,18 +65,18 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.identify import DynamicModel
     from hybrid.inspect import inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
-    from hybrid.recording import read
     from hybrid.report.columns import write_columns, writer_of
 
     writer_of(args.out)
     model = DynamicModel.load(args.model)
     joints = model.robot.joints
-    recording = read(args.recording, joints=joints).in_order(joints)
+    (recording,), files = read_logs(args, screen, joints)
+    recording = recording.in_order(joints)
     for doubt in inspect_recording(recording, model.robot).doubts:
         # The tracker leaves wrong samples out, and says so.
         warnings.warn(f"{recording.source}: {doubt.line}", HybridWarning, stacklevel=2)
     times, q, tau = recording.t, recording.q, recording.tau
-    inputs = [args.model, args.recording]
+    inputs = [args.model, *files]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
     rate, prior = recording.rate, args.prior

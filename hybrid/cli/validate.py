@@ -12,6 +12,7 @@ from hybrid.cli.options import (
     add_robot,
     check_outputs,
     load_robot,
+    read_logs,
     record,
     write_record,
 )
@@ -43,17 +44,15 @@ def run(args: Namespace, screen: Screen) -> None:
     """Validate and show."""
     from hybrid.identify import DynamicModel, validate
     from hybrid.model.dynamic_model import check_same_arm
-    from hybrid.recording import read_all
     from hybrid.report import validation_table
 
     model = DynamicModel.load(args.model)
     robot = load_robot(args) if args.robot else model.robot
     check_same_arm(model, robot)  # before a recording is blamed for it
-    with screen.working("reading recordings"):
-        recordings = read_all(args.recordings, joints=robot.joints)
+    recordings, files = read_logs(args, screen, robot.joints)
     inputs = [args.model]
     inputs += [args.robot] if args.robot else []
-    inputs += [Path(x.source) for x in recordings]
+    inputs += files
     check_outputs([args.json], inputs)
     how = record(args, inputs)
     with screen.working(f"validating on {len(recordings)} recordings"):

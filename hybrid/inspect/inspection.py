@@ -62,6 +62,7 @@ class Inspection:
         """The same as names, numbers and lists."""
         return {
             "source": self.recording.source,
+            "reading": self.recording.reading and self.recording.reading.as_dict(),
             "joints": [asdict(x) for x in self.joints],
             "clock": asdict(self.clock),
             "channels": list(self.recording.channels),

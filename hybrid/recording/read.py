@@ -3,86 +3,267 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Iterable
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Mapping as MappingType
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from hybrid.errors import RecordingError
-from hybrid.recording.columns import LARGEST_FILE
-from hybrid.recording.csv import read_csv
-from hybrid.recording.npz import read_npz
-from hybrid.recording.parquet import read_parquet
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.errors import HybridWarning, RecordingError
+from hybrid.recording.decide import Decision, decide, decide_command
+from hybrid.recording.formats import FOLDERS, READERS, STREAMED, kind_of
+from hybrid.recording.formats.ros import read_ros
+from hybrid.recording.mapping import Mapping, read_mapping
+from hybrid.recording.reading import Used
 from hybrid.recording.recording import Recording
+from hybrid.recording.streams import main_stream
+from hybrid.recording.table import LARGEST_FILE, NoJointsError, Table
+from hybrid.recording.units import seconds
 
-READERS = {
-    ".csv": read_csv,
-    ".tsv": read_csv,
-    ".parquet": read_parquet,
-    ".npz": read_npz,
-}
+Array = NDArray[np.float64]
+Map = str | Path | MappingType[str, Any] | Mapping | None
 
 
 def read(
-    path: str | Path, *, joints: tuple[str, ...] | None = None, torque: bool = True
+    path: str | Path,
+    *,
+    joints: tuple[str, ...] | None = None,
+    map: Map = None,
+    torque: bool = True,
+    progress: Callable[[str], None] | None = None,
 ) -> Recording:
     """Read one recording.
 
     Args:
-        path: ``.csv``, ``.tsv``, ``.parquet`` or ``.npz`` file.
+        path: File of a kind in ``READERS``, or the folder of a bag or a dataset.
         joints: Joint names of the robot, base to tip: columns by name are put in this
             order, columns by number get these names. None keeps the file's.
+        map: Which column is which channel: a YAML file, its content as a dict, or the
+            name of a preset. None leaves it to the labels and the file's format.
         torque: Refuse a log without torques.
+        progress: Told now and then how far a large bag is read.
 
     Raises:
         RecordingError: The file is missing, of an unknown kind, or not a valid log.
 
     Warns:
-        HybridWarning: Columns were ignored.
+        HybridWarning: Columns were set aside.
     """
     path = Path(path)
-    if path.suffix.lower() not in READERS:
+    logs = list(_logs(_opened(path), progress))
+    if len(logs) != 1:
+        names = [tables[0].name for tables in logs]
         raise RecordingError(
-            f"{path}: unknown kind of recording; valid are {', '.join(READERS)}"
+            f"{path}: {len(logs)} recordings ({', '.join(names[:6])}"
+            f"{' ...' if len(names) > 6 else ''}) where one is asked for; valid is a "
+            "file of one"
         )
-    if not path.is_file():
-        raise RecordingError(f"{path}: no such file")
-    if (size := path.stat().st_size) > LARGEST_FILE:
-        raise RecordingError(
-            f"{path}: {size:.3g} bytes; valid are {LARGEST_FILE:.3g} or less"
-        )
-    return READERS[path.suffix.lower()](path, joints=joints, torque=torque)
+    return recording_of(logs[0], joints=joints, map=map, torque=torque)
 
 
 def read_all(
     paths: str | Path | Iterable[str | Path],
     *,
     joints: tuple[str, ...] | None = None,
+    map: Map = None,
     torque: bool = True,
+    progress: Callable[[str], None] | None = None,
 ) -> list[Recording]:
     """Read all recordings of files, folders and globs.
 
     Args:
-        paths: One or more of: a file; a folder, for all recordings in it; a glob.
-            Folders and globs give their files in alphabetical order.
+        paths: One or more of: a file; a folder, for all recordings in it; the folder of
+            a ROS 2 bag or of a LeRobot dataset; a glob. Folders and globs give their
+            files in alphabetical order.
         joints: As in :func:`read`.
+        map: As in :func:`read`.
         torque: As in :func:`read`.
+        progress: As in :func:`read`.
 
     Raises:
         RecordingError: A path holds no recording, or one is not valid.
 
     Warns:
-        HybridWarning: Columns were ignored.
+        HybridWarning: Columns were set aside, or files of a folder that hold no joint.
     """
     if isinstance(paths, (str, Path)):
         paths = [paths]
-    files = dict.fromkeys(file for path in paths for file in _files(Path(path)))
-    if not files:
+    found = _all_files(paths)
+    mapping, recordings = read_mapping(map), []
+    for file, single in found.items():
+        try:
+            logs = _logs(_opened(file), progress)
+            recordings += [
+                recording_of(log, joints=joints, map=mapping, torque=torque)
+                for log in logs
+            ]
+        except NoJointsError as error:
+            if single:
+                raise
+            warnings.warn(f"left out: {error}", HybridWarning, stacklevel=2)
+    if not recordings:
+        raise RecordingError(f"{next(iter(found)).parent}: no file there holds joints")
+    return recordings
+
+
+def recording_of(
+    tables: tuple[Table, ...],
+    *,
+    joints: tuple[str, ...] | None = None,
+    map: Map = None,
+    torque: bool = True,
+) -> Recording:
+    """Build the recording of a log's tables.
+
+    Args:
+        tables: The log's streams, each on its own clock.
+        joints: As in :func:`read`.
+        map: As in :func:`read`.
+        torque: As in :func:`read`.
+
+    Raises:
+        RecordingError: The samples are not a valid recording.
+    """
+    mapping = read_mapping(map)
+    tables = tuple(x for x in tables if x.name == mapping.topic) or tables
+    if len(tables) == 1:
+        decision = decide(tables[0], joints=joints, mapping=mapping, torque=torque)
+        return _recording(tables[0], decision, torque)
+
+    def decided(table: Table, quiet: bool) -> Decision:
+        return decide(table, joints=joints, mapping=mapping, torque=torque, quiet=quiet)
+
+    def commanded(table: Table, joints: tuple[str, ...]) -> Decision | None:
+        return decide_command(table, joints, mapping)
+
+    def built(table: Table, decision: Decision) -> Recording:
+        return _recording(table, decision, torque)
+
+    return main_stream(tables, decided, built, commanded)
+
+
+def _recording(table: Table, decision: Decision, torque: bool) -> Recording:
+    reading, time = decision.reading, decision.time
+    wanted = (u.index for u in reading.columns if u.index >= 0)
+    columns = table.load(tuple(dict.fromkeys(wanted)))
+    if time.index < 0:  # no clock, but a rate
+        rows = len(next(iter(columns.values())))
+        t, unit = np.arange(rows, dtype=np.float64) * time.factor, "s"
+    else:
+        _check_numbers(columns[time.index], time, table)
+        t, unit = seconds(columns[time.index], time.unit)
+    time = replace(time, unit=unit, stated=time.stated or unit != "s")
+    used, notes, channels = [time], list(reading.notes), {}
+    for channel, group in decision.channels.items():
+        x = _channel(table, columns, group, t.shape)
+        # How ROS says that something was not measured.
+        if channel != "q" and x.size and np.isnan(x).all():
+            notes.append(f"{channel} holds no number")
+            continue
+        channels[channel] = x
+        used += group
+    if torque and "tau" not in channels:
+        raise RecordingError(f"{table.place}: no torques: tau holds no number")
+    reading = replace(reading, columns=tuple(used), notes=tuple(notes))
+    return Recording(
+        t=t,
+        joints=decision.joints,
+        source=table.source,
+        reading=reading,
+        **channels,  # type: ignore[arg-type]
+    )
+
+
+def _channel(
+    table: Table,
+    columns: dict[int, NDArray[Any]],
+    used: tuple[Used, ...],
+    shape: tuple[int, ...],
+) -> Array:
+    """Samples of a channel in SI, shape (N, n)."""
+    values = np.empty((*shape, len(used)))
+    for k, u in enumerate(used):
+        x = columns[u.index]
+        _check_numbers(x, u, table)
+        if x.shape != shape:
+            raise RecordingError(
+                f"{table.place}: {u.channel}{k + 1} ({u.joint}) has {len(x)} rows; "
+                f"valid are {shape[0]}, as many as there are times"
+            )
+        values[:, k] = x
+        if u.factor != 1.0:
+            values[:, k] *= u.factor
+        if u.offset:
+            values[:, k] += u.offset
+    return values
+
+
+def _check_numbers(x: NDArray[Any], used: Used, table: Table) -> None:
+    kinds = "fiuM" if used.channel == "t" else "fiu"
+    if x.ndim != 1 or x.dtype.kind not in kinds:
+        raise RecordingError(
+            f"{table.place}: {used.label} has shape {x.shape} and type {x.dtype}; "
+            "valid are numbers, (N,) or (N, n)"
+        )
+
+
+def _opened(path: Path) -> Path:
+    """The path, if a reader may have it."""
+    if path.is_dir():
+        if kind_of(path) is None:
+            raise RecordingError(
+                f"{path}: is a folder, and neither a bag nor a dataset; valid are "
+                f"these and files of {', '.join(READERS)}"
+            )
+        return path
+    if kind_of(path) is None:
+        raise RecordingError(
+            f"{path}: unknown kind of recording; valid are {', '.join(READERS)}"
+        )
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file")
+    if (size := path.stat().st_size) > LARGEST_FILE and kind_of(path) not in STREAMED:
+        raise RecordingError(
+            f"{path}: {size:.3g} bytes; valid are {LARGEST_FILE:.3g} or less"
+        )
+    return path
+
+
+def _logs(
+    path: Path, progress: Callable[[str], None] | None
+) -> Iterator[tuple[Table, ...]]:
+    """The tables of each recording of a file or folder."""
+    kind = kind_of(path) or ""
+    reader = FOLDERS.get(kind) or READERS[kind]
+    if reader is read_ros and progress is not None:
+        tell = progress
+
+        def told(done: int, total: int) -> None:
+            tell(f"reading {path.name}: {done:,} of {total:,} messages")
+
+        return iter(read_ros(path, tell=told))
+    return iter(reader(path))
+
+
+def _all_files(paths: Iterable[str | Path]) -> dict[Path, bool]:
+    """Files of all paths, each once, and whether it was asked for by itself."""
+    found: dict[Path, bool] = {}
+    for path in paths:
+        for file, single in _files(Path(path)):
+            found[file] = single or found.get(file, False)
+    if not found:
         raise RecordingError("no paths given; valid are files, folders and globs")
-    return [read(file, joints=joints, torque=torque) for file in files]
+    return found
 
 
-def _files(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path]
+def _files(path: Path) -> list[tuple[Path, bool]]:
+    """Files of a path, each with whether it was asked for by itself."""
+    if path.is_file() or kind_of(path) in FOLDERS:
+        return [(path, True)]
     if path.is_dir():
         candidates = sorted(path.iterdir())
     else:
@@ -91,11 +272,11 @@ def _files(path: Path) -> list[Path]:
         file
         for file in candidates
         # a name that starts with a dot is a file still being written
-        if file.suffix.lower() in READERS and file.is_file() and file.name[0] != "."
+        if kind_of(file) and file.name[0] != "." and (file.is_file() or file.is_dir())
     ]
     if not found:
         raise RecordingError(
             f"{path}: no recordings there; valid are files, folders and globs of "
             f"{', '.join(READERS)}"
         )
-    return found
+    return [(file, len(found) == 1) for file in found]

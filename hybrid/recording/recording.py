@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping as MappingType
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hybrid.errors import RecordingError
+from hybrid.recording.reading import Reading
+
+if TYPE_CHECKING:
+    from hybrid.recording.mapping import Mapping
 
 Array = NDArray[np.float64]
 
@@ -28,6 +35,8 @@ class Recording:
         temperature: Drive temperature, shape (N, n), [°C], or None.
         joints: Joint names in column order, length n; ``joint_1`` ... if not given.
         source: Where it came from, for messages and provenance.
+        reading: How it was read: columns, units, what was set aside; None if it was
+            not read from a file or table.
 
     Raises:
         RecordingError: Shapes disagree, a sample is not finite, or time does not
@@ -42,6 +51,7 @@ class Recording:
     temperature: Array | None = None
     joints: tuple[str, ...] = ()
     source: str = ""
+    reading: Reading | None = None
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
@@ -87,7 +97,7 @@ class Recording:
         return {name: value for name, value in values.items() if value is not None}
 
     def __eq__(self, other: object) -> bool:
-        """Same joints, clock and samples; ``source`` does not count."""
+        """Same joints, clock and samples; where it comes from does not count."""
         if not isinstance(other, Recording):
             return NotImplemented
         return (
@@ -98,6 +108,36 @@ class Recording:
         )
 
     __hash__ = None  # type: ignore[assignment]
+
+    @classmethod
+    def from_table(
+        cls,
+        table: Any,
+        *,
+        joints: tuple[str, ...] | None = None,
+        map: str | Path | MappingType[str, Any] | Mapping | None = None,
+        torque: bool = True,
+    ) -> Recording:
+        """The recording of a pandas, polars or pyarrow table, or a dict of arrays.
+
+        Args:
+            table: Table with named columns; labels, joints and units are told as in
+                files, an index of dates or of name ``time`` is a column.
+            joints: Joint names of the robot, base to tip; None if not known.
+            map: As in :func:`hybrid.recording.read`.
+            torque: Refuse a table without torques.
+
+        Raises:
+            RecordingError: It is no table, or no valid log.
+
+        Warns:
+            HybridWarning: Columns were set aside.
+        """
+        from hybrid.recording.formats.frame import table_of_frame
+        from hybrid.recording.read import recording_of
+
+        tables = (table_of_frame(table),)
+        return recording_of(tables, joints=joints, map=map, torque=torque)
 
     def in_order(self, joints: tuple[str, ...]) -> Recording:
         """The same log with its columns in the order of ``joints``.

@@ -1,53 +1,108 @@
-"""Columns of numbers <-> recording."""
+"""What a reader of a format yields: named columns that are loaded when needed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.columns import Layout
 from hybrid.recording.recording import Recording, numbered_joints
 
-Array = NDArray[np.float64]
+LARGEST_FILE = 4 << 30  # bytes: an hour at 1 kHz of 50 joints is less
+MOST_COLUMNS = 20_000  # of a table: more are no log of an arm
+
+_NAME = re.compile(r"(.*[./]|)(?:joint_)?names?[_.]?\[?(\d+)\]?")
+_STATE = re.compile(r"(.*[./]|)(position|velocity|effort)s?[_.]?\[?(\d+)\]?")
+
+Load = Callable[[tuple[int, ...]], dict[int, NDArray[Any]]]
 
 
-def recording_from_layout(
-    layout: Layout, column: Callable[[int], Array], *, source: str
-) -> Recording:
-    """Build the recording of a table.
+@dataclass(frozen=True)
+class Table:
+    """Named columns on one clock.
+
+    Attributes:
+        source: File or folder that it comes from.
+        labels: Label of each column, as the file has it.
+        load: Gives the samples of columns by their indices, each of shape (N,).
+        units: Unit that the file states for each column apart from its label; empty
+            strings where it states none, or no strings at all.
+        joints: Joint names of the file, for columns that are only numbered.
+        kind: Name of the format.
+        name: Which recording or topic of the source it is; empty if there is one.
+        preset: Name of the preset that the format itself stands for.
+        home: What warnings name instead of the source: the dataset of an episode, so
+            that a thousand episodes are warned of once.
+        note: What the reader decided, in one line; empty if nothing.
+    """
+
+    source: str
+    labels: tuple[str, ...]
+    load: Load
+    units: tuple[str, ...] = ()
+    joints: tuple[str, ...] | None = None
+    kind: str = ""
+    name: str = ""
+    preset: str = ""
+    home: str = ""
+    note: str = ""
+
+    @property
+    def place(self) -> str:
+        """Words for messages: the source, and which part of it."""
+        return f"{self.source} ({self.name})" if self.name else self.source
+
+    def unit(self, index: int) -> str:
+        """Unit that the file states for a column apart from its label."""
+        return self.units[index] if self.units else ""
+
+
+def table_of_arrays(
+    columns: dict[str, NDArray[Any]], source: str, **more: Any
+) -> Table:
+    """A table of columns at hand.
 
     Args:
-        layout: Which column holds what.
-        column: Gives the samples of a column by its index, shape (N,).
-        source: File name for messages.
-
-    Raises:
-        RecordingError: The samples are not a valid recording.
+        columns: Label -> samples, each of shape (N,).
+        source: File for messages.
+        more: Further fields of the table.
     """
-    t = column(layout.time)
-    channels = {
-        channel: [column(k) for k in indices]
-        for channel, indices in layout.channels.items()
-    }
-    for channel, columns in channels.items():
-        for k, x in enumerate(columns):
-            if x.shape != t.shape:
-                raise RecordingError(
-                    f"{source}: {channel}{k + 1} ({layout.joints[k]}) has {len(x)} "
-                    f"rows; valid are {len(t)}, as many as there are times"
-                )
-    return Recording(
-        t=t,
-        joints=layout.joints,
-        source=source,
-        **{name: np.stack(x, axis=1) for name, x in channels.items()},  # type: ignore[arg-type]
+    values = list(columns.values())
+    return Table(
+        source, tuple(columns), lambda used: {k: values[k] for k in used}, **more
     )
 
 
-def labels_of(recording: Recording) -> dict[str, Array]:
+def named_labels(labels: Sequence[str], texts: Mapping[str, str]) -> tuple[str, ...]:
+    """Labels of numbered columns with the names that stand in columns beside them.
+
+    ``rostopic echo -p`` writes ``field.name0`` with a joint's name in it, and its
+    position as ``field.position0``.
+
+    Args:
+        labels: Labels of a table.
+        texts: Label -> text in the first row.
+    """
+    names = {
+        (match.group(1), match.group(2)): text
+        for label, text in texts.items()
+        if text and (match := _NAME.fullmatch(label))
+    }
+
+    def named(label: str) -> str:
+        match = _STATE.fullmatch(label)
+        name = names.get((match.group(1), match.group(3))) if match else None
+        return f"{match.group(1)}{match.group(2)}/{name}" if match and name else label
+
+    return tuple(map(named, labels)) if names else tuple(labels)
+
+
+def labels_of(recording: Recording) -> dict[str, NDArray[np.float64]]:
     """The columns of a recording under the labels that read back to it.
 
     Args:
@@ -62,3 +117,7 @@ def labels_of(recording: Recording) -> dict[str, Array]:
         for k, joint in enumerate(recording.joints):
             columns[f"{channel}{k + 1}" if numbered else f"{channel}_{joint}"] = x[:, k]
     return columns
+
+
+class NoJointsError(RecordingError):
+    """A valid file in which no channel of any joint is; the message says what is."""

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from hybrid.errors import RecordingError
 from hybrid.files import atomic_path
-from hybrid.recording.csv import write_csv
-from hybrid.recording.npz import write_npz
-from hybrid.recording.parquet import write_parquet
+from hybrid.recording.formats.csv import write_csv
+from hybrid.recording.formats.npz import write_npz
+from hybrid.recording.formats.parquet import write_parquet
 from hybrid.recording.recording import Recording
 
 WRITERS = {".csv": write_csv, ".parquet": write_parquet, ".npz": write_npz}

@@ -18,8 +18,37 @@ if TYPE_CHECKING:
 
     from hybrid.inspect import Inspection
     from hybrid.recording import Recording
+    from hybrid.recording.reading import Used
 
 _BINS = 1000  # of a line, each drawn from its lowest to its highest sample
+
+
+def readings_tables(inspections: Sequence[Inspection]) -> list[Table]:
+    """How the files were read: one table for all logs that were read alike."""
+    alike: dict[tuple[Any, ...], list[str]] = {}
+    for x in inspections:
+        reading = x.recording.reading
+        if reading is not None:
+            key = reading.kind, reading.preset, reading.columns, reading.aside
+            alike.setdefault(key, []).append(Path(x.recording.source).name)
+    tables = []
+    for (kind, preset, columns, aside), names in alike.items():
+        rows = [(x.label, f"{x.channel} {x.joint}".strip(), *_unit(x)) for x in columns]
+        rows += [(label, "set aside", "", why) for label, why in aside]
+        more = f" and {len(names) - 1} more alike" if len(names) > 1 else ""
+        caption = f"{names[0]}{more}: {kind}{f', preset {preset}' if preset else ''}"
+        header = ("column", "read as", "unit", "")
+        tables.append(Table(header, tuple(rows), caption, words=True))
+    return tables
+
+
+def _unit(column: Used) -> tuple[str, str]:
+    """Unit of a column in its file, and what its numbers went through."""
+    unit = column.unit if column.stated else f"{column.unit} (assumed)"
+    if (column.factor, column.offset) == (1.0, 0.0):
+        return unit, ""
+    shift = f" + {column.offset:.6g}" if column.offset else ""
+    return unit, f"× {column.factor:.6g}{shift}"
 
 
 def clocks_table(inspections: Sequence[Inspection]) -> Table:
@@ -168,6 +197,7 @@ def write_inspection(
     """
     doubts = doubts_table(inspections)
     longest = max(inspections, key=lambda x: x.clock.duration).recording
+    readings = readings_tables(inspections)
     sections = [
         Section("What the joints do", table=joints_table(inspections)),
         Section("Clocks", table=clocks_table(inspections)),
@@ -181,6 +211,7 @@ def write_inspection(
             "\n\n".join(untold_sentences(inspections)) or "Nothing stands out.",
         ),
     ]
+    sections += [Section("How files were read", table=x) for x in readings]
     if doubts.rows:
         sections.insert(0, Section("What speaks against the logs", table=doubts))
     lead = verdict(inspections)

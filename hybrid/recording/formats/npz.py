@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.columns import LARGEST_FILE, TIME, match_columns, word_channel
+from hybrid.names import printable
 from hybrid.recording.recording import Recording
-from hybrid.recording.table import recording_from_layout
+from hybrid.recording.table import LARGEST_FILE, Table, table_of_arrays
+from hybrid.recording.words import is_time, meaning, split_unit
 
 _DAMAGE = (
     OSError,
@@ -33,43 +34,50 @@ _DAMAGE = (
 )
 
 
-def read_npz(
-    path: Path, *, joints: tuple[str, ...] | None = None, torque: bool = True
-) -> Recording:
-    """Read ``t``, ``q``, ``tau``, ... as arrays, or a column for each joint.
+def read_npz(path: Path) -> list[tuple[Table]]:
+    """Arrays ``t``, ``q``, ``tau``, ..., or one for each column.
 
     Args:
         path: File; ``q`` and the like have shape (N, n), ``joints`` holds n names.
-        joints: Joint names of the robot, base to tip; None if not known.
-        torque: Refuse a log without torques.
 
     Raises:
-        RecordingError: The file is damaged, or its arrays are not a valid recording.
-
-    Warns:
-        HybridWarning: Arrays were ignored.
+        RecordingError: The file is damaged, or an array has more than two dimensions.
     """
     source = str(path)
     arrays = _arrays(path)
     names = arrays.pop("joints", None)
-    found = None if names is None else tuple(map(str, np.atleast_1d(names)))
+    joints = None if names is None else tuple(map(str, np.atleast_1d(names)))
+    return [(table_of_named(arrays, joints, source, "NPZ"),)]
+
+
+def table_of_named(
+    arrays: dict[str, NDArray[Any]],
+    joints: tuple[str, ...] | None,
+    source: str,
+    kind: str,
+    name: str = "",
+) -> Table:
+    """A table of arrays by name, whose matrices have a column for each joint.
+
+    Args:
+        arrays: Label -> array.
+        joints: Joint names beside them; None if there are none.
+        source: File for messages.
+        kind: Name of the format.
+        name: Which recording of the file.
+
+    Raises:
+        RecordingError: An array that a channel needs is not numbers in (N,) or (N, n).
+    """
     columns: dict[str, NDArray[Any]] = {}
     for label, values in arrays.items():
-        if label.lower() in TIME or word_channel(label):
+        if is_time(split_unit(label)[0]) or meaning(label).channel:
             _check_numbers(values, label, source)
-        if label.lower() in TIME or values.ndim != 2:
+        if is_time(label) or values.ndim != 2:
             columns[label] = values
         else:
-            columns |= _split(label, values, found, source)
-    labels = list(columns)
-    layout = match_columns(labels, joints=joints or found, source=source, torque=torque)
-
-    def column(index: int) -> NDArray[np.float64]:
-        values = columns[labels[index]]
-        _check_numbers(values, labels[index], source, dimensions=(1,))
-        return np.asarray(values, dtype=np.float64)
-
-    return recording_from_layout(layout, column, source=source)
+            columns |= _split(label, values, joints, source)
+    return table_of_arrays(columns, source, joints=joints, kind=kind, name=name)
 
 
 def write_npz(recording: Recording, path: Path) -> None:
@@ -82,15 +90,17 @@ def _split(
     label: str, values: NDArray[Any], joints: tuple[str, ...] | None, source: str
 ) -> dict[str, NDArray[Any]]:
     """The columns of an array (N, n) under the labels they would have in a table."""
+    word, unit = split_unit(label)
+    unit = f" [{unit}]" if unit else ""
     if joints is None:
-        return {f"{label}{k + 1}": column for k, column in enumerate(values.T)}
-    if word_channel(label) and values.shape[1] != len(joints):
+        return {f"{word}[{k + 1}]{unit}": x for k, x in enumerate(values.T)}
+    if meaning(label).channel and values.shape[1] != len(joints):
         raise RecordingError(
-            f"{source}: {label} has {values.shape[1]} columns; valid are "
+            f"{source}: {printable(label)} has {values.shape[1]} columns; valid are "
             f"{len(joints)}, one for each of joints {', '.join(joints)}"
         )
     pairs = zip(joints, values.T, strict=False)
-    return {f"{label}_{joint}": column for joint, column in pairs}
+    return {f"{word}_{joint}{unit}": column for joint, column in pairs}
 
 
 def _check_numbers(
@@ -101,7 +111,8 @@ def _check_numbers(
 ) -> None:
     if values.ndim not in dimensions or values.dtype.kind not in "fiu":
         raise RecordingError(
-            f"{source}: {label} has shape {values.shape} and type {values.dtype}; "
+            f"{source}: {printable(label)} has shape {values.shape} and type "
+            f"{values.dtype}; "
             "valid are numbers, (N,) or (N, n)"
         )
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import csv
+import gzip
+import io
+import re
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.columns import match_columns
 from hybrid.recording.recording import Recording, row_words
-from hybrid.recording.table import labels_of, recording_from_layout
-
-Array = NDArray[np.float64]
+from hybrid.recording.table import LARGEST_FILE, Table, labels_of, named_labels
 
 DELIMITERS = (",", ";", "\t")
 
@@ -25,31 +26,30 @@ class _Dialect:
     labels: tuple[str, ...]
     delimiter: str
     decimal_point: str
+    first: tuple[str, ...] = ()  # cells of the first row
 
 
-def read_csv(
-    path: Path, *, joints: tuple[str, ...] | None = None, torque: bool = True
-) -> Recording:
-    """Read a log with one line of column names and one line for each sample.
+def read_csv(path: Path) -> list[tuple[Table]]:
+    """A line of column names and one line for each sample.
 
     Args:
-        path: File; comma, semicolon or tab between cells, decimal point or, between
-            semicolons or tabs, decimal comma.
-        joints: Joint names of the robot, base to tip; None if not known.
-        torque: Refuse a log without torques.
+        path: File, gzipped or not; comma, semicolon or tab between cells, decimal point
+            or, between semicolons or tabs, decimal comma.
 
     Raises:
         RecordingError: The file is empty, not UTF-8, has a ragged row or a cell that
             is no number; the message names column and row.
-
-    Warns:
-        HybridWarning: Columns were ignored.
     """
-    source = str(path)
     dialect = _dialect_of(path)
-    layout = match_columns(dialect.labels, joints=joints, source=source, torque=torque)
-    columns = _read_columns(path, dialect, layout.used)
-    return recording_from_layout(layout, columns.__getitem__, source=source)
+    labels = dialect.labels
+    if labels and not labels[0].strip() and _is_date(dialect.first[:1]):
+        labels = ("time", *labels[1:])  # the index of pandas, which has no name
+    texts = dict(zip(labels, dialect.first, strict=False))
+    labels = named_labels(labels, texts)
+    return [
+        (Table(str(path), labels, lambda used: _read_columns(path, dialect, used),
+               kind="CSV"),)
+    ]  # fmt: skip
 
 
 def write_csv(recording: Recording, path: Path) -> None:
@@ -63,18 +63,20 @@ def write_csv(recording: Recording, path: Path) -> None:
 
 def _read_columns(
     path: Path, dialect: _Dialect, used: tuple[int, ...]
-) -> dict[int, Array]:
+) -> dict[int, NDArray[Any]]:
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
     names = [str(k) for k in range(len(dialect.labels))]
+    kinds = {k: _kind(dialect.first[k : k + 1]) for k in used}
+    types = {"date": pa.timestamp("ns"), "whole": pa.int64(), "real": pa.float64()}
     try:
         table = arrow_csv.read_csv(
-            path,
+            _inflated(path),
             arrow_csv.ReadOptions(column_names=names, skip_rows=1),
             arrow_csv.ParseOptions(delimiter=dialect.delimiter),
             arrow_csv.ConvertOptions(
-                column_types={str(k): pa.float64() for k in used},
+                column_types={str(k): types[kinds[k]] for k in used},
                 include_columns=[str(k) for k in used],
                 decimal_point=dialect.decimal_point,
                 null_values=["", "nan", "NaN", "NAN"],
@@ -84,7 +86,32 @@ def _read_columns(
         raise _explained(path, dialect, used, error) from error
     if table.num_rows == 0:
         raise RecordingError(f"{path}: no rows below the column names")
-    return {k: table.column(str(k)).to_numpy().astype(np.float64) for k in used}
+    return {k: table.column(str(k)).to_numpy() for k in used}
+
+
+def _inflated(path: Path) -> Any:
+    """The file, or what is in it if it is gzipped, up to the size of any log."""
+    if path.suffix.lower() != ".gz":
+        return path
+    try:
+        with gzip.open(path) as file:
+            content = file.read(LARGEST_FILE + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise RecordingError(f"{path}: not a whole gzip file: {error}") from error
+    if len(content) > LARGEST_FILE:
+        raise RecordingError(f"{path}: unpacks to more than {LARGEST_FILE:.3g} bytes")
+    return io.BytesIO(content)
+
+
+def _kind(cells: tuple[str, ...]) -> str:
+    """How to hold a column: digits beyond a float's, dates, or real numbers."""
+    if _is_date(cells):
+        return "date"
+    return "whole" if cells and re.fullmatch(r"\d{16,19}", cells[0].strip()) else "real"
+
+
+def _is_date(cells: tuple[str, ...]) -> bool:
+    return bool(cells and re.match(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d", cells[0].strip()))
 
 
 def _dialect_of(path: Path) -> _Dialect:
@@ -94,6 +121,8 @@ def _dialect_of(path: Path) -> _Dialect:
         empty = "is empty" if path.stat().st_size == 0 else "has an empty first line"
         raise RecordingError(f"{path}: {empty}; valid is a first line of column names")
     delimiter = max(DELIMITERS, key=header.count)
+    if delimiter not in header and " " in header.strip():
+        delimiter = " "  # as UR's recorder writes
     try:
         line = csv.reader([header], delimiter=delimiter, skipinitialspace=True)
         labels = tuple(next(line))
@@ -104,16 +133,19 @@ def _dialect_of(path: Path) -> _Dialect:
             f"{path}: the first line holds numbers; valid are column names such as "
             "time, q1, tau1"
         )
+    cells = tuple(next(csv.reader([first], delimiter=delimiter), ()))
     comma = delimiter != "," and "," in first and "." not in first
-    return _Dialect(labels, delimiter, "," if comma else ".")
+    return _Dialect(labels, delimiter, "," if comma else ".", cells)
 
 
 def _first_lines(path: Path) -> tuple[str, str]:
     try:
-        with path.open("rb") as file:
+        opened = gzip.open if path.suffix.lower() == ".gz" else open
+        with opened(path, "rb") as file:
             header, first = (file.readline(1 << 20) for _ in range(2))
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    except (OSError, EOFError, zlib.error) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise RecordingError(f"{path}: cannot be read: {reason}") from error
     if header.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in header:
         raise RecordingError(
             f"{path}: not UTF-8 text (UTF-16 or binary); valid is CSV saved as UTF-8"
@@ -140,7 +172,11 @@ def _explained(
             )
         for k in used:
             cell = cells[k].strip()
-            if cell and not _is_number(cell.replace(dialect.decimal_point, ".")):
+            if (
+                cell
+                and not _is_date((cell,))
+                and not _is_number(cell.replace(dialect.decimal_point, "."))
+            ):
                 return RecordingError(
                     f"{path}: {dialect.labels[k].strip()}, {row_words(row)}: {cell!r} "
                     "is not a number"
@@ -150,7 +186,8 @@ def _explained(
 
 
 def _cells(path: Path, dialect: _Dialect) -> Iterator[list[str]]:
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+    opened = gzip.open if path.suffix.lower() == ".gz" else open
+    with opened(path, "rt", encoding="utf-8-sig", errors="replace", newline="") as file:
         reader = csv.reader(file, delimiter=dialect.delimiter)
         try:
             next(reader)

@@ -1,0 +1,153 @@
+"""Messages of ROS as they lie in a bag: where each number of a message is.
+
+A bag's own definitions say how a message is laid out. They are walked as data and never
+become code. Messages of one length whose lengths and texts agree have one layout, so
+that thousands are decoded at once.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Path = tuple[str | int, ...]
+
+_SIZES = {
+    "bool": "u1", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1",
+    "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8",
+    "uint64": "u8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+_TIME: tuple[Any, Any] = (
+    [],
+    [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))],
+)
+_DEEPEST = 12  # messages within each other
+MOST_NUMBERS = 1 << 20  # of a message: more are no state and no trajectory
+
+
+class LayoutError(Exception):
+    """A message that its definition does not fit."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the numbers of a message are.
+
+    Attributes:
+        length: Bytes of the message.
+        numbers: Path -> offset and type of each number.
+        texts: Path -> each text.
+        fixed: Offsets of the bytes that a message of this layout shares, shape (m,).
+        shared: Those bytes, shape (m,).
+    """
+
+    length: int
+    numbers: dict[Path, tuple[int, np.dtype[Any]]]
+    texts: dict[Path, str]
+    fixed: NDArray[np.intp]
+    shared: NDArray[np.uint8]
+
+    def fits(self, messages: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Which messages, shape (N, length), are laid out like this, shape (N,)."""
+        return np.asarray((messages[:, self.fixed] == self.shared).all(axis=1))
+
+    def values(self, messages: NDArray[np.uint8], path: Path) -> NDArray[Any]:
+        """One number of each of many messages, shape (N,)."""
+        start, kind = self.numbers[path]
+        taken = np.ascontiguousarray(messages[:, start : start + kind.itemsize])
+        return taken.view(kind)[:, 0]
+
+
+def layout_of(raw: bytes, kind: str, types: dict[str, Any], *, ros2: bool) -> Layout:
+    """Walk one message.
+
+    Args:
+        raw: The message, with the four bytes of its encoding before it in ROS 2.
+        kind: Its type.
+        types: Type -> its definition, as ``rosbags.typesys`` parses it.
+        ros2: Whether numbers are aligned, as in ROS 2.
+
+    Raises:
+        LayoutError: It is shorter than it says, or of a type that is not defined.
+    """
+    walk = _Walk(raw, types, ros2)
+    try:
+        walk.message(kind, (), 0)
+    except (struct.error, UnicodeDecodeError, IndexError, ValueError) as error:
+        raise LayoutError(f"not a whole {kind}: {error}") from error
+    varies = np.zeros(len(raw), dtype=bool)
+    for start, dtype in walk.numbers.values():
+        varies[start : start + dtype.itemsize] = True
+    fixed = np.flatnonzero(~varies)
+    shared = np.frombuffer(raw, np.uint8)[fixed]
+    return Layout(len(raw), walk.numbers, walk.texts, fixed, shared)
+
+
+class _Walk:
+    def __init__(self, raw: bytes, types: dict[str, Any], ros2: bool) -> None:
+        self.raw, self.types, self.ros2 = raw, types, ros2
+        if ros2 and len(raw) < 4:
+            raise LayoutError("shorter than four bytes")
+        self.at = 4 if ros2 else 0
+        self.order = ">" if ros2 and raw[1] % 2 == 0 else "<"
+        self.numbers: dict[Path, tuple[int, np.dtype[Any]]] = {}
+        self.texts: dict[Path, str] = {}
+
+    def message(self, kind: str, path: Path, depth: int) -> None:
+        definition = self.types.get(kind)
+        if definition is None and kind.rsplit("/", 1)[-1] in ("Time", "Duration"):
+            definition = _TIME
+        if definition is None or depth > _DEEPEST:
+            raise LayoutError(f"type {kind} is not defined")
+        for name, (node, what) in definition[1]:
+            self.field(int(node), what, (*path, name), depth)
+
+    def field(self, node: int, what: Any, path: Path, depth: int) -> None:
+        if node <= 2:
+            self.one(node, what, path, depth)
+            return
+        (inner, element), count = what
+        if node == 4:
+            count = self.length()
+        if count > min(MOST_NUMBERS, len(self.raw)):
+            raise LayoutError(f"{count} numbers in {path[-1]}")
+        for k in range(count):
+            self.one(int(inner), element, (*path, k), depth)
+
+    def one(self, node: int, what: Any, path: Path, depth: int) -> None:
+        if node == 2:
+            self.message(what, path, depth + 1)
+            return
+        name = what[0]
+        if name == "string":
+            size = self.length()
+            text = self.raw[self.at : self.at + size]
+            if len(text) != size:
+                raise LayoutError("text beyond the end")
+            self.at += size
+            self.texts[path] = text.rstrip(b"\0").decode("utf-8")
+            return
+        if name not in _SIZES:
+            raise LayoutError(f"numbers of type {name}")
+        dtype = np.dtype(self.order + _SIZES[name])
+        self.align(dtype.itemsize)
+        if self.at + dtype.itemsize > len(self.raw) or (
+            len(self.numbers) > MOST_NUMBERS
+        ):
+            raise LayoutError("number beyond the end, or too many")
+        self.numbers[path] = (self.at, dtype)
+        self.at += dtype.itemsize
+
+    def length(self) -> int:
+        self.align(4)
+        (size,) = struct.unpack_from(f"{self.order}I", self.raw, self.at)
+        self.at += 4
+        return int(size)
+
+    def align(self, size: int) -> None:
+        if self.ros2:
+            self.at += -(self.at - 4) % size

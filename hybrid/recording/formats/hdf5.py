@@ -1,0 +1,158 @@
+"""HDF5: arrays in a file, or groups of them, each a recording (robomimic's demos)."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.errors import RecordingError
+from hybrid.recording.formats.npz import table_of_named
+from hybrid.recording.table import LARGEST_FILE, NoJointsError, Table
+from hybrid.recording.words import is_time, meaning, split_unit
+
+_MOST = 20_000  # groups and arrays in a file
+_DEEPEST = 16
+_EPISODE = re.compile(
+    r"(.*/)?(demo|episode|ep|trajectory|traj|run)_?\d+", re.IGNORECASE
+)
+
+
+def read_hdf5(path: Path) -> list[tuple[Table]]:
+    """The arrays of a file; of each group named like an episode, if there are such.
+
+    Args:
+        path: File.
+
+    Raises:
+        RecordingError: It is damaged, too large, or h5py is not installed.
+        NoJointsError: It holds no joints; the message says what it holds instead.
+    """
+    arrays, rate = arrays_of(path)
+    groups: dict[str, dict[str, NDArray[Any]]] = {}
+    for name, x in arrays.items():
+        match = _EPISODE.match(name)
+        episode = match.group(0) if match else ""
+        label = name[len(episode) :].strip("/")
+        groups.setdefault(episode, {})[label] = x
+    logs = [
+        _table(group, episode, str(path), rate)
+        for episode, group in sorted(groups.items(), key=_natural)
+        if any(meaning(split_unit(label)[0]).channel == "q" or label == "joints"
+               for label in group) or len(groups) == 1
+    ]  # fmt: skip
+    if not logs:
+        held = ", ".join(list(arrays)[:8])
+        raise NoJointsError(f"{path}: no joint positions among {held or 'no arrays'}")
+    return logs
+
+
+def arrays_of(path: Path) -> tuple[dict[str, NDArray[Any]], float]:
+    """All arrays of a file by path, and the rate that robomimic states, [Hz].
+
+    Args:
+        path: File of HDF5.
+
+    Raises:
+        RecordingError: It is damaged, too large, or h5py is not installed.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise RecordingError(
+            f"{path}: HDF5 is read by h5py; install it: pip install 'hybrid-arm[hdf5]'"
+        ) from error
+    try:
+        with h5py.File(path, "r") as file:
+            return _arrays(file, str(path)), _rate(file)
+    except RecordingError:
+        raise
+    except Exception as error:  # a damaged file ends in any error of the library
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise RecordingError(
+            f"{path}: not a whole HDF5 file (truncated?): {reason}"
+        ) from error
+
+
+def _natural(item: tuple[str, Any]) -> tuple[str, int]:
+    name = re.sub(r"\d+$", "", item[0])
+    return name, int(item[0][len(name) :] or 0)
+
+
+def _table(
+    group: dict[str, NDArray[Any]], episode: str, source: str, rate: float
+) -> tuple[Table]:
+    names = group.pop("joints", None)
+    if names is None:
+        names = group.pop("joint_names", None)
+    joints = None
+    if names is not None and names.dtype.kind in "SUO":
+        joints = tuple(
+            x.decode("utf-8", "replace") if isinstance(x, bytes) else str(x)
+            for x in names.ravel()
+        )
+    numbers = {
+        k: x for k, x in group.items() if x.dtype.kind in "fiu" and 0 < x.ndim < 3
+    }
+    rows = max((len(x) for x in numbers.values()), default=0)
+    if rate > 0 and not any(is_time(split_unit(label)[0]) for label in numbers):
+        numbers["time"] = np.arange(rows) / rate
+    return (table_of_named(numbers, joints, source, "HDF5", episode),)
+
+
+def _arrays(file: Any, source: str) -> dict[str, NDArray[Any]]:
+    """All arrays of a file in memory, with the unit of their attribute in the label."""
+    import h5py
+
+    found: dict[str, NDArray[Any]] = {}
+    waiting, seen, size = [("", file, 0)], 0, 0
+    while waiting:
+        prefix, group, depth = waiting.pop()
+        for name in group:
+            seen += 1
+            if seen > _MOST or depth > _DEEPEST:
+                raise RecordingError(f"{source}: more than {_MOST} groups and arrays")
+            # Links to other files are not followed.
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                continue
+            item, label = group[name], f"{prefix}{name}"
+            if isinstance(item, h5py.Group):
+                waiting.append((f"{label}/", item, depth + 1))
+            elif isinstance(item, h5py.Dataset) and _kept(item):
+                size += item.size * item.dtype.itemsize
+                if size > LARGEST_FILE:
+                    raise RecordingError(
+                        f"{source}: arrays of more than {LARGEST_FILE:.3g} bytes"
+                    )
+                found[_labelled(label, item)] = item[()]
+    return found
+
+
+def _kept(item: Any) -> bool:
+    """Whether an array may be a column, and lies in this file."""
+    columns = item.shape is not None and 0 < item.ndim < 3
+    elsewhere = item.external or item.is_virtual
+    return columns and item.dtype.kind in "fiuSUO" and not elsewhere
+
+
+def _labelled(label: str, item: Any) -> str:
+    for key in ("units", "unit"):
+        unit = item.attrs.get(key)
+        unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+        if isinstance(unit, str) and unit and not split_unit(label)[1]:
+            return f"{label} [{unit[:24]}]"
+    return label
+
+
+def _rate(file: Any) -> float:
+    """Samples per second of robomimic, which has no times, [Hz]; 0 if not stated."""
+    try:
+        text = file["data"].attrs["env_args"]
+        content = json.loads(str(text)[:100_000])
+        return float(content["env_kwargs"]["control_freq"])
+    except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
+        return 0.0

@@ -1,0 +1,125 @@
+"""LeRobot datasets v2.1 and v3: a folder with ``meta/info.json`` and Parquet files.
+
+Each episode is a recording. Joint names and the feature that each belongs to are in
+``info.json``; units are in neither, and torques only where a robot recorded them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.errors import RecordingError
+from hybrid.files import read_json
+from hybrid.recording.formats.parquet import column_of, damaged, spread_columns
+from hybrid.recording.table import LARGEST_FILE, Table
+
+VERSIONS = ("v2.0", "v2.1", "v3.0")
+_MOST_FILES = 100_000
+_FEATURE = re.compile(r"(.+)\[(\d+)\]")
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether a folder is a LeRobot dataset."""
+    return (folder / "meta" / "info.json").is_file()
+
+
+def read_lerobot(folder: Path) -> Iterator[tuple[Table]]:
+    """The episodes of a dataset, one table each.
+
+    Args:
+        folder: With ``meta/info.json`` and ``data``.
+
+    Raises:
+        RecordingError: The dataset is of another version, damaged or empty.
+    """
+    try:
+        info = read_json(folder / "meta" / "info.json")
+        version, features = str(info["codebase_version"]), dict(info["features"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RecordingError(f"{folder}: no valid meta/info.json: {error}") from error
+    if version not in VERSIONS:
+        raise RecordingError(
+            f"{folder}: LeRobot dataset {version[:20]}; valid are {', '.join(VERSIONS)}"
+        )
+    files = sorted((folder / "data").rglob("*.parquet"))[:_MOST_FILES]
+    if not files:
+        raise RecordingError(f"{folder}: no Parquet files in data/")
+    for file in files:
+        yield from _episodes(file, features, str(folder))
+
+
+def _episodes(
+    file: Path, features: dict[str, Any], home: str
+) -> Iterator[tuple[Table]]:
+    table = _loaded(file)
+    first = table.slice(0, 1).combine_chunks().to_batches()
+    if "episode_index" not in table.column_names or not first:
+        raise RecordingError(f"{file}: no rows, or no episode_index")
+    spread = [
+        x for x in spread_columns(table.schema, first[0]) if x[1] != "episode_index"
+    ]
+    labels = tuple(_label(label, features) for label, _, _ in spread)
+    index = column_of(table, ("episode_index", "episode_index", None), str(file))
+    for episode in np.unique(index):
+        rows = np.flatnonzero(index == episode)
+        part = table.take(rows) if np.ptp(rows) >= len(rows) else table.slice(
+            rows[0], len(rows))  # fmt: skip
+
+        def load(used: tuple[int, ...], part: Any = part) -> dict[int, NDArray[Any]]:
+            return {k: column_of(part, spread[k], str(file)) for k in used}
+
+        yield (
+            Table(str(file), labels, load, kind="LeRobot", name=f"episode {episode}",
+                  preset="lerobot", home=home),
+        )  # fmt: skip
+
+
+def _loaded(file: Path) -> Any:
+    """The columns of states, actions and times, without images."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(file) as content:
+            schema = content.schema_arrow
+            names = [
+                f.name for f in schema
+                if f.name in ("timestamp", "episode_index")
+                or f.name.startswith(("observation", "action"))
+                and "image" not in f.name and not pa.types.is_struct(f.type)
+            ]  # fmt: skip
+            size = sum(
+                content.metadata.row_group(k).total_byte_size
+                for k in range(content.metadata.num_row_groups)
+            )
+            if size > LARGEST_FILE:
+                raise RecordingError(f"{file}: unpacks to {size:.3g} bytes")
+            return content.read(columns=names)
+    except (pa.ArrowException, OSError, MemoryError) as error:
+        raise damaged(str(file), error) from error
+
+
+def _label(label: str, features: dict[str, Any]) -> str:
+    """``observation.state[0]`` with the joint's name in it, if the dataset has one."""
+    match = _FEATURE.fullmatch(label)
+    if not match:
+        return label
+    feature = features.get(match.group(1))
+    names = feature.get("names") if isinstance(feature, dict) else None
+    if isinstance(names, dict):  # {"motors": [...]}
+        names = next(iter(names.values()), None)
+    place = int(match.group(2))
+    if not isinstance(names, list) or len(names) <= place or len(names) == 1:
+        return label
+    name, _, kind = str(names[place]).rpartition(".")
+    if not name:
+        name, kind = kind, ""
+    if kind in ("", "pos", "position"):
+        return f"{match.group(1)}[{name}]"
+    return f"{match.group(1)}/{kind}/{name}"

@@ -1,0 +1,124 @@
+"""MATLAB files: version 5 by SciPy, version 7.3 by h5py; variables, or one struct."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.errors import RecordingError
+from hybrid.recording.formats.npz import table_of_named
+from hybrid.recording.table import LARGEST_FILE, Table
+from hybrid.recording.words import is_time, split_unit
+
+
+def read_mat(path: Path) -> list[tuple[Table]]:
+    """The variables of a file, or the fields of its struct.
+
+    Args:
+        path: File.
+
+    Raises:
+        RecordingError: It is damaged, or a library that reads it is not installed.
+    """
+    with path.open("rb") as file:
+        head = file.read(128)
+    try:
+        arrays = _new(path) if head[:10] == b"MATLAB 7.3" else _old(path)
+    except RecordingError:
+        raise
+    except Exception as error:  # a damaged file ends in any error of the library
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise RecordingError(
+            f"{path}: not a whole MATLAB file (truncated?): {reason}"
+        ) from error
+    joints = None
+    for key in ("joints", "joint_names"):
+        if key in arrays and arrays[key].dtype.kind == "U":
+            joints = tuple(str(x).strip() for x in arrays[key].ravel())
+    numbers = {k: x for k, x in arrays.items() if x.dtype.kind in "fiu" and x.ndim < 3}
+    return [(table_of_named(_upright(numbers), joints, str(path), "MATLAB"),)]
+
+
+def _upright(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Rows are samples: what lies along the other side than time is turned."""
+    times = [x for k, x in arrays.items() if is_time(split_unit(k)[0])]
+    rows = max((x.size for x in times), default=0)
+    found = {}
+    for name, x in arrays.items():
+        if x.ndim == 2 and x.shape[1] == rows != x.shape[0]:
+            x = x.T
+        one = x.ndim == 2 and x.shape[1] == 1
+        found[name] = x[:, 0] if one else x
+    return found
+
+
+def _old(path: Path) -> dict[str, NDArray[Any]]:
+    import scipy.io
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of variables that it cannot read
+        _check_inflated(path)
+        content = scipy.io.loadmat(path, squeeze_me=False, chars_as_strings=True)
+    found: dict[str, NDArray[Any]] = {}
+    for name, x in content.items():
+        if name.startswith("__"):
+            continue
+        if isinstance(x, np.ndarray) and x.dtype.names and x.size == 1:
+            for key in x.dtype.names:
+                found[f"{name}.{key}"] = _plain(x[key].item())
+        else:
+            found[name] = _plain(x)
+    return _without_struct(found)
+
+
+def _plain(x: Any) -> NDArray[Any]:
+    """An array; cells of texts become texts."""
+    plain: NDArray[Any] = np.asarray(x)
+    cells = [np.asarray(v) for v in plain.ravel()] if plain.dtype == object else []
+    if cells and all(v.dtype.kind == "U" and v.size for v in cells):
+        return np.array([str(v.ravel()[0]) for v in cells])
+    return plain
+
+
+def _without_struct(found: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Fields of the only struct go by their own names."""
+    structs = {name.split(".")[0] for name in found if "." in name}
+    if len(structs) != 1:
+        return found
+    return {name.split(".", 1)[-1]: x for name, x in found.items()}
+
+
+def _check_inflated(path: Path) -> None:
+    """Refuse compressed variables that unpack to more than any log."""
+    import zlib
+
+    total, size = 0, path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(128)
+        while file.tell() + 8 <= size:
+            head = file.read(8)
+            kind, length = (int.from_bytes(head[k : k + 4], "little") for k in (0, 4))
+            if kind == 15:
+                unpacker, data = zlib.decompressobj(), file.read(min(length, size))
+                while data:
+                    total += len(unpacker.decompress(data, 1 << 24))
+                    data = unpacker.unconsumed_tail
+                    if total > LARGEST_FILE:
+                        raise RecordingError(
+                            f"{path}: unpacks to more than {LARGEST_FILE:.3g} bytes"
+                        )
+            else:
+                file.seek(length, 1)
+
+
+def _new(path: Path) -> dict[str, NDArray[Any]]:
+    from hybrid.recording.formats.hdf5 import arrays_of
+
+    # MATLAB's columns are rows to HDF5.
+    arrays, _ = arrays_of(path)
+    plain = {k.replace("/", "."): x.T for k, x in arrays.items() if k[0] != "#"}
+    return _without_struct(plain)

@@ -1,0 +1,238 @@
+"""One topic of a bag: messages in, columns out, many at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.errors import RecordingError
+from hybrid.names import printable
+from hybrid.recording.formats.cdr import Layout, LayoutError, Path, layout_of
+from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, Table
+
+Array = NDArray[np.float64]
+
+BATCH = 4096  # messages decoded at once
+_MOST_BYTES = 16 << 20  # of messages held before they are decoded
+_MOST_LAYOUTS = 200  # of a topic: more are no stream of one arm
+_CONTAINERS = ("interface_values", "values")  # of control_msgs/DynamicJointState
+_STAMP: Path = ("header", "stamp", "sec")
+_NANO: Path = ("header", "stamp", "nanosec")
+
+
+@dataclass
+class _Stream:
+    """Messages with the same columns."""
+
+    labels: tuple[str, ...]
+    stamps: list[NDArray[np.int64]] = field(default_factory=list)
+    times: list[NDArray[np.int64]] = field(default_factory=list)
+    values: list[Array] = field(default_factory=list)
+
+
+class Topic:
+    """Gathers the messages of a topic, and decodes them in batches.
+
+    Args:
+        name: Topic.
+        kind: Type of its messages.
+        types: Type -> definition.
+        ros2: Whether messages are aligned, as in ROS 2.
+        source: Bag for messages.
+    """
+
+    def __init__(
+        self, name: str, kind: str, types: dict[str, Any], ros2: bool, source: str
+    ) -> None:
+        self.name, self.kind, self.types = printable(name), printable(kind), types
+        self.ros2, self.source = ros2, source
+        self._raw: list[bytes] = []
+        self._stamps: list[int] = []
+        self._held = self._size = 0
+        self._streams: dict[tuple[str, ...], _Stream] = {}
+        self._layouts: dict[int, list[tuple[Layout, dict[str, Path]]]] = {}
+        self._plans: list[tuple[int, Layout, bytes]] = []
+
+    def add(self, stamp: int, raw: bytes) -> None:
+        """Take a message and the recorder's time of it, [ns]."""
+        self._raw.append(raw)
+        self._stamps.append(stamp)
+        self._held += len(raw)
+        if len(self._raw) >= BATCH or self._held > _MOST_BYTES:
+            self.decode()
+
+    def decode(self) -> None:
+        """Decode the messages at hand.
+
+        Raises:
+            RecordingError: A message is not what the bag's definition says.
+        """
+        raws, stamps = self._raw, np.array(self._stamps, dtype=np.int64)
+        self._raw, self._stamps, self._held = [], [], 0
+        lengths = np.array([len(raw) for raw in raws])
+        for length in np.unique(lengths):
+            rows = np.flatnonzero(lengths == length)
+            joined = b"".join(raws[k] for k in rows)
+            messages = np.frombuffer(joined, np.uint8).reshape(len(rows), length)
+            while len(rows):
+                layout, columns = self._layout(messages, int(length))
+                same = layout.fits(messages)
+                self._take(layout, columns, messages[same], stamps[rows[same]])
+                messages, rows = messages[~same], rows[~same]
+
+    def tables(self) -> Iterator[Table]:
+        """A table for each set of columns that came."""
+        if self._plans:
+            yield self._planned()
+        for stream in self._streams.values():
+            stamps, times = np.concatenate(stream.stamps), np.concatenate(stream.times)
+            headed = bool((np.diff(stamps) > 0).all())
+            note = "" if headed else "time is the recorder's, not the headers'"
+            values = np.concatenate(stream.values)
+            clock = stamps if headed else times
+            yield self._table(stream.labels, clock, values, note)
+
+    def _table(
+        self,
+        labels: tuple[str, ...],
+        clock: NDArray[np.int64],
+        values: Array,
+        note: str = "",
+    ) -> Table:
+        def load(used: tuple[int, ...]) -> dict[int, NDArray[Any]]:
+            return {k: clock if k == 0 else values[:, k - 1] for k in used}
+
+        names = (f"{self.name}/__time", *labels)
+        units = ("ns", *("" for _ in labels))
+        preset = "joint_state" if self.kind.endswith("/JointState") else ""
+        return Table(
+            self.source, names, load, units, kind=f"ROS ({self.kind})",
+            name=self.name, preset=preset, note=note,
+        )  # fmt: skip
+
+    def _layout(
+        self, messages: NDArray[np.uint8], length: int
+    ) -> tuple[Layout, dict[str, Path]]:
+        """The layout of the first message, known or walked."""
+        known = self._layouts.setdefault(length, [])
+        for layout, columns in known:
+            if layout.fits(messages[:1])[0]:
+                return layout, columns
+        if sum(map(len, self._layouts.values())) >= _MOST_LAYOUTS:
+            raise RecordingError(
+                f"{self.source}: {self.name}: messages of more than {_MOST_LAYOUTS} "
+                "kinds; valid are joint states of an arm"
+            )
+        raw = messages[0].tobytes()
+        try:
+            layout = layout_of(raw, self.kind, self.types, ros2=self.ros2)
+        except LayoutError as error:
+            raise RecordingError(f"{self.source}: {self.name}: {error}") from error
+        planned = any(path[0] == "points" for path in layout.numbers)
+        if not planned and len(layout.numbers) > MOST_COLUMNS:
+            raise RecordingError(
+                f"{self.source}: {self.name}: {len(layout.numbers)} numbers in a "
+                "message; valid are joint states of an arm"
+            )
+        known.append((layout, {} if planned else self._labels(layout)))
+        return known[-1]
+
+    def _labels(self, layout: Layout) -> dict[str, Path]:
+        """Label -> path of the numbers in lists, with names for places where it can."""
+        names: dict[Path, dict[int, str]] = {}
+        for path, text in layout.texts.items():
+            if isinstance(path[-1], int):
+                names.setdefault(path[:-2], {})[path[-1]] = text
+        return {
+            "/".join((self.name, *words)): path
+            for path in layout.numbers
+            if any(isinstance(part, int) for part in path)
+            and (words := _words(path, names, layout)) is not None
+        }
+
+    def _take(
+        self,
+        layout: Layout,
+        columns: dict[str, Path],
+        messages: NDArray[np.uint8],
+        times: NDArray[np.int64],
+    ) -> None:
+        stamps = np.zeros(len(times), dtype=np.int64)
+        if _STAMP in layout.numbers:
+            whole = layout.values(messages, _STAMP).astype(np.int64)
+            stamps = whole * 10**9 + layout.values(messages, _NANO)
+        if any(path[0] == "points" for path in layout.numbers):
+            pairs = zip(stamps, times, messages, strict=True)
+            self._plans += [
+                (int(s or t), layout, message.tobytes()) for s, t, message in pairs
+            ]
+            return
+        labels = tuple(columns)
+        stream = self._streams.setdefault(labels, _Stream(labels))
+        values = np.empty((len(times), len(labels)))
+        for k, path in enumerate(columns.values()):
+            values[:, k] = layout.values(messages, path)
+        self._size += values.nbytes
+        if self._size > LARGEST_FILE:
+            raise RecordingError(
+                f"{self.source}: {self.name}: more than {LARGEST_FILE:.3g} bytes of "
+                "numbers; valid are logs of as many or less"
+            )
+        stream.stamps.append(stamps)
+        stream.times.append(times)
+        stream.values.append(values)
+
+    def _planned(self) -> Table:
+        """Points of trajectories as a command; a new one takes over from the last."""
+        clock: list[int] = []
+        rows: list[list[float]] = []
+        joints: tuple[str, ...] = ()
+        for start, layout, raw in sorted(self._plans, key=lambda plan: plan[0]):
+            names = tuple(
+                text for path, text in layout.texts.items() if path[0] == "joint_names"
+            )
+            if joints and names != joints:
+                continue
+            joints = names
+            message = np.frombuffer(raw, np.uint8)[None]
+            get = {p: layout.values(message, p)[0] for p in layout.numbers}
+            while clock and clock[-1] >= start:
+                clock.pop()
+                rows.pop()
+            count = 1 + max((int(p[1]) for p in get if p[0] == "points"), default=-1)
+            for k in range(count):
+                after: Path = ("points", k, "time_from_start")
+                at = start + int(get[*after, "sec"]) * 10**9
+                at += int(get[*after, "nanosec"])
+                row = [get.get(("points", k, "positions", j), np.nan)
+                       for j in range(len(joints))]  # fmt: skip
+                if not clock or at > clock[-1]:
+                    clock.append(at)
+                    rows.append([float(x) for x in row])
+        labels = tuple(f"{self.name}/command/positions/{joint}" for joint in joints)
+        values = np.array(rows, dtype=float).reshape(len(clock), len(joints))
+        return self._table(labels, np.array(clock, dtype=np.int64), values)
+
+
+def _words(
+    path: Path, names: dict[Path, dict[int, str]], layout: Layout
+) -> list[str] | None:
+    """Words of a path; a place in a list takes the name at the same place beside it."""
+    words: list[str] = []
+    for k, part in enumerate(path):
+        if isinstance(part, str):
+            if part not in _CONTAINERS:
+                words.append(part)
+            continue
+        beside = names.get(path[: k - 1]) or names.get(()) or {}
+        if part in beside:
+            words.append(beside[part])
+        elif k == len(path) - 1:
+            words[-1] = f"{words[-1]}[{part}]" if words else f"[{part}]"
+        else:
+            return None
+    return words

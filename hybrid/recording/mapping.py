@@ -1,0 +1,250 @@
+"""What a user, or a format, says about columns: ``--map`` and the presets."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping as MappingType
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from hybrid.errors import RecordingError
+from hybrid.files import read_yaml
+from hybrid.recording.recording import CHANNELS
+from hybrid.recording.units import SI, converted
+
+_FACTORS = ("torque_constant", "gear_ratio", "scale", "rate")
+_KEYS = ("preset", "joints", "topic", "time", *CHANNELS)
+Factor = float | tuple[float, ...] | dict[str, float]
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a channel comes from.
+
+    Attributes:
+        columns: A pattern with ``{}`` for the joint's name or number, labels in the
+            order of the joints, or joint -> label; None leaves it to the labels' words.
+        unit: Unit of the columns, whatever the file states; empty leaves it to that.
+        factors: Numbers to multiply with, each one for all joints, a list in the order
+            of the joints, or joint -> number.
+        dropped: Whether the channel is not to be read at all.
+    """
+
+    columns: str | tuple[str, ...] | dict[str, str] | None = None
+    unit: str = ""
+    factors: dict[str, Factor] = field(default_factory=dict)
+    dropped: bool = False
+
+    def over(self, below: Source) -> Source:
+        """This source, with what it leaves open from another."""
+        columns = below.columns if self.columns is None else self.columns
+        factors = below.factors | self.factors
+        return Source(columns, self.unit or below.unit, factors, self.dropped)
+
+    def factor(self, joint: str, place: int) -> float:
+        """Product of all factors for a joint at its place from 0."""
+        product = 1.0
+        for name, value in self.factors.items():
+            if isinstance(value, float):
+                product *= value
+                continue
+            try:
+                product *= value[joint] if isinstance(value, dict) else value[place]
+            except (KeyError, IndexError) as error:
+                raise RecordingError(
+                    f"the map gives no {name} for {joint}; valid is a number, a list "
+                    "in the order of the joints, or one for each joint by name"
+                ) from error
+        return product
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """Which column is which channel of which joint in which unit.
+
+    Attributes:
+        preset: Name of the preset it starts from; empty if none.
+        joints: Joint names of numbered columns, in their order; empty leaves them.
+        names: Joint's name in the file -> the robot's.
+        topic: Beginning of the labels to read, such as a topic of a bag.
+        sources: ``time`` and channels that the labels' words do not decide.
+        origin: File of the map, for messages.
+    """
+
+    preset: str = ""
+    joints: tuple[str, ...] = ()
+    names: dict[str, str] = field(default_factory=dict)
+    topic: str = ""
+    sources: dict[str, Source] = field(default_factory=dict)
+    origin: str = "map"
+
+    def source(self, channel: str) -> Source:
+        """Where a channel comes from; a channel without a word leaves all open."""
+        return self.sources.get(channel, Source())
+
+    def own(self, channel: str) -> bool:
+        """Whether the user, and not the preset, speaks of a channel."""
+        preset = preset_of((), self.preset) if self.preset else Mapping()
+        return self.source(channel) != preset.source(channel)
+
+    def over(self, below: Mapping) -> Mapping:
+        """This map, with what it leaves open from another."""
+        return replace(
+            self,
+            preset=self.preset or below.preset,
+            joints=self.joints or below.joints,
+            sources=below.sources
+            | {k: x.over(below.source(k)) for k, x in self.sources.items()},
+        )
+
+
+def read_mapping(given: str | Path | MappingType[str, Any] | Mapping | None) -> Mapping:
+    """The map of a YAML file, a dict, or the name of a preset.
+
+    Args:
+        given: Path, content, or a key of ``PRESETS``; None leaves all to the labels.
+
+    Raises:
+        RecordingError: The file cannot be read, or a key or value is none of a map.
+    """
+    if given is None or isinstance(given, Mapping):
+        return given or Mapping()
+    if isinstance(given, MappingType):
+        return _mapping(dict(given), "map")
+    if str(given) in PRESETS:
+        return _mapping({"preset": str(given)}, str(given))
+    if Path(given).suffix.lower() not in (".yaml", ".yml"):
+        raise RecordingError(
+            f"{given}: no map; valid are a .yaml file and {', '.join(PRESETS)}"
+        )
+    try:
+        content = read_yaml(given)
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{given}: cannot be read as a map: {error}") from error
+    return _mapping(content, str(given))
+
+
+def preset_of(labels: tuple[str, ...], name: str = "") -> Mapping:
+    """The preset of a name, or the one that the labels show; an empty map if none."""
+    for key, (shown, content) in PRESETS.items():
+        if key == name or (not name and shown and all(
+            any(re.fullmatch(pattern, label) for label in labels) for pattern in shown
+        )):  # fmt: skip
+            return replace(_mapping(content, key), preset=key)
+    return Mapping()
+
+
+def _mapping(content: Any, origin: str) -> Mapping:
+    if not isinstance(content, dict):
+        raise RecordingError(f"{origin}: no map; valid keys are {', '.join(_KEYS)}")
+    if unknown := [str(key) for key in content if key not in _KEYS]:
+        raise RecordingError(
+            f"{origin}: unknown key {unknown[0]!r}; valid are {', '.join(_KEYS)}"
+        )
+    preset = str(content.get("preset", ""))
+    if preset and preset not in PRESETS:
+        raise RecordingError(
+            f"{origin}: unknown preset {preset!r}; valid are {', '.join(PRESETS)}"
+        )
+    joints = content.get("joints", [])
+    if not isinstance(joints, (list, dict, tuple)):
+        raise RecordingError(
+            f"{origin}: joints is {joints!r}; valid are a list of names in the order "
+            "of the columns, or file's name: robot's name"
+        )
+    names = {str(k): str(v) for k, v in joints.items()} if isinstance(
+        joints, dict) else {}  # fmt: skip
+    sources = {
+        key: _source(content[key], key, origin)
+        for key in ("time", *CHANNELS)
+        if key in content
+    }
+    found = Mapping(
+        preset, () if names else tuple(map(str, joints)), names,
+        str(content.get("topic", "")), sources, origin,
+    )  # fmt: skip
+    return found.over(preset_of((), preset)) if preset else found
+
+
+def _source(value: Any, channel: str, origin: str) -> Source:
+    where = f"{origin}: {channel}"
+    if value is None or value is False or value == "none":
+        return Source(dropped=True)
+    if not isinstance(value, dict) or not (
+        value.keys() <= {"columns", "column", "unit", *_FACTORS}
+    ):
+        return Source(columns=_columns(value, where))
+    unit = str(value.get("unit", ""))
+    kinds = (channel, "current") if channel == "tau" else (channel,)
+    if unit and not any(converted(unit, kind) for kind in kinds):
+        valid = " or ".join(x for kind in kinds for x in SI[kind])
+        raise RecordingError(
+            f"{where}: unit {unit!r} is none of {valid}; valid are units that convert "
+            "to these, such as deg, rpm, ms, mA"
+        )
+    columns = value.get("columns", value.get("column"))
+    factors = {k: _factor(value[k], f"{where}: {k}") for k in _FACTORS if k in value}
+    rate = factors.get("rate", 1.0)
+    if not isinstance(rate, float) or not rate > 0 or (
+        "rate" in factors) != (channel == "time" and bool(factors)):  # fmt: skip
+        raise RecordingError(
+            f"{where} is {value!r}; valid is a rate above 0, in Hz, of time alone, "
+            "which takes no other factor"
+        )
+    return Source(None if columns is None else _columns(columns, where), unit, factors)
+
+
+def _columns(value: Any, where: str) -> str | tuple[str, ...] | dict[str, str]:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, (list, tuple)) and all(isinstance(x, str) for x in value):
+        return tuple(value)
+    if isinstance(value, dict) and all(isinstance(x, str) for x in value.values()):
+        return {str(k): x for k, x in value.items()}
+    raise RecordingError(
+        f"{where} is {value!r}; valid are a label with {{}} for the joint, a list of "
+        f"labels, joint: label, or columns with unit, {', '.join(_FACTORS)}"
+    )
+
+
+def _factor(value: Any, where: str) -> Factor:
+    try:
+        if isinstance(value, dict):
+            return {str(k): float(x) for k, x in value.items()}
+        if isinstance(value, (list, tuple)):
+            return tuple(map(float, value))
+        return float(value)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"{where} is {value!r}; valid are numbers") from error
+
+
+# What labels must show for a preset to apply by itself, and what it then says.
+PRESETS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "ur_rtde": (
+        ("timestamp", r"actual_q_?\d", r"target_q_?\d"),
+        {
+            "time": "timestamp",
+            "q": "actual_q_{}",
+            "v": "actual_qd_{}",
+            "command": "target_q_{}",
+            "tau": {"columns": "actual_current_{}", "unit": "A"},
+            "temperature": {"columns": "joint_temperatures_{}", "unit": "degC"},
+        },
+    ),
+    "libfranka": (
+        ("duration", r"(.*\W)?tau_J\[0\]"),
+        {"time": {"column": "duration", "unit": "ms"}},
+    ),
+    "lerobot": (
+        ("timestamp", r"observation\.state.*", "action.*"),
+        {
+            "time": "timestamp",
+            "q": "observation.state[{}]",
+            "command": "action[{}]",
+        },
+    ),
+    "joint_state": ((), {"q": {"unit": "rad"}, "v": {"unit": "rad/s"},
+                         "tau": {"unit": "N*m"}}),
+    "plotjuggler": (("__time",), {"time": {"column": "__time", "unit": "s"}}),
+}  # fmt: skip

@@ -1,0 +1,104 @@
+"""Several streams of one log, each on its own clock -> one recording.
+
+The stream that has most of what is asked for, torques before all, is the recording; a
+command that it lacks comes from another stream, on the recording's clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from hybrid.errors import RecordingError
+from hybrid.recording.decide import Decision
+from hybrid.recording.recording import Recording
+from hybrid.recording.table import Table
+from hybrid.recording.units import seconds
+
+
+def main_stream(
+    tables: tuple[Table, ...],
+    decided: Callable[[Table, bool], Decision],
+    build: Callable[[Table, Decision], Recording],
+    commanded: Callable[[Table, tuple[str, ...]], Decision | None],
+) -> Recording:
+    """Find the stream with the joints, and build its recording.
+
+    Args:
+        tables: Streams of one log.
+        decided: Decides on a table, with or without warnings.
+        build: Builds the recording of a decision.
+        commanded: Decides on the commands of joints in a table; None if it has none.
+
+    Raises:
+        RecordingError: No stream has the joints, or several have them alike.
+    """
+    first = _best(tables, decided)
+    recording = build(first, decided(first, False))
+    if recording.command is None:
+        for table in tables:
+            decision = commanded(table, recording.joints)
+            if table is not first and decision is not None:
+                return _with_command(recording, first, table, decision)
+    return recording
+
+
+def _best(
+    tables: tuple[Table, ...], decided: Callable[[Table, bool], Decision]
+) -> Table:
+    """The stream with most channels: torques before all, then joint states."""
+    good: list[tuple[tuple[bool, bool, int], Table]] = []
+    bad = []
+    for table in tables:
+        try:
+            channels = decided(table, True).channels
+        except RecordingError as error:
+            bad.append(str(error))
+            continue
+        rank = ("tau" in channels, table.preset == "joint_state", len(channels))
+        good.append((rank, table))
+    if not good:
+        raise RecordingError(min(bad, key=lambda line: "no positions among" in line))
+    best = max(rank for rank, _ in good)
+    first, *more = (table for rank, table in good if rank == best)
+    if more:
+        raise RecordingError(
+            f"{first.source}: joints in several topics: "
+            f"{', '.join(table.name for table in (first, *more))}; valid is --map "
+            "FILE.yaml with topic: and one of them"
+        )
+    return first
+
+
+def _with_command(
+    recording: Recording, main: Table, table: Table, decision: Decision
+) -> Recording:
+    """The recording with a command of another stream, interpolated to its clock.
+
+    A controller keeps to the last command; before the first, nothing is known, and the
+    arm is taken to stay at it.
+    """
+    used = decision.channels["command"]
+    columns = table.load((decision.time.index, *(u.index for u in used)))
+    first = main.load((0,))[0][0]
+    # Both clocks are nanoseconds of the same epoch.
+    at = seconds(columns[decision.time.index] - first, "ns")[0] + recording.t[0]
+    reading = recording.reading
+    assert reading is not None
+    if len(at) < 2 or at[-1] < recording.t[0] or at[0] > recording.t[-1]:
+        note = f"command of {table.name}: at other times than the joints"
+        return replace(recording, reading=replace(reading, notes=(note,)))
+    command = np.stack(
+        [np.interp(recording.t, at, columns[u.index] * u.factor) for u in used], axis=1
+    )
+    share = np.mean((recording.t >= at[0]) & (recording.t <= at[-1]))
+    note = (
+        f"command of {table.name}, interpolated; it covers {share:.0%} of the samples "
+        "and is held before and after"
+    )
+    reading = replace(
+        reading, columns=(*reading.columns, *used), notes=(*reading.notes, note)
+    )
+    return replace(recording, command=command, reading=reading)

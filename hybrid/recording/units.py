@@ -1,0 +1,105 @@
+"""Units that files state -> SI, by pint."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SI = {
+    "time": ("s",),
+    "q": ("rad", "m"),
+    "v": ("rad/s", "m/s"),
+    "command": ("rad", "m"),
+    "tau": ("N*m", "N"),
+    "current": ("A",),
+    "temperature": ("degC",),
+}
+_SPELLED = {
+    "Nm": "N*m", "N m": "N*m", "N.m": "N*m", "N_m": "N*m", "mNm": "mN*m",
+    "rad_s": "rad/s", "rad_per_s": "rad/s", "deg_s": "deg/s", "deg_per_s": "deg/s",
+    "C": "degC", "°C": "degC", "sec": "s", "seconds": "s", "nsec": "ns",
+    "usec": "us", "msec": "ms", "Deg": "deg", "Degrees": "deg", "degrees": "deg",
+    "radians": "rad", "Ncm": "N*cm", "kNm": "kN*m",
+}  # fmt: skip
+_PLAIN = re.compile(r"[A-Za-zµμ°*/^ ·.²-]{1,16}(-1)?")
+EPOCH = 1e9  # s: times after 2001 that count from 1970
+
+
+def converted(unit: str, channel: str) -> tuple[float, float] | None:
+    """Factor and offset that take a unit to the channel's in SI; None if it has none.
+
+    Args:
+        unit: As the file or the map states it, such as ``deg``, ``rpm`` or ``mA``.
+        channel: A key of ``SI``.
+    """
+    unit = unit.strip()
+    unit = _SPELLED.get(unit, unit).replace("·", "*").replace("°", "deg")
+    if unit in SI[channel]:
+        return 1.0, 0.0
+    return _by_pint(unit, channel)
+
+
+def fits(unit: str, channel: str = "") -> bool:
+    """Whether text is a unit of a channel, or of any."""
+    channels = (channel,) if channel else tuple(SI)
+    return any(converted(unit, name) is not None for name in channels)
+
+
+@cache
+def _registry() -> Any:
+    import pint
+
+    return pint.UnitRegistry(cache_folder=None)
+
+
+@cache
+def _by_pint(unit: str, channel: str) -> tuple[float, float] | None:
+    if not _PLAIN.fullmatch(unit):
+        return None
+    registry = _registry()
+    try:
+        parsed = registry.Unit(unit)
+        root = registry.get_root_units(parsed)[1]
+        for target in SI[channel]:
+            # Not by dimension: to pint, counts and radians have none.
+            if root != registry.get_root_units(target)[1]:
+                continue
+            zero, one = (registry.Quantity(x, parsed).to(target).m for x in (0.0, 1.0))
+            return float(one - zero), float(zero)
+    except Exception:  # text that is no unit ends in any error of pint's parser
+        return None
+    return None
+
+
+def seconds(x: NDArray[Any], unit: str) -> tuple[Array, str]:
+    """Time in seconds, and the unit that it was in.
+
+    Times after 2001 that count from 1970 tell their unit by their size; other than
+    floating seconds they are counted from the first one, so that no digit is lost.
+
+    Args:
+        x: Times as numbers or dates, shape (N,).
+        unit: Unit that is stated; empty if none is.
+    """
+    if x.dtype.kind == "M":
+        x, unit = x.astype("datetime64[ns]").astype(np.int64), "ns"
+    if not unit:
+        first = float(x[0]) if len(x) else 0.0
+        sizes = {1e3: "ms", 1e6: "us", 1e9: "ns"}
+        found = [u for s, u in sizes.items() if EPOCH <= first / s < 4.2 * EPOCH]
+        unit = found[0] if found else ""
+    factor, _ = converted(unit or "s", "time") or (1.0, 0.0)
+    if factor == 1.0:
+        return np.asarray(x, dtype=np.float64), unit or "s"
+    if len(x) and float(x[0]) * factor >= EPOCH:
+        x = x - x[0]
+    parts = 1 / factor
+    whole = abs(parts - round(parts)) < 1e-6 * parts
+    x = np.asarray(x, dtype=np.float64)
+    return (x / round(parts) if whole and parts > 1 else x * factor), unit
