@@ -284,7 +284,7 @@ def test_bad_input_is_one_line_and_writes_nothing(diagnose, logs, tmp_path, caps
         f"{diagnose} --out {tmp_path}/x --cutoff 0": "above 0",
         f"{diagnose} --out {tmp_path}/x --json {tmp_path}": "is a folder",
         f"{diagnose} --joints elbow,knee --out {tmp_path}/x": "knee",
-        f"{alone}/silent.csv --out {tmp_path}/x": "no torques",
+        f"{alone}/silent.csv --out {tmp_path}/x": "neither torque nor command",
         f"{alone}/still.csv --out {tmp_path}/x": "no joint moves",
     }.items():
         assert words in failed(capsys, command), command
