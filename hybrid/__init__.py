@@ -20,11 +20,13 @@ if TYPE_CHECKING:
     from hybrid.excitation import design as excite
     from hybrid.export.export import export
     from hybrid.identify import DynamicModel, Fit, identify, predict, validate
+    from hybrid.inspect import Inspection, inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
     from hybrid.plant import simulate
     from hybrid.recording import Recording
     from hybrid.recording import read_all as read_recordings
     from hybrid.robot import Robot
+    from hybrid.servo import ServoFit, fit_servo
     from hybrid.signals import Motion
 
 __version__ = "0.1.0"
@@ -34,18 +36,22 @@ __all__ = [
     "DynamicModel",
     "Effect",
     "Fit",
+    "Inspection",
     "Motion",
     "OnlineIdentifier",
     "Recording",
     "Robot",
     "Sample",
+    "ServoFit",
     "__version__",
     "calibrate",
     "diagnose",
     "effects",
     "excite",
     "export",
+    "fit_servo",
     "identify",
+    "inspect_recording",
     "predict",
     "read_recordings",
     "simulate",
@@ -58,17 +64,21 @@ _HOME = {
     "DynamicModel": "hybrid.identify",
     "Effect": "hybrid.effects",
     "Fit": "hybrid.identify",
+    "Inspection": "hybrid.inspect",
     "Motion": "hybrid.signals",
     "OnlineIdentifier": "hybrid.online",
     "Recording": "hybrid.recording",
     "Robot": "hybrid.robot",
     "Sample": "hybrid.online",
+    "ServoFit": "hybrid.servo",
     "calibrate": "hybrid.calibrate",
     "diagnose": "hybrid.diagnose.diagnose",
     "effects": "hybrid.effects:effect_classes",
     "excite": "hybrid.excitation:design",
     "export": "hybrid.export",
+    "fit_servo": "hybrid.servo",
     "identify": "hybrid.identify",
+    "inspect_recording": "hybrid.inspect",
     "predict": "hybrid.identify",
     "read_recordings": "hybrid.recording:read_all",
     "simulate": "hybrid.plant",
