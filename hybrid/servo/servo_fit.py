@@ -39,6 +39,7 @@ _SECONDS, _CHECKED, _EACH = 240.0, 60.0, 10.0
 _WEIGHED = 120.0  # s of unseen motion, on which single numbers are weighed
 _UNSEEN = 4  # one recording in so many is kept aside
 _TAIL = 0.3  # of a single recording is kept aside
+_UNKNOWN = 4.0  # times the resolution of the encoder: more has a cause
 _STILL = 3.0  # steps of the encoder: a joint that goes less far rests
 # Shapes of friction have no number in the file; they are no cause of their own.
 _SHAPES = ("stribeck_speed", "bristle")
@@ -141,9 +142,19 @@ class ServoFit:
             f" and {len(names) - 4} more" if len(names) > 4 else ""
         )
         cause = f"the file is wrong in {shown}" if names else "nothing stands out"
-        return (
+        text = (
             f"Replays of unseen motion miss by {after:.1f} instead of {before:.1f} "
             f"mrad (mean of joints): {cause}."
+        )
+        worst = int(
+            np.argmax(np.where(np.isin(range(len(self.after)), moving), self.after, 0))
+        )
+        left, floor = 1000 * self.after[worst], 1000 * self.floor[worst]
+        if left < _UNKNOWN * floor:
+            return text
+        return (
+            f"{text} Most is left at {self.robot.joints[worst]}: {left:.1f} mrad, where "
+            f"the encoder has {floor:.2f}, without a known cause."
         )
 
     def replayed(self, recording: Recording) -> Replay:
