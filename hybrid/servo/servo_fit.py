@@ -146,15 +146,14 @@ class ServoFit:
             f"Replays of unseen motion miss by {after:.1f} instead of {before:.1f} "
             f"mrad (mean of joints): {cause}."
         )
-        worst = int(
-            np.argmax(np.where(np.isin(range(len(self.after)), moving), self.after, 0))
-        )
+        worst = max(moving, key=lambda j: self.after[j])
+        joint = self.robot.joints[worst]
         left, floor = 1000 * self.after[worst], 1000 * self.floor[worst]
         if left < _UNKNOWN * floor:
             return text
         return (
-            f"{text} Most is left at {self.robot.joints[worst]}: {left:.1f} mrad, where "
-            f"the encoder has {floor:.2f}, without a known cause."
+            f"{text} Most is left at {joint}: {left:.1f} mrad without a known cause, where "
+            f"the encoder has {floor:.2f}."
         )
 
     def replayed(self, recording: Recording) -> Replay:
