@@ -152,7 +152,7 @@ class ServoFit:
         if left < _UNKNOWN * floor:
             return text
         return (
-            f"{text} Most is left at {joint}: {left:.1f} mrad without a known cause, where "
+            f"{text} Most is left at {joint}: {left:.1f} mrad without known cause, where "
             f"the encoder has {floor:.2f}."
         )
 
