@@ -8,19 +8,20 @@ from hybrid.report import Table, markdown_table, provenance, write_results
 FITS = ("plain least squares", "weighted", "with friction")
 
 
-def write(folder, seeds, arms, runs):
-    """The table and JSON.
+def write(folder, first, seeds, arms, runs):
+    """The tables and JSON.
 
     Args:
         folder: Where to write.
+        first: First seed.
         seeds: Number of seeds that the command names.
         arms: Arms that it names.
         runs: By arm and seed, error of all fits [N·m] and CPU seconds of the random
-            and of the designed motion, shape (2, 4).
+            and of the designed motion, and the floor, shape (3, 4).
     """
-    rows = []
+    rows, each = [], []
     for name, found in runs.items():
-        x = np.array(found)  # (S, 2, 4)
+        x = np.array(found, dtype=float)  # (S, 3, 4)
         for k, fit in enumerate(FITS):
             random, ours = x[:, 0, k], x[:, 1, k]
             lower = 100 * (1 - ours / random)
@@ -28,14 +29,24 @@ def write(folder, seeds, arms, runs):
             wins = f"{(ours < random).sum()} of {len(x)}"
             seconds = f"{np.median(x[:, 1, -1]):.1f}"
             rows.append((name, fit, spread(random), spread(ours), gain, wins, seconds))
+        above = 100 * (x[:, :2, 0] / x[:, 2, :1] - 1)
+        for k, excess in enumerate(above.T):
+            values = " · ".join(f"{e:.1f}" for e in excess)
+            motion = ("random", "designed")[k]
+            each.append((name, motion, f"{np.median(excess):.1f}", values))
     header = ("arm", "fit", "random [N·m]", "designed [N·m]", "lower by [%]")
     table = markdown_table(Table((*header, "designed wins", "design [CPU s]"), rows))
     lead = "RMS torque error on eight random motions that neither knows, mean of the "
     lead += "joints: median of the seeds (lowest–highest)."
-    command = f"python experiments/designed_against_random.py --seeds {seeds} --arms "
-    command += " ".join(arms)
+    seen = "Error of plain least squares above the floor, in parts of it: the floor is "
+    seen += "what they leave that have seen the eight motions themselves."
+    header = ("arm", "motion", "median [%]", f"each seed from {first} [%]")
+    floors = markdown_table(Table(header, each))
+    command = f"python experiments/designed_against_random.py --first {first} --seeds "
+    command += f"{seeds} --arms {' '.join(arms)}"
+    text = f"{lead}\n\n{table}\n\n{seen}\n\n{floors}\n\n`{command}`\n"
     with atomic_path(folder / "table.md") as path:
-        path.write_text(f"{lead}\n\n{table}\n\n`{command}`\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     content = {"provenance": provenance(command=command), "runs": runs}
     write_results(folder / "results.json", content)
 
