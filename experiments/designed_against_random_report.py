@@ -8,16 +8,14 @@ from hybrid.report import Table, markdown_table, provenance, write_results
 FITS = ("plain least squares", "weighted", "with friction")
 
 
-def write(folder, first, seeds, arms, runs):
+def write(folder, options, runs):
     """The tables and JSON.
 
     Args:
         folder: Where to write.
-        first: First seed.
-        seeds: Number of seeds that the command names.
-        arms: Arms that it names.
+        options: First seed, number of seeds, arms and cut-off that the command names.
         runs: By arm and seed, error of all fits [N·m] and CPU seconds of the random
-            and of the designed motion, and the floor, shape (3, 4).
+            and of the designed motion, and of the pooled fit, shape (3, 4).
     """
     rows, each = [], []
     for name, found in runs.items():
@@ -38,13 +36,15 @@ def write(folder, first, seeds, arms, runs):
     table = markdown_table(Table((*header, "designed wins", "design [CPU s]"), rows))
     lead = "RMS torque error on eight random motions that neither knows, mean of the "
     lead += "joints: median of the seeds (lowest–highest)."
-    seen = "Error of plain least squares above the floor, in parts of it: the floor is "
-    seen += "what they leave that have seen the eight motions themselves."
-    header = ("arm", "motion", "median [%]", f"each seed from {first} [%]")
-    floors = markdown_table(Table(header, each))
-    command = f"python experiments/designed_against_random.py --first {first} --seeds "
-    command += f"{seeds} --arms {' '.join(arms)}"
-    text = f"{lead}\n\n{table}\n\n{seen}\n\n{floors}\n\n`{command}`\n"
+    seen = "Error of plain least squares above that of those which have seen the eight "
+    seen += "motions themselves. It may be negative: each fit takes the cut-off of the "
+    seen += "positions from its own log unless one is given, and errors depend on it."
+    header = ("arm", "motion", "median [%]", f"each seed from {options.first} [%]")
+    pooled = markdown_table(Table(header, each))
+    command = f"python experiments/designed_against_random.py --first {options.first}"
+    command += f" --seeds {options.seeds} --arms {' '.join(options.arms)}"
+    command += f" --cutoff {options.cutoff:g}" if options.cutoff else ""
+    text = f"{lead}\n\n{table}\n\n{seen}\n\n{pooled}\n\n`{command}`\n"
     with atomic_path(folder / "table.md") as path:
         path.write_text(text, encoding="utf-8")
     content = {"provenance": provenance(command=command), "runs": runs}
