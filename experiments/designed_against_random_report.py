@@ -8,19 +8,18 @@ from hybrid.report import Table, markdown_table, provenance, write_results
 FITS = ("plain least squares", "weighted", "with friction")
 
 
-def write(folder, seeds, arms, runs):
-    """The table and JSON.
+def write(folder, options, runs):
+    """The tables and JSON.
 
     Args:
         folder: Where to write.
-        seeds: Number of seeds that the command names.
-        arms: Arms that it names.
+        options: First seed, number of seeds, arms and cut-off that the command names.
         runs: By arm and seed, error of all fits [N·m] and CPU seconds of the random
-            and of the designed motion, shape (2, 4).
+            and of the designed motion, and of the pooled fit, shape (3, 4).
     """
-    rows = []
+    rows, each = [], []
     for name, found in runs.items():
-        x = np.array(found)  # (S, 2, 4)
+        x = np.array(found, dtype=float)  # (S, 3, 4)
         for k, fit in enumerate(FITS):
             random, ours = x[:, 0, k], x[:, 1, k]
             lower = 100 * (1 - ours / random)
@@ -28,14 +27,26 @@ def write(folder, seeds, arms, runs):
             wins = f"{(ours < random).sum()} of {len(x)}"
             seconds = f"{np.median(x[:, 1, -1]):.1f}"
             rows.append((name, fit, spread(random), spread(ours), gain, wins, seconds))
+        above = 100 * (x[:, :2, 0] / x[:, 2, :1] - 1)
+        for k, excess in enumerate(above.T):
+            values = " · ".join(f"{e:.1f}" for e in excess)
+            motion = ("random", "designed")[k]
+            each.append((name, motion, f"{np.median(excess):.1f}", values))
     header = ("arm", "fit", "random [N·m]", "designed [N·m]", "lower by [%]")
     table = markdown_table(Table((*header, "designed wins", "design [CPU s]"), rows))
     lead = "RMS torque error on eight random motions that neither knows, mean of the "
     lead += "joints: median of the seeds (lowest–highest)."
-    command = f"python experiments/designed_against_random.py --seeds {seeds} --arms "
-    command += " ".join(arms)
+    seen = "Error of plain least squares above that of those which have seen the eight "
+    seen += "motions themselves. It may be negative: each fit takes the cut-off of the "
+    seen += "positions from its own log unless one is given, and errors depend on it."
+    header = ("arm", "motion", "median [%]", f"each seed from {options.first} [%]")
+    pooled = markdown_table(Table(header, each))
+    command = f"python experiments/designed_against_random.py --first {options.first}"
+    command += f" --seeds {options.seeds} --arms {' '.join(options.arms)}"
+    command += f" --cutoff {options.cutoff:g}" if options.cutoff else ""
+    text = f"{lead}\n\n{table}\n\n{seen}\n\n{pooled}\n\n`{command}`\n"
     with atomic_path(folder / "table.md") as path:
-        path.write_text(f"{lead}\n\n{table}\n\n`{command}`\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     content = {"provenance": provenance(command=command), "runs": runs}
     write_results(folder / "results.json", content)
 
