@@ -152,8 +152,8 @@ class ServoFit:
         if left < _UNKNOWN * floor:
             return text
         return (
-            f"{text} Most is left at {joint}: {left:.1f} mrad without known cause, where "
-            f"the encoder has {floor:.2f}."
+            f"{text} Most is left at {joint}: {left:.1f} mrad have no known cause "
+            f"(encoder: {floor:.2f})."
         )
 
     def replayed(self, recording: Recording) -> Replay:
