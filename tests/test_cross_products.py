@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import arm, linear_problem, motions, stacked, with_torque
 
+from hybrid.dynamics import RigidBody
 from hybrid.errors import IdentificationError
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import solve
@@ -80,6 +81,25 @@ def test_so_they_are_for_random_chains_and_weights(seed):
     )
     for x, y in zip(found, expected, strict=True):
         assert_same(x, y, 1e-11)
+
+
+def test_rows_are_the_same_where_the_regressor_is_known_already():
+    robot = arm("coman_like")
+    problem, (motion, *_) = linear_problem(robot), loaded(robot)
+    body = RigidBody(robot.chain, motion, problem.inertial)
+    assert body.columns.shape == (len(motion.t), 6, 60)
+    np.testing.assert_array_equal(problem.rows(motion, body), problem.rows(motion))
+
+
+def test_many_sums_have_their_normal_equations_each():
+    robot = arm("coman_like")
+    products = crossed(linear_problem(robot), loaded(robot))
+    weight = some_weight(robot.size, 3)
+    A, b = products.normal(weight, products.blocks)
+    for k, sums in enumerate(products.blocks):
+        A_k, b_k = products.normal(weight, sums)
+        assert_same(A[k], A_k, 1e-14)
+        assert_same(b[k], b_k, 1e-14)
 
 
 def test_the_solution_is_that_of_dense_least_squares():

@@ -202,6 +202,14 @@ def test_the_number_of_samples_changes_no_sample(samples):
     assert body.response(*some).shape == (samples, n)
 
 
+def test_some_columns_are_those_of_the_whole_regressor():
+    robot = arm("planar.xml")
+    states = random_states(robot.size, 50)
+    which = [17, 3, 9, 10]
+    some = regressor(robot.chain, *states, which)
+    np.testing.assert_array_equal(some, regressor(robot.chain, *states)[:, :, which])
+
+
 def test_the_memory_layout_of_the_input_does_not_matter():
     robot = arm("planar.xml")
     states = random_states(robot.size, 100)

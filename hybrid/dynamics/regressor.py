@@ -5,6 +5,8 @@ Source: Atkeson, An and Hollerbach 1986, doi 10.1177/027836498600500306.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hybrid.dynamics.kinematics import LinkMotion, link_motions
@@ -15,26 +17,35 @@ from hybrid.robot.chain import Array, Chain
 _CHUNK = 4096
 
 
-def regressor(chain: Chain, q: Array, v: Array, a: Array) -> Array:
-    """Torque per unit of every inertial parameter.
+def regressor(
+    chain: Chain, q: Array, v: Array, a: Array, which: Sequence[int] | None = None
+) -> Array:
+    """Torque per unit of every inertial parameter, or of some.
 
     Args:
         chain: The arm.
         q: Positions, shape (N, n), [rad].
         v: Speeds, shape (N, n), [rad/s].
         a: Accelerations, shape (N, n), [rad/s²].
+        which: Wanted columns out of the 10n, length c; all by default.
 
     Returns:
-        Y, shape (N, n, 10n), link after link in the order of ``INERTIAL_NAMES``. In
-        memory samples come last (it is a view of an (n, 10n, N) array).
+        Y, shape (N, n, c), link after link in the order of ``INERTIAL_NAMES``, or in
+        that of ``which``. In memory samples come last (it is a view of an (n, c, N)
+        array).
     """
     samples, n = q.shape
-    Y = np.zeros((n, 10 * n, samples))
+    wanted: list[list[tuple[int, int]]] = [[] for _ in range(n)]
+    for row, column in enumerate(range(10 * n) if which is None else which):
+        wanted[column // 10].append((row, column % 10))
+    Y = np.zeros((n, sum(map(len, wanted)), samples))
     for start in range(0, samples, _CHUNK):
         part = slice(start, min(start + _CHUNK, samples))
         states = (np.ascontiguousarray(x[part].T) for x in (q, v, a))
         for k, link in enumerate(link_motions(chain, *states)):
-            _link_block(link, Y[: k + 1, 10 * k : 10 * k + 10, part])
+            terms = _link_terms(link)
+            for row, parameter in wanted[k]:
+                _sum(Y[: k + 1, row, part], *terms[parameter])
     return Y.transpose(2, 0, 1)
 
 
@@ -58,33 +69,31 @@ def inverse_dynamics(
     return law.along((q, v, a), constants)
 
 
-def _link_block(link: LinkMotion, out: Array) -> None:
-    """Fill the ten columns of one link for the joints that move it.
+def _link_terms(link: LinkMotion) -> tuple[tuple[tuple[Array, Array], ...], ...]:
+    """The ten columns of one link for the joints that move it, as sums of products.
 
     With s = (linear, angular) the screw of a joint, its row is s · (force, moment) per
     unit of each parameter; written as dot products with coefficients that depend on the
-    link's motion alone.
-
-    Args:
-        link: Motion of the link.
-        out: Destination, shape (k+1, 10, N).
+    link's motion alone, shapes (k+1, N) and (N,).
     """
     (wx, wy, wz), (bx, by, bz), (ax, ay, az) = link.omega, link.alpha, link.accel
     xx, yy, zz, xy, xz, yz = wx * wx, wy * wy, wz * wz, wx * wy, wx * wz, wy * wz
     lx, ly, lz = link.linear
     ux, uy, uz = link.angular
-    _sum(out[:, 0], (lx, ax), (ly, ay), (lz, az))
-    # First moments: (skew(α) + skew(ω)²)ᵀ l + a × u.
-    _sum(out[:, 1], (lx, -yy - zz), (ly, xy + bz), (lz, xz - by), (uz, ay), (uy, -az))
-    _sum(out[:, 2], (lx, xy - bz), (ly, -xx - zz), (lz, yz + bx), (ux, az), (uz, -ax))
-    _sum(out[:, 3], (lx, xz + by), (ly, yz - bx), (lz, -xx - yy), (uy, ax), (ux, -ay))
-    # Inertia: u · (I α) + (u × ω) · (I ω), for each independent entry of I.
-    _sum(out[:, 4], (ux, bx), (uy, xz), (uz, -xy))
-    _sum(out[:, 5], (ux, by - xz), (uy, bx + yz), (uz, xx - yy))
-    _sum(out[:, 6], (ux, -yz), (uy, by), (uz, xy))
-    _sum(out[:, 7], (ux, bz + xy), (uy, zz - xx), (uz, bx - yz))
-    _sum(out[:, 8], (ux, yy - zz), (uy, bz - xy), (uz, by + xz))
-    _sum(out[:, 9], (ux, yz), (uy, -xz), (uz, bz))
+    return (
+        ((lx, ax), (ly, ay), (lz, az)),
+        # First moments: (skew(α) + skew(ω)²)ᵀ l + a × u.
+        ((lx, -yy - zz), (ly, xy + bz), (lz, xz - by), (uz, ay), (uy, -az)),
+        ((lx, xy - bz), (ly, -xx - zz), (lz, yz + bx), (ux, az), (uz, -ax)),
+        ((lx, xz + by), (ly, yz - bx), (lz, -xx - yy), (uy, ax), (ux, -ay)),
+        # Inertia: u · (I α) + (u × ω) · (I ω), for each independent entry of I.
+        ((ux, bx), (uy, xz), (uz, -xy)),
+        ((ux, by - xz), (uy, bx + yz), (uz, xx - yy)),
+        ((ux, -yz), (uy, by), (uz, xy)),
+        ((ux, bz + xy), (uy, zz - xx), (uz, bx - yz)),
+        ((ux, yy - zz), (uy, bz - xy), (uz, by + xz)),
+        ((ux, yz), (uy, -xz), (uz, bz)),
+    )
 
 
 def _sum(out: Array, *terms: tuple[Array, Array]) -> None:

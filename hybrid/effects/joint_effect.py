@@ -30,14 +30,8 @@ class JointEffect(Effect):
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """See :meth:`Effect.columns`; shape (N, 1, p)."""
-        (j,) = self.joints
-        v = motion.v[:, j]
-        warm = None if motion.temperature is None else motion.temperature[:, j]
-        state = JointState(
-            motion.t, motion.q[:, j], v, motion.a[:, j], np.sign(v), body.load[:, j],
-            warm,
-        )  # fmt: skip
-        unit = np.ones_like(v)
+        state = _StateAlong(motion, body, self.joints[0])
+        unit = np.ones_like(state.v)
         laws = [unit * x for x in self.law(state, **self.shape_values)]
         return np.stack(laws, axis=-1)[:, None, :]
 
@@ -50,3 +44,25 @@ class JointEffect(Effect):
         return [
             sum(self.values[g.name] * x for g, x in terms if self.values[g.name])
         ], ()
+
+
+class _StateAlong(JointState):
+    """A joint's state along a motion; the load is worked out if a law asks for it."""
+
+    def __init__(self, motion: Motion, body: Body, joint: int) -> None:
+        v, warm = motion.v[:, joint], motion.temperature
+        self.__dict__.update(
+            t=motion.t,
+            q=motion.q[:, joint],
+            v=v,
+            a=motion.a[:, joint],
+            sign=np.sign(v),
+            temperature=None if warm is None else warm[:, joint],
+            _loaded=(body, joint),
+        )
+
+    @property
+    def load(self) -> Array:  # type: ignore[override]
+        """Torque transmitted to the link, shape (N,), [N·m]."""
+        body, joint = self.__dict__["_loaded"]
+        return np.asarray(body.load[:, joint])

@@ -104,14 +104,15 @@ class CrossProducts:
 
         Args:
             weight: Inverse noise covariance, shape (n, n).
-            sums: Cross-products to use, shape (P, P); all blocks by default.
+            sums: Cross-products to use, shape (..., P, P); all blocks by default.
 
         Returns:
-            A, shape (p, p), and b, shape (p,).
+            A, shape (..., p, p), and b, shape (..., p).
         """
         sums = self.total if sums is None else sums
-        problem = self.problem
-        A, b = np.zeros((problem.size, problem.size)), np.zeros(problem.size)
+        problem, many = self.problem, sums.shape[:-2]
+        A = np.zeros((*many, problem.size, problem.size))
+        b = np.zeros((*many, problem.size))
         for i, left in enumerate(problem.support):
             rows = slice(problem.offsets[i], problem.offsets[i] + len(left))
             for k, right in enumerate(problem.support):
@@ -119,8 +120,8 @@ class CrossProducts:
                     continue
                 start = problem.offsets[k]
                 columns = slice(start, start + len(right))
-                A[np.ix_(left, right)] += weight[i, k] * sums[rows, columns]
-                b[left] += weight[i, k] * sums[rows, start + len(right)]
+                A[..., left[:, None], right] += weight[i, k] * sums[..., rows, columns]
+                b[..., left] += weight[i, k] * sums[..., rows, start + len(right)]
         return A, b
 
     def leaves(self, theta: Array) -> Array:
@@ -227,7 +228,8 @@ def _one_motion(
             scoring.add(number, here, raw, moves[:, here])
         samples = slice(first, first + D.shape[1])
         moving = moves[:, :: sampler.factor][:, samples]
-        D *= np.repeat(moving, sizes, axis=0)
+        if not moving.all():
+            D *= np.repeat(moving, sizes, axis=0)
         block = (first + np.arange(D.shape[1])) // length
         own = fold[:: sampler.factor][samples]
         for start, stop in runs_of(block, own):

@@ -176,9 +176,8 @@ def _covariance(
     merged, scores = _independent_blocks(products, _scores(products, theta, weight))
     count = len(scores)
     changes = np.empty((count, len(theta)))
-    for k in range(count):
-        A_k, _ = merged.normal(weight, merged.blocks[k])
-        changes[k] = pseudo_solve(held - A_k, rest - scores[k])
+    for k, own in enumerate(merged.normal(weight, merged.blocks)[0]):
+        changes[k] = pseudo_solve(held - own, rest - scores[k])
     spread = changes - changes.mean(axis=0)
     covariance = np.asarray((count - 1) / count * spread.T @ spread)
     if prior is not None:

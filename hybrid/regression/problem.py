@@ -115,17 +115,22 @@ class Problem:
         kept = np.array(self.base.kept)
         rigid = 10 * self.chain.size
         effects = dict(self._effect_columns(motion, body))
+        bodily, places = body.some_columns(kept[self.rigid].tolist())
+        place = np.zeros(self.size, dtype=np.intp)
+        place[self.rigid] = places
         for i, support in enumerate(self.support):
             start = self.offsets[i]
             columns = kept[support]
             inertial = columns < rigid
             count = int(inertial.sum())
-            # The regressor keeps samples last in memory: these are plain row copies.
+            # The regressor keeps samples last in memory: these are plain row copies,
+            # which "raise" would make twice.
             np.take(
-                body.columns.transpose(1, 2, 0)[i],
-                columns[inertial],
+                bodily.transpose(1, 2, 0)[i],
+                place[support[inertial]],
                 axis=0,
                 out=out[start : start + count],
+                mode="clip",
             )
             for row, column in enumerate(columns[~inertial], start + count):
                 out[row] = effects[int(column), i]
