@@ -1,7 +1,8 @@
 # Every target does its own set-up: a fresh clone needs Python >= 3.11 and nothing else.
 #
 #   make demo    simulated logs -> three stages -> reports/demo/
-#   make test    all tests
+#   make test    tests; a few minutes
+#   make studies ninety more whole diagnoses; a quarter of an hour
 #   make check   lint, format and types
 #   make format  let ruff put the format right
 #   make mutants change the code in 400 places and see whether the tests notice
@@ -16,7 +17,7 @@ INSTALLED := .venv/.installed
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test check format mutants fuzz clean
+.PHONY: demo test studies check format mutants fuzz clean
 .DEFAULT_GOAL := demo
 
 demo: $(INSTALLED)
@@ -24,6 +25,9 @@ demo: $(INSTALLED)
 
 test: $(INSTALLED)
 	$(BIN)/pytest -n 2 --dist worksteal
+
+studies: $(INSTALLED)
+	$(BIN)/pytest -n 2 --dist worksteal -m study
 
 check: $(INSTALLED)
 	$(BIN)/ruff check .

@@ -76,6 +76,7 @@ def test_the_advised_experiment_splits_the_class(tmp_path):
     assert not after & promised
 
 
+@pytest.mark.study
 def test_friction_that_may_fall_when_warm_is_measured_again_when_warm():
     result, _ = poorly_recorded("viscous", 0, 0.5)
     assert "thermal_friction" in class_at(result, 0)  # warming up for ever
@@ -154,6 +155,7 @@ def test_what_is_told_is_what_a_search_on_all_data_would_find():
     assert told[0] == pytest.approx((best - other) / needed(best), rel=0.02, abs=0.02)
 
 
+@pytest.mark.study
 def test_decimated_motions_give_the_columns_of_all_samples():
     result = diagnosed.planar()
     gap = replace(result.gap, cutoff=RATE / 25)

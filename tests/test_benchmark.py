@@ -174,6 +174,7 @@ def test_soft_saturation_is_linear_below_its_limit_and_flat_far_above():
     assert iron.deliver(tau) == pytest.approx([-2.0, -0.2, 0.0, 0.2, 2.0], rel=1e-3)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["coulomb", "torque_ripple", "cogging_motor"])
 def test_a_drawn_effect_has_the_size_asked_for_within_its_bounds(rig, name):
     effect = draw(name, rig, 2.0, np.random.default_rng(1))
@@ -187,6 +188,7 @@ def test_an_effect_that_would_have_to_be_absurd_is_not_made(rig):
     assert rig.scaled(gain, 1e4) is None
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["contact", "saturation", "deadzone"])
 def test_a_number_of_something_is_not_drawn(name, rig):
     for seed in range(4):
@@ -255,6 +257,7 @@ def test_the_open_folder_tells_nothing_and_a_case_is_always_the_same(tmp_path):
     assert len(unseen) == 2
 
 
+@pytest.mark.study
 def test_an_effect_left_out_of_the_library_is_what_the_question_says(tmp_path):
     case = Case(PLANAR, "withheld", 1, 0)
     generate(case, tmp_path / "open", tmp_path / "sealed")
@@ -263,6 +266,7 @@ def test_an_effect_left_out_of_the_library_is_what_the_question_says(tmp_path):
     assert without == tuple(e["effect"] for e in sealed["effects"])
 
 
+@pytest.mark.study
 def test_a_plant_without_effects_is_no_alarm_and_is_not_answered_twice(tmp_path):
     log, case = tmp_path / "cases.jsonl", Case(PLANAR, "none", 1, 0)
     (first,) = run_cases([case], log)
@@ -339,6 +343,7 @@ def test_an_interval_covers_only_gains_named_at_their_joint():
 # Baselines and oracle
 
 
+@pytest.mark.study
 def test_a_fit_of_fixed_structure_names_the_numbers_that_changed():
     robot = load_arm(PLANAR)
     plant = Plant(robot, [Viscous((0,), {"coefficient": 2.0})], nominal=robot)

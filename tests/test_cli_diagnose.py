@@ -133,6 +133,7 @@ def test_the_simulator_it_writes_can_be_loaded(answered):
     assert "stribeck" in [effect.id for effect in model.effects]
 
 
+@pytest.mark.study
 def test_a_simulator_that_cannot_be_written_is_a_warning(
     diagnose, tmp_path, capsys, monkeypatch
 ):
@@ -147,6 +148,7 @@ def test_a_simulator_that_cannot_be_written_is_a_warning(
     assert set(tree(tmp_path / "out")) == {"report.html", "diagnosis.json"}
 
 
+@pytest.mark.study
 def test_much_that_the_simulator_has_not_is_said_in_few_words(
     diagnose, tmp_path, capsys, monkeypatch
 ):
@@ -162,6 +164,7 @@ def test_much_that_the_simulator_has_not_is_said_in_few_words(
     assert "joint_3" not in last
 
 
+@pytest.mark.study
 def test_it_says_how_the_result_came_about(diagnose, logs, tmp_path):
     run(f"{diagnose} --cutoff 9 --seed 5 --out {tmp_path}/out")
     text = (tmp_path / "out" / "diagnosis.json").read_text("utf-8")
@@ -193,6 +196,7 @@ def test_the_same_run_gives_the_same_files_and_leaves_others_alone(
     assert again == tree(answered.written)
 
 
+@pytest.mark.study
 def test_what_cannot_be_told_apart_is_said_with_what_to_run_next(tmp_path, capsys):
     run(
         f"simulate --robot {PLANAR} --effects torque_offset:elbow --trajectories 2 "
@@ -243,6 +247,7 @@ def test_a_terminal_shows_what_is_being_done():
     assert "and now this" in target.getvalue()
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("is_new", [True, False])
 @pytest.mark.parametrize(
     ("home", "step"),
@@ -291,6 +296,7 @@ def test_bad_input_is_one_line_and_writes_nothing(diagnose, logs, tmp_path, caps
     assert tree(tmp_path) == before
 
 
+@pytest.mark.study
 def test_it_is_the_public_function(answered, logs):
     import hybrid
 

@@ -40,6 +40,7 @@ def late_logs(time=TIME, rubs=False):
     return robot, found
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("time", [1.4 * STEP, TIME, 0.015])
 def test_a_time_that_all_joints_share_is_measured(time):
     robot, logs = late_logs(time)
@@ -50,6 +51,7 @@ def test_a_time_that_all_joints_share_is_measured(time):
     assert not off.clocks
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("rubs", [False, True])
 def test_it_is_named_at_every_joint_with_whatever_else_is_there(rubs, tmp_path):
     """What else is there is late as well, so that it has to come first."""
@@ -88,6 +90,7 @@ def test_it_is_named_at_every_joint_with_whatever_else_is_there(rubs, tmp_path):
         assert value.interval[0] < GRIP.values["quadratic"] < value.interval[1]
 
 
+@pytest.mark.study
 def test_it_is_not_named_where_the_library_lacks_it():
     robot, logs = late_logs()
     result = examine(robot, logs, without=[Delay.id])
@@ -95,6 +98,7 @@ def test_it_is_not_named_where_the_library_lacks_it():
     assert all(f.effect != Delay.id for f in result.diagnosis.findings)
 
 
+@pytest.mark.study
 def test_what_swings_along_is_no_late_log(tmp_path):
     """A mass that shakes is in no file; its torque seems 38 ms late at both joints."""
     case = Case(str(MODELS / "scara.xml"), "unknown", 0, 127)

@@ -73,6 +73,7 @@ def raw_logs(name, integrator, after, count=4, seed=1, offset=0.0):
     return shown, tuple(logs)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["coman_like", "scara"])
 @pytest.mark.parametrize("after", [False, True])
 @pytest.mark.parametrize("integrator", [EULER, IMPLICIT_FAST])
@@ -83,6 +84,7 @@ def test_the_convention_of_a_loop_is_found(name, integrator, after):
     assert found == Convention(STEP * after, STEP * implicit)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("seed", [1, 3])
 @pytest.mark.parametrize(
     "integrator, after", [(EULER, False), (EULER, True), (IMPLICIT_FAST, True)]

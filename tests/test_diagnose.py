@@ -86,6 +86,7 @@ class TestShapes:
         assert sorted(map(len, steps)) == [1, 2]
         assert np.abs(np.concatenate(steps)).max() < 0.01
 
+    @pytest.mark.study
     def test_what_stays_is_at_its_best_without_what_goes_last(self, monkeypatch):
         """A law was fitted beside one that does not hold its form, and goes."""
         robot, recordings = logs([STRIBECK, Viscous((0,), {"coefficient": 1.0})])
@@ -125,6 +126,7 @@ class TestGap:
         rms, floor = result.diagnosis.rms, result.diagnosis.noise_floor
         np.testing.assert_allclose(rms, floor, rtol=0.1)
 
+    @pytest.mark.study
     @pytest.mark.parametrize(
         "effect",
         [
@@ -180,6 +182,7 @@ class TestGap:
             part = 1e-6 if size else 0.01
             assert np.linalg.norm(error) < part * np.linalg.norm(expected[:, j])
 
+    @pytest.mark.study
     @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
     @pytest.mark.parametrize("duration", [5.0, 8.0])
     def test_of_any_number_of_logs_some_part_is_kept_for_scoring(self, count, duration):
@@ -215,12 +218,14 @@ class TestGap:
         nearest = np.abs(rows[:, None] - turns).min(axis=1)
         assert nearest.min() >= np.floor(0.6 / 15.0 * gap.rate)
 
+    @pytest.mark.study
     def test_a_delay_is_not_lessened_by_noise_of_positions(self):
         robot, recordings = logs([Delay((0,), {"time": 0.01})], duration=10.0)
         (finding,) = examine(robot, recordings).diagnosis.findings
         assert "delay" in finding.alternatives
         assert abs(finding.parameters[0].value - 0.01) < 0.001
 
+    @pytest.mark.study
     @pytest.mark.parametrize(("joint", "time"), [(0, -0.026), (1, 0.03)])
     def test_a_long_delay_is_all_delay_and_as_long_as_it_is(self, joint, time):
         robot, delay = arm("coman_like"), Delay((joint,), {"time": time})
@@ -231,6 +236,7 @@ class TestGap:
         assert finding.effect == "delay"
         assert finding.parameters[0].value == pytest.approx(time, rel=0.05)
 
+    @pytest.mark.study
     @pytest.mark.parametrize(
         "effect", [Delay((0,), {"time": 0.01}), ActuatorLag((0,), {"time": 0.01})]
     )
@@ -257,6 +263,7 @@ class TestGap:
         assert not mere(robot, TorqueGain((0,), {"gain": 0.08}))
         assert not mere(robot, TorqueRipple((0,), {"sine": 0.001}))
 
+    @pytest.mark.study
     def test_a_drive_without_a_stated_limit_gives_what_the_logs_show(self):
         robot, recordings = logs([TorqueRipple((1,), {"sine": 3.0, "periods": 12.0})])
         free = replace(robot, tau_max=np.full(2, np.inf))
@@ -265,6 +272,7 @@ class TestGap:
         assert np.all([s.torque for s in result.gap.scales] >= most)
         assert named(result) == {("torque_ripple", ("elbow",))}
 
+    @pytest.mark.study
     def test_a_law_of_slow_joints_is_as_large_as_that_of_fast_ones(self):
         """A file that states no limit of speed, of an arm that moves slowly."""
         robot = arm("planar")
@@ -285,6 +293,7 @@ class TestGap:
         left = soft - known @ np.linalg.lstsq(known, soft)[0]
         assert np.linalg.norm(left) < 0.04 * np.linalg.norm(soft)
 
+    @pytest.mark.study
     @pytest.mark.parametrize("count", [1, 2, 4, 5])
     def test_what_is_in_one_part_alone_is_learnt_from(self, count):
         robot, recordings = logs([], count=count, duration=10.0)
@@ -394,6 +403,7 @@ class TestGap:
         Search.remove(search)
         assert search.terms == (terms[:1] if goes else terms)
 
+    @pytest.mark.study
     @pytest.mark.parametrize(("harder", "hum"), [(1.0, 3.0), (8.0, 0.6)])
     def test_a_contact_is_no_cause_of_as_much_without_it(self, harder, hum):
         push = Contact((0, 1), PUSH | {n: harder * PUSH[n] for n in FORCES})
@@ -409,12 +419,14 @@ class TestGap:
         else:
             assert result.diagnosis.verdict == "unexplained"
 
+    @pytest.mark.study
     def test_small_effects_are_found_where_much_is_logged(self):
         floor = faultless().diagnosis.noise_floor[1]
         ripple = TorqueRipple((1,), {"sine": 0.45 * floor, "periods": 3.0})
         robot, recordings = logs([ripple], duration=10.0, count=8)
         assert named(examine(robot, recordings)) == {("torque_ripple", ("elbow",))}
 
+    @pytest.mark.study
     def test_recordings_may_be_stamped_by_a_clock_of_the_day(self):
         robot, recordings = logs([Contact((0, 1), PUSH)], duration=4.0)
         plain, late = (
@@ -426,6 +438,7 @@ class TestGap:
         for a, b in zip(*pairs, strict=True):
             assert b.value == pytest.approx(a.value, abs=1e-2)
 
+    @pytest.mark.study
     def test_recordings_may_be_hours_apart(self):
         robot, recordings = logs([Viscous((1,), {"coefficient": 0.3})])
         apart = [replace(x, t=x.t + 1e5 * k) for k, x in enumerate(recordings)]
@@ -477,6 +490,7 @@ class TestCause:
             joint = planar().diagnosis.joints.index(f.joints[0])
             assert shrink.after == pytest.approx(floor[joint], rel=0.15)
 
+    @pytest.mark.study
     def test_a_wrong_torque_constant_counts_friction_too(self):
         effect = TorqueGain((1,), {"gain": 0.2})
         robot, recordings = logs([Coulomb((1,), {"level": 1.0})])
@@ -496,6 +510,7 @@ class TestCause:
         assert wrong.verdict == "partly_explained"
         assert wrong.unexplained == pytest.approx((3 / 7) ** 2, rel=0.3)
 
+    @pytest.mark.study
     def test_the_gains_are_within_their_intervals(self):
         """Eight noise seeds of a linear effect: one at most may miss at 95 %."""
         truth, hits = 0.25, 0
@@ -508,6 +523,7 @@ class TestCause:
             hits += own.interval[0] <= truth <= own.interval[1]
         assert hits >= 7
 
+    @pytest.mark.study
     def test_a_time_is_known_no_better_than_the_clock(self):
         robot, recordings = logs([Delay((0,), {"time": 0.01})], duration=10.0)
         (finding,) = examine(robot, recordings).diagnosis.findings
@@ -515,6 +531,7 @@ class TestCause:
         step = np.median(np.diff(recordings[0].t))
         assert high - low > 3.9 * step / np.sqrt(12.0)
 
+    @pytest.mark.study
     def test_a_link_may_be_far_off(self):
         """By a weight far out on it: its moments are off by many times the usual."""
         mass, centre = 0.45, np.array([0.13, -0.06, -0.11])
@@ -562,6 +579,7 @@ class TestCause:
         assert given.likely(given.std) and given.likely(-6.0 * given.std)
         assert given.likely(10.0 * given.std) is (arm_carries is Payload)
 
+    @pytest.mark.study
     @pytest.mark.parametrize(
         ("factor", "found"), [(1.3, "payload"), (0.7, "link_inertia")]
     )
@@ -576,6 +594,7 @@ class TestCause:
         both = {"payload", "link_inertia"}
         assert {*alternatives(search, term, thresholds())} == both
 
+    @pytest.mark.study
     @pytest.mark.parametrize(
         ("mass", "found"), [(0.5, Payload), (-0.5, Payload), (-1.5, LinkInertia)]
     )
@@ -591,6 +610,7 @@ class TestCause:
             name_plainly(search)
             assert [t.place for t in search.terms] == [(found.id, joints)]
 
+    @pytest.mark.study
     @pytest.mark.parametrize(("factor", "found"), [(1.15, ["payload"]), (1.05, [])])
     def test_what_a_hand_carries_is_told_from_a_file_that_is_off(self, factor, found):
         """Every number off by a little would do as well, but at far longer odds."""
@@ -601,6 +621,7 @@ class TestCause:
         search = Search(measure_gap(robot, simulate(plant, duration=6.0, seed=1)))
         assert [t.place[0] for t in search.run()] == found
 
+    @pytest.mark.study
     def test_what_motions_in_a_plane_do_not_tell_is_said_to_be_so(self):
         told = {"mass": 0.6, "mx": 0.06, "my": 0.03, "Izz": 0.015}
         rest = {"mz": 0.0, "Ixx": 0.006, "Ixy": -0.003, "Iyy": 0.01}
@@ -621,6 +642,7 @@ class TestCause:
         found = [search.refine(base, c)[1] for c in search.pool.at(truth.place)]
         assert max(found) > best - 5.0  # two shapes cost as much
 
+    @pytest.mark.study
     @pytest.mark.parametrize("dead_centre", [-3.0, -1.5, 0.0, 1.6])
     def test_the_grid_misses_no_counterbalance(self, dead_centre):
         """What is below half of the best at first is not fitted."""
@@ -650,6 +672,7 @@ class TestCause:
         assert told.values["dead_centre"] == pytest.approx(3.3 - 2 * np.pi)
         assert told.as_reported() is told
 
+    @pytest.mark.study
     def test_what_repeats_once_per_turn_is_no_counterbalance(self):
         ripple = TorqueRipple((0,), {"sine": 2.0, "cosine": 3.0, "periods": 1.0})
         robot, recordings = logs([ripple])
@@ -657,6 +680,7 @@ class TestCause:
         assert finding.effect == "torque_ripple"
         assert "counterbalance" in finding.alternatives
 
+    @pytest.mark.study
     @pytest.mark.parametrize(
         ("width", "named_first", "kinds"),
         [
@@ -678,6 +702,7 @@ class TestCause:
         assert finding.effect == named_first
         assert {*finding.alternatives} == kinds
 
+    @pytest.mark.study
     def test_a_push_on_the_whole_arm_hides_no_small_law_of_a_joint(self):
         push = {"force_x": 60.0, "force_y": 60.0, "start": 2.0, "duration": 1.0}
         ripple = TorqueRipple((1,), {"sine": 0.12, "cosine": 0.0, "periods": 6.0})
@@ -687,6 +712,7 @@ class TestCause:
         large, small = sorted(search.terms, key=search.loss)[::-1]
         assert search.loss(small) < 0.015 * search.loss(large)
 
+    @pytest.mark.study
     def test_a_notch_at_one_angle_is_no_ripple(self):
         """Nine orders evenly apart make it up, as they make up any law over a range."""
         robot, recordings = logs([])
@@ -699,6 +725,7 @@ class TestCause:
         assert result.diagnosis.verdict == "unexplained"
         assert result.diagnosis.where[0].joint == "elbow"
 
+    @pytest.mark.study
     def test_three_logs_are_as_good_as_four(self):
         robot, recordings = logs([STRIBECK], count=3)
         assert named(examine(robot, recordings)) == {("stribeck", robot.joints[1:2])}
@@ -714,6 +741,7 @@ class TestCause:
             x for c, x in search.ranked(search.background) if c.place != found.place
         )
 
+    @pytest.mark.study
     def test_shapes_that_fit_best_are_found_however_far(self):
         values = {"spring": 4.0, "preload": -6.0}
         true = {"dead_centre": -1.5, "crank_ratio": 0.4}
@@ -729,6 +757,7 @@ class TestCause:
             -1.5, abs=0.05
         )
 
+    @pytest.mark.study
     @pytest.mark.parametrize("size", [1.0, 5.0])
     def test_shapes_apart_that_fit_alike_widen_the_intervals(self, size):
         """A weak counterbalance whose spring and preload may undo one another."""
@@ -743,6 +772,7 @@ class TestCause:
         for name, truth in weak.values.items():
             assert abs(found.values[name] - truth) < 1.96 * found.std[name]
 
+    @pytest.mark.study
     def test_columns_of_a_signal_are_made_at_the_gain_that_is_reported(self):
         robot, recordings = logs([TorqueGain((0,), {"gain": 0.25})])
         search = Search(measure_gap(robot, recordings))
@@ -764,6 +794,7 @@ class TestCause:
             fits.append(fit)
         assert np.argmax(fits) == 1
 
+    @pytest.mark.study
     def test_a_joint_that_keeps_its_gap_is_not_explained(self):
         robot, recordings = logs([TorqueGain((0,), {"gain": 0.25})])
         result = examine(robot, recordings)
@@ -773,6 +804,7 @@ class TestCause:
         kept.gains[np.isin(kept.index, kept.own[0])] = 0.0
         assert UNSEEN.left_somewhere(result.account, kept)
 
+    @pytest.mark.study
     def test_a_large_eccentricity_is_nothing_but_that(self):
         error = EncoderEccentricity((1,), {"sine": -0.032, "cosine": -0.027})
         robot, recordings = logs([error])
@@ -787,6 +819,7 @@ class TestCause:
         for name, truth in error.values.items():
             assert abs(found.values[name] - truth) < 1.96 * found.std[name]
 
+    @pytest.mark.study
     @pytest.mark.parametrize(("velocity", "sound"), [(0.1, True), (1.0, False)])
     def test_a_stribeck_law_that_falls_over_all_speeds_is_none(self, velocity, sound):
         robot, recordings = logs([STRIBECK])
@@ -835,6 +868,7 @@ class TestCause:
         assert checked.complete < thresholds().complete
         assert not checked.passes(thresholds())
 
+    @pytest.mark.study
     @pytest.mark.parametrize("later", [0.01, 1.5])
     def test_a_contact_is_as_large_beside_its_like(self, later):
         """What mends a large one would be kept beside two that seem small."""
@@ -852,6 +886,7 @@ class TestCause:
         if later < PUSH["duration"]:
             assert loss < 0.5 * alone
 
+    @pytest.mark.study
     def test_a_spring_and_a_counterbalance_at_a_joint_are_one_cause(self):
         spring = Spring((0,), {"stiffness": 1.0, "preload": 2.0})
         cylinder = {"spring": 10.0, "preload": 20.0, "dead_centre": 0.4}
@@ -865,6 +900,7 @@ class TestCause:
         assert search._exchange()
         assert {t.place for t in search.terms} == {("counterbalance", (0,))}
 
+    @pytest.mark.study
     @pytest.mark.parametrize(
         ("effect", "alike"),
         [
@@ -913,6 +949,7 @@ class TestCause:
         assert found["loss"] == pytest.approx(0.7, abs=0.02)
         assert found["limit"] == pytest.approx(limit, rel=0.02)
 
+    @pytest.mark.study
     @pytest.mark.parametrize(
         ("learnt", "high", "kept"),
         [(0.8, 0.3, True), (0.1, 0.3, False), (0.8, 0, False)],
@@ -956,11 +993,13 @@ class TestCause:
 
 
 class TestSilence:
+    @pytest.mark.study
     @pytest.mark.parametrize("seed", range(4))
     def test_no_cause_is_named_without_a_gap(self, seed):
         robot, recordings = logs([], seed=20 + seed, duration=3.0)
         assert examine(robot, recordings).diagnosis.verdict == "no_gap"
 
+    @pytest.mark.study
     @pytest.mark.parametrize("lag", [0.0, 0.005])
     def test_two_solvers_that_differ_at_rest_are_no_cause(self, lag):
         """Without noise, what their ways through dry friction leave is all there is."""
@@ -979,6 +1018,7 @@ class TestSilence:
         whole = [r for r in diagnosis.where if r.variable == "link"]
         assert {r.joint for r in whole} == {"shoulder"}
 
+    @pytest.mark.study
     def test_torque_that_wanders_at_random_is_no_noise(self):
         """It never recurs, so that no regression on other motions knows it."""
         robot, recordings = logs([], duration=8.0)
@@ -996,6 +1036,7 @@ class TestSilence:
         whole = [r for r in diagnosis.where if r.variable == "link"]
         assert {r.joint for r in whole} == {"elbow"}
 
+    @pytest.mark.study
     def test_a_law_that_a_motion_does_not_bear_out_is_not_taken(self, monkeypatch):
         robot, recordings = logs([Viscous((0,), {"coefficient": 3.0})])
         monkeypatch.setattr(Viscous, "holds", lambda self, motion: False)
@@ -1018,6 +1059,7 @@ class TestSilence:
         assert diagnosis.verdict == "not_excited"
         assert any("3 s or more" in w for w in diagnosis.warnings)
 
+    @pytest.mark.study
     def test_another_arm_is_no_cause(self):
         _, recordings = logs([STRIBECK])
         robot = arm("planar")
@@ -1029,6 +1071,7 @@ class TestSilence:
         assert any("file of this robot" in w for w in found.diagnosis.warnings)
         assert any("the file's links leave" in w for w in said)
 
+    @pytest.mark.study
     def test_a_frozen_channel_is_no_cause(self):
         robot, recordings = logs([STRIBECK])
         tau = recordings[0].tau.copy()
@@ -1048,6 +1091,7 @@ class TestSilence:
         assert diagnosis.verdict == "not_excited" and diagnosis.findings == ()
         assert any("frozen for 9" in x for x in diagnosis.warnings)
 
+    @pytest.mark.study
     def test_a_log_that_is_frozen_throughout_does_no_harm_to_others(self):
         robot, recordings = logs([STRIBECK])
         q = recordings[0].q.copy()
@@ -1073,6 +1117,7 @@ class TestEvents:
         assert values["duration"].value == pytest.approx(0.7, abs=0.03)
         assert finding.shrink["torque"].interval[0] > 0
 
+    @pytest.mark.study
     def test_a_contact_that_happened_once_is_said_to_be_unchecked(self):
         push = {"force_x": 20.0, "force_z": -20.0, "start": 1.6, "duration": 0.3}
         robot, recordings = logs([Contact((0, 1), push)], count=1, duration=12.0)
@@ -1080,6 +1125,7 @@ class TestEvents:
         assert [f.effect for f in diagnosis.findings] == ["contact"]
         assert any("only in what was learnt from" in w for w in diagnosis.warnings)
 
+    @pytest.mark.study
     @pytest.mark.parametrize("number", [0, 1])
     def test_a_contact_in_one_of_several_recordings_is_found_there(self, number):
         robot, recordings = logs([], duration=8.0)
@@ -1092,6 +1138,7 @@ class TestEvents:
         assert values["start"] == pytest.approx(PUSH["start"], abs=0.02)
         assert values["duration"] == pytest.approx(PUSH["duration"], abs=0.03)
 
+    @pytest.mark.study
     def test_a_contact_is_weighed_by_its_evidence_however_rare(self, monkeypatch):
         robot, recordings = logs(
             [Contact((0, 1), PUSH), Viscous((0,), {"coefficient": 1.0})]
@@ -1103,6 +1150,7 @@ class TestEvents:
         search.prune()
         assert {t.place[0] for t in search.terms} == {"contact"}
 
+    @pytest.mark.study
     @pytest.mark.parametrize(
         ("count", "part", "recording", "all_along"),
         [
@@ -1175,6 +1223,7 @@ def turned(offset, friction=0.0):
     return plant, plant.run(references, rng=rng)
 
 
+@pytest.mark.study
 @pytest.mark.filterwarnings("ignore::hybrid.errors.HybridWarning")  # joints at rest
 @pytest.mark.parametrize("offset", [0.03, 0.01])
 def test_what_could_be_at_either_of_two_joints_is_not_named(offset, monkeypatch):
@@ -1203,6 +1252,7 @@ def test_what_is_not_named_is_not_explained_either():
     assert diagnosis.verdict == "partly_explained"
 
 
+@pytest.mark.study
 @pytest.mark.filterwarnings("ignore::hybrid.errors.HybridWarning")  # joints at rest
 def test_the_motion_that_is_advised_tells_at_which_of_two_joints_it_is(tmp_path):
     robot, (plant, recordings) = arm("coman_like"), turned(0.01)
@@ -1220,6 +1270,7 @@ def test_the_motion_that_is_advised_tells_at_which_of_two_joints_it_is(tmp_path)
     }
 
 
+@pytest.mark.study
 def test_what_explains_something_else_is_no_other_place():
     """A larger effect of another joint, that no term stands for, takes no place."""
     robot, recordings = logs([Viscous((j,), {"coefficient": 1.0}) for j in (0, 1)])
@@ -1230,6 +1281,7 @@ def test_what_explains_something_else_is_no_other_place():
     assert elsewhere(search, small) is None
 
 
+@pytest.mark.study
 def test_what_is_left_of_several_terms_has_to_pass_the_checks_anew(monkeypatch):
     robot, recordings = logs([RIPPLE, Viscous((0,), {"coefficient": 0.5})])
     assert named(examine(robot, recordings)) == {
@@ -1246,6 +1298,7 @@ def test_what_is_left_of_several_terms_has_to_pass_the_checks_anew(monkeypatch):
     assert diagnosis.verdict == "unexplained"
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("size", "stays"), [(0.1, False), (0.3, True)])
 def test_what_is_tiny_beside_others_has_to_be_of_sure_use(monkeypatch, size, stays):
     gains = {g.name: size * RIPPLE.values[g.name] for g in RIPPLE.gains}
@@ -1255,6 +1308,7 @@ def test_what_is_tiny_beside_others_has_to_be_of_sure_use(monkeypatch, size, sta
     assert found == {"viscous", *(["torque_ripple"] if stays else [])}
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("joint", "gain"), [(0, 0.15), (1, 0.15), (1, -0.2)])
 def test_a_gain_that_is_not_known_is_no_saturation(joint, gain):
     """A limit below nearly all torques, and a dead zone below it, make up a gain."""
@@ -1309,6 +1363,7 @@ class TestDrives:
         (finding,) = examine(arm("planar"), recordings).diagnosis.findings
         return finding, {p.name: p.value for p in finding.parameters}
 
+    @pytest.mark.study
     @pytest.mark.filterwarnings("ignore:.*above 5 times the rating")  # it winds up
     @pytest.mark.parametrize("part", [0.8, 0.5, 0.4])
     def test_what_clips_is_a_saturation_at_its_limit(self, part):
@@ -1331,6 +1386,7 @@ class TestDrives:
 
 
 class TestMakeshifts:
+    @pytest.mark.study
     def test_two_effects_that_undo_one_another_are_not_named(self):
         """A delay and a lag make up for play if nothing else may."""
         robot = Robot.load(MODELS / "scara.xml")
@@ -1364,6 +1420,7 @@ def test_units_are_those_of_a_joint_that_slides(tmp_path):
     assert "\u00a0N (noise" in "\n".join(verdict_lines(result.diagnosis))
 
 
+@pytest.mark.study
 def test_a_cause_that_replays_deny_explains_nothing(monkeypatch):
     robot, recordings = logs([ActuatorLag((1,), {"time": 0.02})])
     result = examine(robot, recordings)

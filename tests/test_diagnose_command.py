@@ -89,6 +89,7 @@ def test_wrong_gains_are_found_where_gains_are_declared():
     assert link_of(undeclared(robot), recordings).findings == ()
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("damping", [0.0, -0.4])
 def test_noise_of_the_speed_is_no_lack_of_damping(damping):
     """Noise in a signal makes the gain on it seem lower than it is."""
@@ -116,6 +117,7 @@ def test_a_coarse_encoder_is_no_wrong_gain(effect):
     assert found <= ({effect.id} if effect else set())
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("noise", [5e-5, 1e-4])
 def test_noise_of_a_position_is_no_lack_of_damping_beside_a_shift(noise, tmp_path):
     """Torque logged early makes up for damping; both together let less noise pass."""
@@ -131,6 +133,7 @@ def test_noise_of_a_position_is_no_lack_of_damping_beside_a_shift(noise, tmp_pat
     assert command_link(gap, noisy, np.random.default_rng(0)).findings == ()
 
 
+@pytest.mark.study
 def test_intervals_of_gains_hold_the_truth():
     inside = []
     for seed in range(8):
@@ -176,6 +179,7 @@ OTHERS = [
 ]
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("effects", OTHERS)
 def test_effects_elsewhere_are_no_fault_of_the_servo(effects):
     assert link_of(*logged(*effects)).findings == ()
@@ -251,6 +255,7 @@ def test_both_links_make_one_diagnosis(tmp_path):
     assert "command_latency" in ids
 
 
+@pytest.mark.study
 def test_a_late_command_explains_an_arm_without_any_other_gap():
     robot, recordings = logged(LATE)
     result = examine(robot, recordings)

@@ -73,14 +73,17 @@ class TestNoFriction:
         gap = measure_gap(BARE, logs())
         np.testing.assert_allclose(dry_friction(gap), LEVEL, rtol=0.1)
 
+    @pytest.mark.study
     @pytest.mark.parametrize("seed", [0, 1])
     def test_friction_that_goes_softly_through_rest_is_no_presliding(self, seed):
         assert named(examine(BARE, logs(seed=seed))) == USUAL
 
+    @pytest.mark.study
     def test_what_is_more_at_low_speed_is_found_beside_it(self):
         found = examine(BARE, logs(more=1.0))
         assert named(found) == USUAL | {("stribeck", BARE.joints[1:])}
 
+    @pytest.mark.study
     @pytest.mark.parametrize("effect", ["torque_gain", "asymmetric_friction"])
     def test_what_is_small_beside_it_is_found(self, effect):
         more = {
@@ -113,6 +116,7 @@ class TestNoFriction:
 
 
 class TestTooMuchFriction:
+    @pytest.mark.study
     def test_it_is_found_with_its_sign(self):
         diagnosis = examine(TOO_MUCH, logs()).diagnosis
         assert diagnosis.verdict == "explained"
@@ -134,6 +138,7 @@ class TestTooMuchFriction:
         assert diagnosis.verdict == "unexplained"
         assert any("to be off by" in text for text in diagnosis.warnings)
 
+    @pytest.mark.study
     def test_beside_such_numbers_nothing_smaller_is_a_cause(self):
         known = examine(TOO_MUCH, offset(0.05)).diagnosis
         assert "torque_offset" in {x for f in known.findings for x in f.alternatives}
@@ -143,6 +148,7 @@ class TestTooMuchFriction:
         assert diagnosis.verdict == "unexplained"
 
 
+@pytest.mark.study
 def test_what_comes_and_goes_does_not_end_the_search(monkeypatch):
     robot = arm("planar")
     plant = Plant(robot, [Viscous((0,), {"coefficient": 3.0})], nominal=robot)
@@ -159,6 +165,7 @@ def test_what_comes_and_goes_does_not_end_the_search(monkeypatch):
     assert {t.place for t in search.run()} == {("viscous", (0,))}
 
 
+@pytest.mark.study
 def test_presliding_in_place_of_declared_friction_is_one_finding():
     declared = replace(arm("planar"), frictionloss=np.array([0.8, 0.4]))
     real = replace(declared, frictionloss=np.array([0.0, 0.4]))

@@ -84,6 +84,7 @@ def test_the_true_plant_repeats_its_motion_under_its_own_torque():
     assert error(replay, [], 0.5) < 3e-4 * swing
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", EFFECTS)
 def test_the_true_effect_removes_the_motion_gap(name):
     replay = Replay(as_it_stands(explained((name,), ())))
@@ -100,6 +101,7 @@ def test_a_replay_starts_with_a_spring_where_it_swings():
     assert error(replay, [effect_of("elasticity")]) < 0.5 * error(replay, [])
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["coulomb", "payload", "torque_ripple"])
 def test_a_fitted_effect_removes_nine_tenths_on_motions_it_was_not_fitted_on(name):
     replay = Replay(explained((name,), (name,)))
@@ -175,6 +177,7 @@ def test_a_replay_that_diverges_ends_as_lost():
     assert np.isfinite(replay.squares_of([wild])).all()
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("stable", "chosen"), [(1.0, 1e-3), (2e-4, 1e-4), (0.0, 1e-3)])
 def test_the_step_is_one_with_which_nothing_diverges(monkeypatch, stable, chosen):
     """If none is, that is not the step's fault."""
