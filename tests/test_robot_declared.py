@@ -381,7 +381,7 @@ def test_a_link_of_pinocchio_that_has_no_name_is_refused_by_its_joint():
     joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "a")
     with pytest.raises(RobotError, match="link 'a' moves and has no inertia"):
         Robot.load(model)
-    model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
     assert Robot.load(model).size == 1
 
 
