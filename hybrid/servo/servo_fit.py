@@ -28,7 +28,7 @@ from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive
 from hybrid.servo.fit import Estimate, fitted, resolution
 from hybrid.servo.needed import missed, needed
 from hybrid.servo.simulator import Simulator
-from hybrid.servo.start import first_guess, with_delays
+from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.threads import one_thread
 
@@ -247,7 +247,7 @@ def fit_servo(
     start = Drive(
         np.where(moving, first_guess(robot, learn).values, prior.values), prior.stall
     )
-    start = with_delays(simulator, parts, start)
+    start = best_start(simulator, parts, start, prior)
     search = partial(fitted, simulator, parts, prior=prior)
     simple = moving & np.isin(NAMES, PLAIN)[:, None]
     plain = search(

@@ -24,7 +24,7 @@ from hybrid.signals.filters import butterworth, central_difference
 
 _BAND = 4.0  # Hz: of what a coarse encoder leaves of an acceleration
 _CREEP = 0.02  # rad/s
-_DELAYS = (0.0, 0.02, 0.04, 0.07, 0.1)  # s
+_DELAYS = tuple(0.01 * k for k in range(11))  # s
 _LOADED = 0.1  # of the largest change of weight: less tells no stiffness
 _LEAST = 1e-3  # rad, s or s², of the stiffness: friction and rotors are not negative
 
@@ -65,23 +65,24 @@ def first_guess(robot: Robot, stretches: Sequence[Stretch]) -> Drive:
     )
 
 
-def with_delays(
-    simulator: Simulator, stretches: Sequence[Stretch], guess: Drive
+def best_start(
+    simulator: Simulator, stretches: Sequence[Stretch], guess: Drive, declared: Drive
 ) -> Drive:
-    """The same servos with the delay of each joint that replays best.
+    """For each joint the servo that replays best: guessed or the file's, with a delay.
 
-    To a slow motion a delay d is damping k·d, which it takes the place of.
+    To a slow motion a delay d is damping k·d, of which a guess has taken it for a part.
 
     Args:
         simulator: Replays.
         stretches: Logs.
-        guess: Servos without delay.
+        guess: Servos without delay, from :func:`first_guess`.
+        declared: Servos of the file.
     """
+    least = _LEAST * guess["stiffness"]
     tried, errors = [], []
     for delay in _DELAYS:
-        damping = guess["damping"] - guess["stiffness"] * delay
-        least = _LEAST * guess["stiffness"]
-        tried.append(guess.at(delay=delay, damping=np.maximum(damping, least)))
+        damping = np.maximum(guess["damping"] - guess["stiffness"] * delay, least)
+        tried += [guess.at(delay=delay, damping=damping), declared.at(delay=delay)]
     for moved in simulator.replay(stretches, tried):
         each = [q - x.q for q, x in zip(moved, stretches, strict=True)]
         errors.append(np.mean(np.concatenate(each) ** 2, axis=0))
