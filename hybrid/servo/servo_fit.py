@@ -244,10 +244,8 @@ def fit_servo(
     parts, others = parts[:count], parts[count:] or parts
     moving = np.ones_like(prior.values, dtype=bool)
     moving[:, rests] = False
-    start = Drive(
-        np.where(moving, first_guess(robot, learn).values, prior.values), prior.stall
-    )
-    start = best_start(simulator, parts, start, prior)
+    start = best_start(simulator, parts, first_guess(robot, learn), prior)
+    start = Drive(np.where(moving, start.values, prior.values), prior.stall)
     search = partial(fitted, simulator, parts, prior=prior)
     simple = moving & np.isin(NAMES, PLAIN)[:, None]
     plain = search(
