@@ -74,6 +74,17 @@ class Estimate:
         x[self.free] += self.covariance[i] / self.covariance[i, i] * off
         return self.drive.moved(x)
 
+    def keeping(self, prior: Drive, stays: NDArray[np.bool_]) -> Estimate:
+        """The same with all numbers of some joints, shape (n,), from the prior."""
+        values = np.where(stays, prior.values, self.drive.values)
+        left = ~stays[np.argwhere(self.free)[:, 1]]
+        return replace(
+            self,
+            drive=replace(self.drive, values=values),
+            free=self.free & ~stays,
+            covariance=self.covariance[np.ix_(left, left)],
+        )
+
     def without(self, prior: Drive, k: int, j: int) -> Estimate:
         """The same with one number known to be the prior's."""
         places = np.argwhere(self.free)

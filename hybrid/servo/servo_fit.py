@@ -27,7 +27,7 @@ from hybrid.robot.chain import Array
 from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive
 from hybrid.servo.fit import Estimate, fitted, resolution
 from hybrid.servo.needed import missed, needed
-from hybrid.servo.simulator import Simulator
+from hybrid.servo.simulator import Simulator, converged
 from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.threads import one_thread
@@ -238,14 +238,16 @@ def fit_servo(
     rests = _resting(learn)
     if len(rests) == robot.size:
         raise RecordingError("no joint moves; valid are logs of a moving arm")
-    simulator, prior = Simulator(robot), Drive.declared(robot)
+    prior, floor = Drive.declared(robot), resolution(logs)
     parts = chosen(learn, _SECONDS + _CHECKED, _EACH)
     count = round(len(parts) * _SECONDS / (_SECONDS + _CHECKED))
     parts, others = parts[:count], parts[count:] or parts
     moving = np.ones_like(prior.values, dtype=bool)
     moving[:, rests] = False
+    simulator = Simulator(robot)
     start = best_start(simulator, parts, first_guess(robot, learn), prior)
     start = Drive(np.where(moving, start.values, prior.values), prior.stall)
+    simulator = converged(robot, others, start, floor)
     search = partial(fitted, simulator, parts, prior=prior)
     simple = moving & np.isin(NAMES, PLAIN)[:, None]
     plain = search(
@@ -254,9 +256,11 @@ def fit_servo(
     whole = search(start=plain.drive, free=moving, progress=progress)
     progress("servos: which numbers of the file can stay")
     # As everywhere, more numbers are taken only if they help on motion not fitted.
-    errors = missed(simulator, others, [plain.drive, whole.drive]).mean(axis=1)
-    found = whole if errors[1] < errors[0] else plain
-    floor = resolution(logs)
+    errors = missed(simulator, others, [plain.drive, whole.drive])
+    best = int(np.argmin(errors.mean(axis=1)))
+    # Where the file replays as well, it stays.
+    stays = missed(simulator, others, [None])[0] <= errors[best]
+    found = (plain, whole)[best].keeping(prior, stays)
     differs = needed(simulator, others, prior, found, np.sqrt(12.0) * floor)
     (before,) = missed(simulator, unseen, [None])
     between, after = missed(simulator, unseen, [plain.drive, found.drive])

@@ -18,6 +18,7 @@ from hybrid.servo.stretch import Stretch
 if TYPE_CHECKING:
     import mujoco
 
+_HALVINGS = 4  # of the step, at most
 _MODELS = 64  # that are kept compiled
 _STEP = 0.005  # s: at most, of the physics
 # N·m/A at 1 Ω: so small that speed takes nothing off the torque at the limit.
@@ -152,6 +153,30 @@ def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Arr
     sliding = np.sign(stretch.v) * drive["coulomb"]
     held = np.clip(rest, -most, most)
     return np.where(np.abs(stretch.v) > _CREEPS, sliding, held) / drive["bristle"]
+
+
+def converged(
+    robot: Robot, stretches: Sequence[Stretch], drive: Drive, error: Array
+) -> Simulator:
+    """Replays with the longest step that is fine enough.
+
+    Args:
+        robot: The arm.
+        stretches: What is replayed.
+        drive: Servos like those that are sought.
+        error: What a replay may be off by, shape (n,), [rad].
+    """
+    steps = [_STEP / 2**k for k in range(_HALVINGS)]
+    before: Array | None = None
+    for step in steps:
+        (moved,) = Simulator(robot, step).replay(stretches, [drive])
+        after = np.concatenate(moved)
+        if before is not None:
+            off = np.sqrt(np.mean((after - before) ** 2, axis=0))
+            if (off <= error).all():
+                return Simulator(robot, 2 * step)
+        before = after
+    return Simulator(robot, steps[-1])
 
 
 def delayed(stretch: Stretch, delay: Array, parts: int) -> Array:
