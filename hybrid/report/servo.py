@@ -17,7 +17,8 @@ from hybrid.servo.drive import QUANTITIES
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hybrid.servo.servo_fit import Replay, ServoFit
+    from hybrid.servo.replay import Replay
+    from hybrid.servo.servo_fit import ServoFit
 
 
 def gap_table(fit: ServoFit) -> Table:

@@ -25,8 +25,10 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive
+from hybrid.servo.finding import Finding
 from hybrid.servo.fit import Estimate, fitted, resolution
 from hybrid.servo.needed import missed, needed
+from hybrid.servo.replay import Replay
 from hybrid.servo.simulator import Simulator, converged
 from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
@@ -43,55 +45,6 @@ _UNKNOWN = 4.0  # times the resolution of the encoder: more has a cause
 _STILL = 3.0  # steps of the encoder: a joint that goes less far rests
 # Shapes of friction have no number in the file; they are no cause of their own.
 _SHAPES = ("stribeck_speed", "bristle")
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One number of the file that is wrong.
-
-    Attributes:
-        effect: Effect of the library.
-        joint: Name of the joint.
-        quantity: What is wrong.
-        unit: Its unit.
-        file: What the file says.
-        value: What the logs say.
-        interval: 95 % of the posterior.
-        probability: That the file is wrong in this.
-        worth: Error of unseen replays of this joint that comes back with the file's
-            number, the others making up for it as far as they can, [rad].
-    """
-
-    effect: str
-    joint: str
-    quantity: str
-    unit: str
-    file: float
-    value: float
-    interval: tuple[float, float]
-    probability: float
-    worth: float
-
-
-@dataclass(frozen=True, eq=False)
-class Replay:
-    """One log beside its replays, N samples.
-
-    Attributes:
-        t: Time, shape (N,), [s].
-        command: Commanded position, shape (N, n), [rad].
-        q: Measured position, shape (N, n), [rad].
-        before: What the file's servos make of it, shape (N, n), [rad].
-        after: What the servos found make of it, shape (N, n), [rad].
-        source: Where the log is from.
-    """
-
-    t: Array
-    command: Array
-    q: Array
-    before: Array
-    after: Array
-    source: str
 
 
 @dataclass(frozen=True, eq=False)
