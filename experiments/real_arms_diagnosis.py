@@ -34,8 +34,8 @@ from rich.console import Console
 from hybrid import Robot, read_recordings
 from hybrid.diagnose.advise import advise
 from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.explanation import between, split
 from hybrid.diagnose.replayed import replayed
+from hybrid.diagnose.split import between, split
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.report import numbers_table, provenance, save_figure, write_results

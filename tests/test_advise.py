@@ -11,10 +11,10 @@ from simulated import arm
 
 from hybrid.diagnose.advise import advise, choose, rivals
 from hybrid.diagnose.along import Along, coarse
-from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import candidates
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.diagnosis import Advice
+from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.menu import Experiment, Menu, gap_along, joined
 from hybrid.diagnose.refine import gain
@@ -149,7 +149,7 @@ def test_what_is_told_is_what_a_search_on_all_data_would_find():
     )  # fmt: skip
     fresh = Search(both, np.append(old, np.ones(len(new), dtype=bool)))
     fresh.evidence.noise = search.evidence.noise
-    fresh.evidence.spread(fresh.background, search.off)
+    fresh.evidence.precision[fresh.rigid] = search.evidence.precision[search.rigid]
     best = gain(fresh.evidence, fresh.base(), first.candidate)
     _, other = fresh.refine(fresh.base(), second.candidate)
     assert told[0] == pytest.approx((best - other) / needed(best), rel=0.02, abs=0.02)
@@ -204,8 +204,10 @@ def test_a_simulator_without_fault_needs_no_experiment():
 def unexplained(depends):
     """The advice for a planar arm whose elbow has something that no effect explains."""
     result = diagnosed.planar()
-    missed, seen = np.array([0.0, 400.0]), ("", depends)
-    account = replace(result.account, missed=missed, depends=seen)
+    after, ceiling = np.array([[100.0, 500.0], [100.0, 100.0]])
+    account = replace(
+        result.account, after=after, ceiling=ceiling, depends=("", depends)
+    )
     diagnosis = replace(result.diagnosis, verdict="unexplained", findings=())
     strange = replace(result, diagnosis=diagnosis, account=account)
     (advice,) = advise(strange, np.random.default_rng(0))

@@ -18,7 +18,7 @@ from hybrid.benchmark.measures import (
     size,
 )
 from hybrid.benchmark.score import Named
-from hybrid.diagnose.model import WORTH
+from hybrid.diagnose.prior import Prior
 
 BY_NAME = {m.name: m for m in MEASURES}
 ABSTAIN = (
@@ -123,7 +123,7 @@ def test_where_the_truth_shrinks_the_gap_is_counted_apart():
 
 def test_evidence_of_just_what_a_term_needs_shows():
     name = "the same, where the truth shows in the recordings"
-    ahead = [WORTH - 0.1, WORTH, None]
+    ahead = [Prior().cause - 0.1, Prior().cause, None]
     rows = [case("single", size=0.3, shrinkage={"ahead": x}) for x in ahead]
     assert [of(name, [r]).total for r in rows] == [0, 1, 1]
 

@@ -15,7 +15,6 @@ from rich.console import Console
 from hybrid.cli import main
 from hybrid.cli.options import sha256
 from hybrid.cli.screen import Screen
-from hybrid.diagnose.thresholds import thresholds
 from hybrid.effects import registry
 from hybrid.errors import EffectError
 from hybrid.identify import DynamicModel
@@ -176,7 +175,6 @@ def test_it_says_how_the_result_came_about(diagnose, logs, tmp_path):
         "map": None,
         "cutoff": 9,
     }
-    assert how["thresholds"] == thresholds().version
     hashes = {x["file"]: x["sha256"] for x in how["inputs"]}
     assert hashes["planar.xml"] == sha256(Path(PLANAR))
     assert hashes["trajectory_4.csv"] == sha256(logs / "trajectory_4.csv")

@@ -7,19 +7,13 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.background import dry_friction
-from hybrid.diagnose.candidates import candidate
 from hybrid.diagnose.convention import Convention, find_convention
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.fixed import write_fixed
 from hybrid.diagnose.measure import measure_gap
 from hybrid.dynamics import inverse_dynamics
-from hybrid.effects.coulomb import Coulomb
-from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.presliding import Presliding
-from hybrid.effects.stribeck import Stribeck
-from hybrid.effects.viscous import Viscous
 from hybrid.plant import Plant, simulate
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -97,17 +91,6 @@ class TestNoFriction:
             faulty.append(replace(x, tau=tau))
         assert named(examine(BARE, faulty)) == USUAL | {(effect, BARE.joints[1:])}
 
-    def test_laws_that_stand_for_others_give_way_to_them(self):
-        search = Search(measure_gap(BARE, logs(more=1.0)))
-        broad = Stribeck((1,), {"velocity": 1.0, "exponent": 0.5})
-        wrong = [Coulomb((0,)), Viscous((0,)), broad, NonlinearViscous((1,))]
-        search.terms = [search.term(candidate(search.gap, x)) for x in wrong]
-        for _ in range(2):
-            search._simplify(list(search.terms))
-        found = {t.place[0] for t in search.terms if t.place[1] == (1,)}
-        assert found >= {"coulomb", "viscous", "stribeck"}
-        assert "nonlinear_viscous" not in found
-
     @pytest.mark.parametrize("late", [0, 1])
     def test_how_late_torque_is_logged_is_told_beside_a_rotor(self, late):
         shifted = [replace(x, tau=np.roll(x.tau, late, axis=0)) for x in logs()]
@@ -132,12 +115,6 @@ class TestTooMuchFriction:
                 assert expected < 0
                 assert x.value == pytest.approx(expected, abs=0.1)
 
-    def test_without_a_law_for_it_numbers_would_have_to_be_far_off(self):
-        without = ("viscous", "coulomb", "armature")
-        diagnosis = examine(TOO_MUCH, logs(), without=without).diagnosis
-        assert diagnosis.verdict == "unexplained"
-        assert any("to be off by" in text for text in diagnosis.warnings)
-
     @pytest.mark.study
     def test_beside_such_numbers_nothing_smaller_is_a_cause(self):
         known = examine(TOO_MUCH, offset(0.05)).diagnosis
@@ -146,23 +123,6 @@ class TestTooMuchFriction:
         diagnosis = examine(TOO_MUCH, offset(0.05), without=without).diagnosis
         assert diagnosis.findings == ()
         assert diagnosis.verdict == "unexplained"
-
-
-@pytest.mark.study
-def test_what_comes_and_goes_does_not_end_the_search(monkeypatch):
-    robot = arm("planar")
-    plant = Plant(robot, [Viscous((0,), {"coefficient": 3.0})], nominal=robot)
-    recordings = simulate(plant, trajectories=4, duration=6.0, seed=1)
-    search = Search(measure_gap(robot, recordings))
-    idle, best = candidate(search.gap, Coulomb((1,))), Search.best
-
-    def first(self, base, at=()):
-        if not self.terms and idle.place not in self.gone:
-            return idle, 1e6
-        return best(self, base, at)
-
-    monkeypatch.setattr(Search, "best", first)
-    assert {t.place for t in search.run()} == {("viscous", (0,))}
 
 
 @pytest.mark.study

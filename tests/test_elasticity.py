@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from simulated import arm, motions
 
-from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import candidate
+from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.measure import measure_gap
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.effects.elasticity import Elasticity

@@ -8,12 +8,13 @@ import pytest
 from simulated import arm
 
 from hybrid.diagnose import replay as replaying
-from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import candidate
-from hybrid.diagnose.explanation import explain, split
+from hybrid.diagnose.explanation import explain
+from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.measure import measure_gap
 from hybrid.diagnose.motion import motion_shrink, rollout_agrees, step_warning
 from hybrid.diagnose.replay import HORIZONS, Replay
+from hybrid.diagnose.split import split
 from hybrid.effects import effect_classes
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.plant.rollout import Windows, rollout
@@ -63,7 +64,7 @@ def explained(effects, terms, noisy=False, trajectories=4, fundamental=None):
     learn = split(gap)
     search = Search(gap, learn, without=list(effect_classes()))
     search.evidence.spread(search.background, 0.003)
-    search.terms = [search.term(candidate(gap, effect_of(name))) for name in terms]
+    search.causes = [search.cause(candidate(gap, effect_of(name))) for name in terms]
     return explain(gap, search, learn)
 
 

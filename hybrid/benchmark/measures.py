@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hybrid.benchmark.score import EQUIVALENT
-from hybrid.diagnose.model import WORTH
+from hybrid.diagnose.prior import Prior
 
 Row = Mapping[str, Any]
 
@@ -113,7 +113,7 @@ def _shows(row: Row) -> bool:
     Where nothing was named and it has not, no search of these recordings would name it.
     """
     ahead = row.get("shrinkage", {}).get("ahead")
-    return bool(row["named"]) or ahead is None or ahead >= WORTH
+    return bool(row["named"]) or ahead is None or ahead >= Prior().cause
 
 
 def _unlike_any(row: Row) -> bool:

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.diagnose.candidates import Candidate, candidate
-from hybrid.diagnose.explanation import explain, split
+from hybrid.diagnose.explanation import explain
 from hybrid.diagnose.replay import Replay
 from hybrid.diagnose.result import Result
+from hybrid.diagnose.split import split
 from hybrid.effects import Effect
 from hybrid.errors import EffectError
 

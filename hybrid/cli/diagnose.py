@@ -71,7 +71,6 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.diagnose.diagnose import examine
     from hybrid.diagnose.fixed import MODEL, SIMULATOR
     from hybrid.diagnose.replayed import replayed
-    from hybrid.diagnose.thresholds import thresholds
     from hybrid.files import atomic_folder
     from hybrid.report.diagnosis import CONTENT, PAGE, write_diagnosis
     from hybrid.report.diagnosis_text import verdict_lines
@@ -81,7 +80,7 @@ def run(args: Namespace, screen: Screen) -> None:
     inputs = [args.robot, *files]
     names = (PAGE, CONTENT, SIMULATOR, MODEL)
     check_outputs([*(args.out / name for name in names), args.json], inputs)
-    how = record(args, inputs) | {"thresholds": thresholds().version}
+    how = record(args, inputs)
     if without_torque(recordings):
         diagnose_servos(args, robot, recordings, how, screen)
         return

@@ -1,19 +1,34 @@
-"""What of the gap is explained, what is missed, and what it depends on."""
+"""What of the gap is explained, joint by joint, and what is left to the unknown."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hybrid.diagnose.attribute import Search
-from hybrid.diagnose.bayes import coloured, memory, quiet
-from hybrid.diagnose.ceiling import recoverable
+from hybrid.diagnose.background import background
+from hybrid.diagnose.bayes import coloured
+from hybrid.diagnose.candidates import candidate
+from hybrid.diagnose.diagnosis import Unseen
+from hybrid.diagnose.evidence import Evidence
+from hybrid.diagnose.explanation import Explanation
+from hybrid.diagnose.explanations.cause import Cause
+from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.thresholds import Thresholds
+from hybrid.diagnose.split import between
+from hybrid.effects.armature import Armature
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.torque_offset import TorqueOffset
+from hybrid.effects.viscous import Viscous
 from hybrid.robot.chain import Array
 
-_CALM = 0.25  # of the cut-off: the band in which events are looked for
+_FREE = 1e3  # times the size of a number: nothing is known of it before
+_USUAL = Coulomb, Viscous, TorqueOffset, Armature  # that least squares fits at a joint
+
+
+_BEYOND = 1.5  # times the squares of noise: what is more on unseen motions is none
 
 
 @dataclass(frozen=True)
@@ -22,89 +37,161 @@ class Account:
 
     Attributes:
         before: With the background alone, shape (n,).
-        after: With all terms, shape (n,).
-        recovered: What a flexible regression still recovers, beyond chance, shape (n,).
-        doubtful: What it recovers besides, on most folds but not on all, shape (n,).
-        missed: What is there and has no cause, if it matters, shape (n,).
-        refused: What terms explain that do not hold, shape (n,).
-        depends: What the missed part depends on first, for each joint.
-        noise: Sum of squares of noise alone, shape (n,).
+        after: With all known causes, shape (n,).
+        ceiling: With the unknown laws as well, shape (n,), and without what is no noise
+            although no law has it.
+        depends: What the unknown part depends on, for each joint.
     """
 
     before: Array
     after: Array
-    recovered: Array
-    doubtful: Array
-    missed: Array
-    refused: Array
+    ceiling: Array
     depends: tuple[str, ...]
-    noise: Array
 
     @property
     def explained(self) -> Array:
-        """What the terms explain, shape (n,)."""
+        """What the known causes explain, shape (n,)."""
         return np.maximum(self.before - self.after, 0.0)
 
+    @property
+    def missed(self) -> Array:
+        """What has no known cause, shape (n,)."""
+        return np.maximum(self.after - self.ceiling, 0.0)
 
-def account(
-    gap: Gap, search: Search, limits: Thresholds, reached: Array | None = None
-) -> Account:
-    """What is explained and what is missed, joint by joint.
+    @property
+    def noise(self) -> Array:
+        """Sum of squares of noise alone, shape (n,)."""
+        return self.ceiling
+
+    @property
+    def unknown(self) -> float:
+        """Part of the explainable gap that no known cause explains."""
+        whole = self.explained.sum() + self.missed.sum()
+        return float(self.missed.sum() / whole) if whole > 0 else 0.0
+
+
+def account(search: Search, reached: Array | None = None) -> Account:
+    """What an explanation explains where it was learnt.
 
     Args:
-        gap: The gap.
         search: A search that has run.
-        limits: What is worth a cause.
-        reached: Squares left by more terms, some of which do not hold, shape (n,), in
-            units of noise.
+        reached: Squares that more causes left, some of which are not believed, shape
+            (n,).
+    """
+    laws = [c for c in search.causes if c.candidate is None]
+    left = [_left(search, causes) for causes in ([], search.known, search.causes)]
+    depends = [
+        " and ".join(c.place[0] for c in laws if c.place[1] == (j,))
+        for j in range(search.gap.robot.size)
+    ]
+    before, after, ceiling = left
+    events = _coloured(search)
+    for i in np.flatnonzero(events):
+        depends[i] = depends[i] or "what does not recur"
+    ceiling = np.maximum(ceiling - events, 0.0)
+    if reached is not None:
+        ceiling = np.minimum(ceiling, reached)
+    return Account(before, after, ceiling, tuple(depends))
+
+
+def _coloured(search: Search) -> Array:
+    """Squares of the residual that are no noise: too slow for it, (n,).
+
+    Noise of sensors, and of derivatives, is not stronger at low frequencies.
+    """
+    evidence, gap = search.evidence, search.gap
+    found = evidence.solve(search.columns(search.causes))
+    squares = np.zeros(len(evidence.rows))
+    for i, rows in enumerate(evidence.rows):
+        if len(rows):
+            back = np.argsort(rows)
+            x = evidence.residual(i, found.index, found.gains)[back]
+            slow = coloured(x, rows[back], gap.rate, gap.cutoff)
+            if slow > search.prior.coloured * float(x @ x):
+                squares[i] = slow / search.noise[i]
+    return squares
+
+
+def _left(search: Search, causes: Sequence[Cause]) -> Array:
+    """Squares that some causes leave, those of the others put to nothing, (n,).
+
+    The file's numbers are those of the whole explanation; without any cause they are
+    fitted anew.
     """
     evidence = search.evidence
-    alone = evidence.solve(search.background)
-    whole = evidence.solve(search.base())
-    weight = evidence.noise
-    before = evidence.squares(alone.index, alone.gains).sum(axis=1) / weight
-    after = evidence.squares(whole.index, whole.gains).sum(axis=1) / weight
-    refused = np.zeros_like(after) if reached is None else after - reached
-    refused = np.where(refused > limits.evident, refused, 0.0)
-    (recovered, doubtful, missed), depends = np.zeros((3, len(weight))), []
-    for i, rows in enumerate(evidence.rows):
-        if not len(rows):
-            depends.append("")
-            continue
-        left = evidence.residual(i, whole.index, whole.gains)
-        # Time order: what lags needs its past.
-        order = np.argsort(rows)
-        rows = rows[order]
-        squares, more, of, rest = recoverable(gap, i, left[order], rows, weight[i])
-        # Noise as estimated before may hold what no effect explains.
-        calm = quiet(rest, rows, gap.rate, _CALM * gap.cutoff)
-        usual = float(np.mean(rest[calm] ** 2))
-        noise = usual * memory(rest[calm], rows[calm])
-        events = float(np.sum(rest[~calm] ** 2 - usual))
-        evident = limits.evident * noise
-        recovered[i] = max(0.0, squares - evident) / weight[i]
-        doubtful[i] = max(0.0, squares + more - evident) / weight[i] - recovered[i]
-        squares = max(0.0, squares - limits.spurious * float(left @ left))
-        colour = coloured(rest[calm], rows[calm], gap.rate, gap.cutoff)
-        if colour > limits.coloured * float(rest @ rest):
-            squares, of = squares + colour, of or "what does not recur"
-        tau = gap.measured[rows, i]
-        small = limits.negligible**2 * float(tau @ tau)
-        least = max(evident, small)
-        parts = [
-            (x, name) for x, name in ((squares, of), (events, "events")) if x > least
-        ]
-        missed[i] = sum(x for x, _ in parts) / weight[i]
-        depends.append(max(parts)[1] if parts else "")
-        if refused[i] > max(missed[i], small / weight[i]):
-            missed[i], depends[i] = refused[i], depends[i] or "what no known law fits"
-    return Account(
-        before,
-        after,
-        recovered,
-        doubtful,
-        missed,
-        refused,
-        tuple(depends),
-        after - missed,
+    found = evidence.solve(search.columns(search.causes if causes else []))
+    index = search.columns(causes)
+    left = evidence.squares(index, found.of(index)).sum(axis=1)
+    return np.asarray(left / search.noise)
+
+
+def unseen(search: Search, found: Account) -> Unseen:
+    """Score an explanation, and what could be had without it.
+
+    Args:
+        search: A search that has run.
+        found: Its account.
+    """
+    gap, learn = search.gap, search.learn
+    test = ~learn & between(gap, learn)
+    evidence, rigid, own = search.rebuilt(test, [*search.causes, *search.whole])
+    count = evidence.count.sum(axis=1).astype(float)
+    count[count == 0] = np.nan
+
+    def rms(causes: Sequence[Cause]) -> Array:
+        index = np.concatenate([rigid, *(own[c] for c in causes)])
+        gains = search.evidence.solve(search.columns(causes)).gains
+        return _rms(evidence.squares(index, gains).sum(axis=1), count)
+
+    learnt = np.maximum(search.evidence.count.sum(axis=1), 1)
+    noise = np.sqrt(found.noise * search.noise / learnt)
+    parts = (
+        _rms(evidence.power.sum(axis=1), count),
+        rms(search.causes),
+        _least_squares(gap, learn, test, count),
+        rms(search.whole),
+        noise,
     )
+    return Unseen(*(tuple(map(float, x)) for x in parts))
+
+
+def _least_squares(
+    gap: Gap, learn: NDArray[np.bool_], test: NDArray[np.bool_], count: Array
+) -> Array:
+    n = gap.robot.size
+    blocks, sizes = background(gap)
+    blocks, sizes = blocks[:n], sizes[:n]
+    for kind in _USUAL:
+        for j in range(n):
+            c = candidate(gap, kind((j,)))
+            blocks.append(gap.columns(c.effect))
+            sizes.append(c.std)
+    parts = []
+    for use in (learn, test):
+        evidence = Evidence(gap, use)
+        parts.append((evidence, np.concatenate(evidence.add(blocks, sizes))))
+    (seen, index), (other, there) = parts
+    seen.noise = seen.power.sum(axis=1) / np.maximum(seen.count.sum(axis=1), 1) + 1e-12
+    seen.spread(index, _FREE)
+    gains = seen.solve(index).gains
+    return _rms(other.squares(there, gains).sum(axis=1), count)
+
+
+def _rms(squares: Array, count: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / count))
+
+
+def left_unseen(scored: Explanation, found: Account, search: Search) -> float:
+    """Part of the gap that is left on unseen motions, where that is not noise.
+
+    What is explained where it was learnt may not be explained elsewhere.
+    """
+    learnt = np.maximum(search.evidence.count.sum(axis=1), 1)
+    variance = np.maximum(found.noise * search.noise / learnt, 1e-300)
+    left = whole = 0.0
+    for before, after, noise in zip(scored.before, scored.after, variance, strict=True):
+        usual = _BEYOND * len(after)
+        rest = max(float(after @ after) / noise - usual, 0.0)
+        left += rest
+        whole += max(float(before @ before) / noise - usual, rest)
+    return left / whole if whole > 0 else 0.0

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybrid.diagnose.along import Along, coarse
-from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.diagnosis import Advice
+from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.menu import Experiment, Menu, gap_along
 from hybrid.diagnose.separation import Outlook, Rival, fit_rival, needed, shapes_of
 from hybrid.diagnose.term import Term
-from hybrid.diagnose.thresholds import thresholds
 from hybrid.effects import effect_class
 from hybrid.effects.effect import Port
 from hybrid.excitation.folder import write_reference
@@ -123,9 +122,9 @@ def rivals(search: Search, term: Term, ids: Sequence[str]) -> list[Candidate]:
         term: One of its terms.
         ids: Effects that explain as much.
     """
-    base, limits = search.base(term), thresholds()
+    base = search.base(term)
     _, own = search.refine(base, term.candidate)
-    least = own - max(limits.alike, limits.alike_share * own)
+    least = own - needed(own)
     joint, found = term.place[1][-1], dict[str, tuple[Candidate, float]]()
     for c, _ in search.ranked(base):
         if c.place[0] in ids and c.place != term.place and joint in c.place[1]:

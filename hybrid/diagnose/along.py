@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hybrid.diagnose.background import background
+from hybrid.diagnose.background import background, clocks, rest
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.diagnose.products import Index
@@ -55,7 +55,8 @@ class Along:
     @cached_property
     def background(self) -> list[Columns]:
         """Columns of the simulator's own numbers."""
-        return [self._counted(x) for x in background(self.gap)[0]]
+        parts = (x(self.gap)[0] for x in (background, rest, clocks))
+        return [self._counted(x) for blocks in parts for x in blocks]
 
     @cached_property
     def left(self) -> list[Array]:

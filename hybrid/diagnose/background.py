@@ -60,14 +60,21 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
         law = np.array([[1.0], [-robot.springref[j]]])  # k (q − q₀) per unit of k
         blocks.append({int(j): gap.columns(Spring((int(j),)))[int(j)] @ law})
         sizes.append(robot.stiffness[[j]])
-    # Of a solver nobody knows more than what its file declares; what an arm has may be
-    # as soft as can be, and no softer.
-    size = np.maximum(robot.frictionloss / _USUALLY_OFF, dry_friction(gap) / _MOST_OFF)
-    for joint in range(n):
-        soft = soft_friction(gap, joint, _KNEES, _LEADS)
-        blocks.append({joint: soft})
-        sizes.append(np.full(soft.shape[1], size[joint]))
     return blocks, sizes
+
+
+def rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
+    """Columns of how dry friction goes through rest, and the size of each.
+
+    Of a solver nobody knows more than what its file declares; what an arm has may be as
+    soft as can be, and no softer.
+    """
+    size, blocks = dry_friction(gap), list[Columns]()
+    for joint in range(gap.robot.size):
+        blocks.append({joint: soft_friction(gap, joint, _KNEES, _LEADS)})
+    return blocks, [
+        np.full(x[joint].shape[1], size[joint]) for joint, x in enumerate(blocks)
+    ]
 
 
 def clocks(gap: Gap) -> tuple[list[Columns], list[Array]]:
@@ -77,11 +84,11 @@ def clocks(gap: Gap) -> tuple[list[Columns], list[Array]]:
     between it was read: all times are known to within half a sample either way.
 
     Returns:
-        A block of one column for each joint that moves, and the size of its gain.
+        A block of one column for each joint, and the size of its gain.
     """
-    joints = np.flatnonzero(gap.moving.any(axis=0))
+    joints = range(gap.robot.size)
     size = 1.0 / gap.motions[0].rate / np.sqrt(12.0)
-    blocks = [gap.columns(Delay((int(j),))) for j in joints]
+    blocks = [gap.columns(Delay((j,))) for j in joints]
     return blocks, [np.array([size])] * len(joints)
 
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.diagnose.diagnosis import Finding, Shrink
-from hybrid.diagnose.explanation import between, split
 from hybrid.diagnose.findings import listed, values
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.servo import FEWEST, Law, ServoLog, laws, servo_logs
 from hybrid.diagnose.servo_fit import WORTH, Fit, at_once, blur, evidence, fit
+from hybrid.diagnose.split import between, split
 from hybrid.diagnose.units import units
 from hybrid.effects import Effect
 from hybrid.effects.command_latency import CommandLatency

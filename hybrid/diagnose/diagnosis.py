@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from math import isfinite
 from typing import Any, Literal
 
 SCHEMA = "hybrid.diagnosis/1"
@@ -123,6 +124,35 @@ class Advice:
 
 
 @dataclass(frozen=True)
+class Unseen:
+    """The gap on motions that no step has seen, by joint: RMS, shape (n,), [N·m].
+
+    Not a number where a joint does not move there.
+
+    Attributes:
+        before: As the simulator's file stands.
+        after: With what was found.
+        least_squares: With inertia and friction of all joints fitted by least squares
+            to the samples learnt from.
+        ceiling: With the unknown laws as well.
+        noise: What no model could remove.
+    """
+
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+    least_squares: tuple[float, ...]
+    ceiling: tuple[float, ...]
+    noise: tuple[float, ...]
+
+    def as_dict(self) -> dict[str, list[float | None]]:
+        """JSON-ready; nothing where nothing was measured."""
+        return {
+            name: [x if isfinite(x) else None for x in values]
+            for name, values in asdict(self).items()
+        }
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """What a simulator lacks.
 
@@ -143,6 +173,7 @@ class Diagnosis:
         advice: What to run next.
         warnings: What a user should know.
         provenance: Versions, seeds and files.
+        unseen: The gap of each joint on motions that no step has seen.
     """
 
     robot: str
@@ -160,6 +191,7 @@ class Diagnosis:
     advice: tuple[Advice, ...] = ()
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    unseen: Unseen | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content in the form of ``hybrid.diagnosis/1``."""
@@ -173,6 +205,7 @@ class Diagnosis:
                 "noise_floor": list(self.noise_floor),
                 "units": list(self.units),
             },
+            "unseen": None if self.unseen is None else self.unseen.as_dict(),
             "where": [_region(r) for r in self.where],
             "findings": [_finding(f) for f in self.findings],
             "verdict": self.verdict,

@@ -9,19 +9,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.diagnose.attribute import Search
-from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import instead
 from hybrid.diagnose.evidence import Evidence
+from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.measure import block_seconds
 from hybrid.diagnose.products import Index
+from hybrid.diagnose.split import between
 from hybrid.diagnose.term import Term
 from hybrid.robot.chain import Array
 
 _BLOCK_SECONDS = 1.0
 _TAIL = 0.02  # of a term's squares: no more than a filter spreads
-_FAR_LARGER = 10.0  # times the mean squares
 _INSTEAD = 0.7  # of what is less of a law, at least of the one that takes its place
 _ORDERS = 24  # of terms, and as many reversed
 
@@ -107,24 +105,6 @@ class Explanation:
         """Terms that belong to one effect."""
         return [k for k, name in enumerate(self.named) if name == effect_id]
 
-    def kept(self, members: Sequence[int]) -> tuple[float, float]:
-        """Fall of the squares by some terms, over the fall if their torque were right.
-
-        It is one on the mean for what is there, zero for what is half as large, and −1
-        for what is not.
-
-        Returns:
-            That part, and its standard deviation by noise.
-        """
-        left = self.left(self.without(*members))
-        fall = promised = 0.0
-        for x, y, noise in zip(left, self.after, self.evidence.noise, strict=True):
-            fall += float(x @ x - y @ y) / noise
-            promised += float((x - y) @ (x - y)) / noise
-        if promised <= 0:
-            return 0.0, 0.0
-        return fall / promised, 2.0 / promised**0.5
-
     def where_seen(self, members: Sequence[int]) -> Explanation:
         """This, or :attr:`learnt` if some terms hardly act on the scored samples.
 
@@ -145,54 +125,6 @@ class Explanation:
         return rows // length
 
 
-def split(gap: Gap) -> NDArray[np.bool_]:
-    """Samples to learn from, shape (M,); the others are for scoring only.
-
-    Every fourth trajectory is kept for scoring; of fewer than four, every fourth block
-    of time, less a sixth at both of its ends, which is used for nothing. It is others
-    if those alone hold what is far larger than anything that is left to learn from.
-    """
-    part, count = gap.trajectory, gap.trajectory.max() + 1
-    masks = [part % 4 != k for k in (3, 2, 1, 0)]
-    if count < 4:
-        part = gap.fold * count + gap.trajectory
-        # Not the same block of each: trajectories often end alike. Nor none at all.
-        masks = [
-            (gap.fold + turn * gap.trajectory + more) % 4 != 3
-            for more in range(4) for turn in (1, 2, 0)
-        ]  # fmt: skip
-        masks = [x for x in masks if x.any() and not x.all()] or masks[:1]
-    most = _unusual(gap, part)
-    alone = [most[~x].max(initial=0.0) / most[x].max(initial=1e-300) for x in masks]
-    chosen = 0 if alone[0] < _FAR_LARGER else int(np.argmin(alone))
-    return np.asarray(masks[chosen])
-
-
-def _unusual(gap: Gap, part: NDArray[np.intp]) -> Array:
-    """Mean squares of a sample's part over those of a usual one, shape (M,).
-
-    Of the joint at which that is most.
-    """
-    parts, own = np.unique(part, return_inverse=True)
-    squares = np.where(gap.moving, gap.left, 0.0) ** 2
-    mean = np.stack([
-        squares[own == k].sum(axis=0) / np.maximum(gap.moving[own == k].sum(axis=0), 1)
-        for k in range(len(parts))
-    ])  # fmt: skip
-    usual = np.maximum(np.median(mean, axis=0), 1e-300)
-    return np.asarray((mean / usual).max(axis=1)[own])
-
-
-def between(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples too near to those learnt from to be scored."""
-    reach = round(block_seconds(gap.motions) / 6 * gap.rate)
-    near = np.convolve(learn, np.ones(2 * reach + 1), mode="same") > 0
-    apart = np.ones(len(learn), dtype=bool)
-    if gap.trajectory.max() < 3:
-        apart = ~near
-    return apart
-
-
 def explain(gap: Gap, search: Search, learn: NDArray[np.bool_]) -> Explanation:
     """Score what a search found on the samples it has not seen.
 
@@ -202,14 +134,17 @@ def explain(gap: Gap, search: Search, learn: NDArray[np.bool_]) -> Explanation:
         learn: Those samples, shape (M,).
     """
     found = search.evidence.solve(search.base())
-    evidence, index, own = fresh(gap, search, ~learn & between(gap, learn))
-    evidence.noise = search.evidence.noise
+    evidence, rigid, of = search.rebuilt(~learn & between(gap, learn))
+    own = tuple(of[c] for c in search.known)
+    index = np.concatenate([rigid, *own])
+    seen = np.concatenate([search.rigid, *(c.index for c in search.known)])
+    gains = found.of(seen)
     terms = tuple(search.terms)
     learnt = Explanation(
-        gap, terms, search.evidence, found.index, found.gains,
+        gap, terms, search.evidence, seen, gains,
         tuple(t.index for t in terms),
     )  # fmt: skip
-    return Explanation(gap, terms, evidence, index, found.gains, own, learnt)
+    return Explanation(gap, terms, evidence, index, gains, own, learnt)
 
 
 def shares(search: Search, rng: np.random.Generator) -> Array:
@@ -254,27 +189,3 @@ def shares(search: Search, rng: np.random.Generator) -> Array:
                 before = after
     gain = np.maximum(gain, 0.0)
     return np.asarray(gain / max(gain.sum(), 1e-300))
-
-
-def fresh(
-    gap: Gap, search: Search, use: NDArray[np.bool_]
-) -> tuple[Evidence, Index, tuple[Index, ...]]:
-    """Evidence of other samples for the background and terms of a search.
-
-    Args:
-        gap: The gap.
-        search: The search.
-        use: The samples, shape (M,).
-
-    Returns:
-        The evidence, all columns, and those of each term.
-    """
-    evidence = Evidence(gap, use)
-    rigid = np.concatenate(evidence.add(*background(gap)))
-    evidence.spread(rigid, search.off)
-    effects = [t.candidate for t in search.terms]
-    own: tuple[Index, ...] = ()
-    if effects:
-        columns = [gap.columns(c.effect) for c in effects]
-        own = tuple(evidence.add(columns, [c.std for c in effects]))
-    return evidence, np.concatenate([rigid, *own]), own

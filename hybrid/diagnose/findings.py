@@ -7,104 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid.diagnose.attribute import Search
-from hybrid.diagnose.candidates import Candidate, candidate, same
+from hybrid.diagnose.candidates import candidate
 from hybrid.diagnose.diagnosis import Finding, Shrink, Value
 from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.model import WORTH
-from hybrid.diagnose.reversals import vanishes
 from hybrid.diagnose.shapes import part_of_range
-from hybrid.diagnose.term import Term
-from hybrid.diagnose.thresholds import Thresholds
 from hybrid.diagnose.units import unit_at, units
 from hybrid.effects import Effect
-from hybrid.effects.asymmetric_friction import AsymmetricFriction
-from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.robot.chain import Array
 
 _RESAMPLES = 400
 _NORMAL = 1.96
 _OPEN = 0.8  # of a shape's range: an interval that wide says nothing of it
-_CLOSE = 6  # alternatives that are fitted in full
-_CONTAINED = 0.01  # of the squares of a law, that another may miss
 _PLACE = " It takes the place of the {} friction that the file declares."
-_ANYWHERE = 1.0  # nat, which does not settle the joint
-
-
-def alternatives(search: Search, term: Term, limits: Thresholds) -> tuple[str, ...]:
-    """Ids of effects that explain as much as a term does, itself first.
-
-    No law is exact, so that a worse one may be the cause. One that is the term's but
-    for further gains, however, is as exact: it is worse as it does not need these.
-    """
-    base = search.base(term)
-    own, best = search.refine(base, term.candidate)
-    found = [own.place[0], *_twins(search, own)]
-    ranked = [c for c, gain in search.ranked(base) if gain > 0.5 * best]
-    for c in [c for c in ranked if _here(term, c)][:_CLOSE]:
-        if c.place[0] not in found:
-            other, gain = search.refine(base, c)
-            slack = max(limits.alike, limits.alike_share * best)
-            if gain > best - slack and _contains(search, other, own):
-                slack = limits.alike
-            if gain > best - slack:
-                found.append(c.place[0])
-    rubs = term.place[0] == AsymmetricFriction.id and TorqueOffset.id in found
-    if rubs and vanishes(search, term):
-        found.remove(TorqueOffset.id)
-    return tuple(found)
-
-
-def _contains(search: Search, other: Candidate, own: Candidate) -> bool:
-    """Whether a law is another one with further gains, that may be none."""
-    if len(other.std) <= len(own.std):
-        return False
-    wide, columns = search.gap.columns(other.effect), search.gap.columns(own.effect)
-    for j, column in columns.items():
-        y = column[search.evidence.rows[j]]
-        rest = y
-        if j in wide:
-            x = wide[j][search.evidence.rows[j]]
-            rest = y - x @ np.linalg.lstsq(x, y)[0]
-        if (rest**2).sum() > _CONTAINED * (y**2).sum():
-            return False
-    return True
-
-
-def elsewhere(search: Search, term: Term) -> Candidate | None:
-    """An effect at another joint that explains as much, and the same."""
-    base = search.base(term)
-    _, best = search.refine(base, term.candidate)
-    ranked = [c for c, first in search.ranked(base) if first > 0.5 * best]
-    away = [c for c in ranked if not _here(term, c)]
-    same_law = [c for c in away if c.place[0] == term.place[0]]
-    for c in dict.fromkeys((*same_law, *away[:_CLOSE])):
-        found, gain = search.refine(base, c)
-        if gain > best - _ANYWHERE:
-            beside = np.concatenate([base, search.term(found).index])
-            if search.refine(beside, term.candidate)[1] < WORTH:
-                return found
-    return None
-
-
-def _here(term: Term, c: Candidate) -> bool:
-    """Whether a candidate is at the joint of a term."""
-    joints = term.place[1]
-    return bool({*(joints if len(joints) == 1 else joints[-1:])} & {*c.place[1]})
-
-
-def _twins(search: Search, own: Candidate) -> list[str]:
-    """Effects with the same columns: only their priors tell them apart."""
-    columns = search.gap.columns(own.effect)
-    return [
-        c.effect.id
-        for c in (t.candidate for t in search.pool.tried)
-        if c.place != own.place
-        and c.place[1] == own.place[1]
-        and len(c.std) == len(own.std) > 1
-        and same(search.gap.columns(c.effect), columns)
-    ]
 
 
 def findings(
@@ -119,7 +34,8 @@ def findings(
     Args:
         scored: Terms on samples that no step has seen.
         effects: The same terms as effects with their final values.
-        kinds: Ids that each term cannot be told from, itself first.
+        kinds: Ids that each term cannot be told from, itself first; none of a term that
+            stands in for something unknown.
         parts: Share of each term in what is explained.
         rng: Draws of the bootstrap.
     """
@@ -129,6 +45,9 @@ def findings(
         grouped.setdefault(scored.named[k], []).append(k)
     found = []
     for effect_id, members in grouped.items():
+        members = [k for k in members if kinds[k] or effects[k].id != effect_id]
+        if not any(kinds[k] for k in members):
+            continue
         # What the file declares, and this takes the place of, comes last.
         members.sort(key=lambda k: effects[k].id != effect_id)
         cls = effects[members[0]]

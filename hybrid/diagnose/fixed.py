@@ -96,7 +96,7 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
     if not result.effects:
         return result.gap.robot, ()
     _, solution, _ = solve_all(result.scored.gap, result.search)
-    rigid = len(result.search.background)
+    rigid = len(result.search.rigid)
     scored: Explanation = result.scored
     return corrected(scored, result.effects, solution.gains[:rigid])
 

@@ -5,16 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.model import WIDEST, Model
-from hybrid.diagnose.products import Index
-from hybrid.diagnose.term import Term
-from hybrid.robot.chain import Array
 
 _FEWEST_SECONDS = 3.0
 _FEWEST_MOVING = 1.0  # s
-_FAR = 5.0  # deviations of the widest background
-_ABSURD = 0.5  # of a number: no file is off by that much
-_MAIN = 0.2  # of what is made at the joint where most is
 
 
 def too_little(gap: Gap) -> str | None:
@@ -52,67 +45,3 @@ def unlike(gap: Gap) -> str | None:
         "none at all: is it the file of this robot? is torque in N·m, and position in "
         "radians?"
     )
-
-
-def another_arm(gap: Gap, terms: list[Term]) -> str | None:
-    """A warning where most links would have to be others than the simulator's."""
-    wrong = {t.place[1][-1] for t in terms if t.place[0] == "link_inertia"}
-    if len(wrong) < max(3, gap.robot.size / 2):
-        return None
-    return (
-        f"the inertia of {len(wrong)} links is not the simulator's: is it the file of "
-        "this robot?"
-    )
-
-
-def far_off(model: Model) -> str | None:
-    """A warning where numbers of the file explain the gap only if they are far off.
-
-    No more of a gap may be left then, but the file is not right.
-    """
-    _, gains, off = _strained(model, _FAR * WIDEST)
-    if not len(gains):
-        return None
-    return (
-        f"what no effect explains would need numbers of the file to be off by "
-        f"{off.max():.0%}"
-    )
-
-
-def overshadowed(model: Model) -> list[Term]:
-    """Terms that explain less at their joints than numbers do that cannot be so.
-
-    What is wrong there is not the file, nor what a term explains beside that.
-    """
-    numbers, gains, _ = _strained(model, _ABSURD)
-    if not len(numbers):
-        return []
-    made = model.evidence.made(numbers, gains)
-    there = set(np.flatnonzero(made >= _MAIN * made.max()))
-    rest = np.setdiff1d(model.base(), numbers)
-    with model.assuming(WIDEST):
-        much = model.worth() - model.evidence.solve(rest).evidence
-        own = model.losses()
-    return [
-        t
-        for t, loss in zip(model.terms, own, strict=True)
-        if loss < much and there & {*t.candidate.effect.reaches(model.gap.robot.size)}
-    ]
-
-
-def _strained(model: Model, least: float) -> tuple[Index, Array, Array]:
-    """Numbers of the file that are off by at least this much.
-
-    Args:
-        model: The model.
-        least: How much, of the number.
-
-    Returns:
-        Which numbers, by how much, and the same relative, shape (k,).
-    """
-    evidence, rigid = model.evidence, model.background
-    with model.assuming(WIDEST):
-        gains = evidence.solve(model.base()).of(rigid)
-        off = np.abs(gains) * np.sqrt(evidence.precision[rigid]) * WIDEST
-    far = off >= least
-    return rigid[far], gains[far], off[far]

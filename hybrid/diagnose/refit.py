@@ -7,13 +7,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2, qmc
 
-from hybrid.diagnose.attribute import Search
-from hybrid.diagnose.background import clocks
 from hybrid.diagnose.candidates import Candidate, with_gains
 from hybrid.diagnose.evidence import Evidence, Solution
-from hybrid.diagnose.explanation import fresh
+from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.model import WIDEST
 from hybrid.diagnose.pool import REPEATED
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.refine import shifted, take_nudges
@@ -33,9 +30,9 @@ def solve_all(gap: Gap, search: Search) -> tuple[Evidence, Solution, tuple[Index
     Returns:
         The evidence, the gains of all columns, and the columns of each term.
     """
-    evidence, index, own = fresh(gap, search, np.ones(len(gap.fold), dtype=bool))
-    evidence.noise = search.evidence.noise
-    return evidence, evidence.solve(index), own
+    evidence, rigid, of = search.rebuilt(np.ones(len(gap.fold), dtype=bool))
+    index = np.concatenate([rigid, *of.values()])
+    return evidence, evidence.solve(index), tuple(of[c] for c in search.known)
 
 
 def refit(gap: Gap, search: Search) -> tuple[Effect, ...]:
@@ -58,13 +55,11 @@ def refit(gap: Gap, search: Search) -> tuple[Effect, ...]:
     ]  # fmt: skip
     shapes = [take_nudges(evidence, effect) for effect in effects]
     # How far the file's numbers are off was chosen by the same data.
-    evidence.spread(index[: len(search.background)], WIDEST)
+    evidence.spread(index[: len(search.numbers)], search.widest)
     for i in own:
         # Values lean on their priors; what the data leave open the intervals show.
         evidence.spread(i, _OPEN)
-    # Nor do these tell when between two samples torque was read.
-    shifts = evidence.add(*clocks(gap))
-    whole = evidence.solve(np.concatenate([index, *shapes, *shifts]))
+    whole = evidence.solve(np.concatenate([index, *shapes]))
     place = {int(k): i for i, k in enumerate(whole.index)}
     certain = []
     for t, effect, i, s in zip(search.terms, effects, own, shapes, strict=True):

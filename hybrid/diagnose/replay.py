@@ -15,8 +15,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.diagnose.explanation import Explanation, between, split
+from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.simulator import corrected, scored_effects
+from hybrid.diagnose.split import between, split
 from hybrid.effects import Effect
 from hybrid.plant.rollout import Windows, rollout
 from hybrid.robot.chain import Array

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hybrid.diagnose.account import Account
-from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.diagnosis import Diagnosis
 from hybrid.diagnose.explanation import Explanation
+from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.term import Term
 from hybrid.effects import Effect

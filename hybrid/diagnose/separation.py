@@ -17,13 +17,13 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.diagnose.along import Along
-from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.bayes import log_bayes
 from hybrid.diagnose.candidates import Candidate, scale_of, with_gains
+from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.gap import Columns
+from hybrid.diagnose.prior import Prior
 from hybrid.diagnose.shapes import fit_shapes, nudges, price
 from hybrid.diagnose.term import Term
-from hybrid.diagnose.thresholds import thresholds
 from hybrid.effects import Effect
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.robot.chain import Array
@@ -74,7 +74,9 @@ def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
         term: One of its terms.
         candidate: The term's own, or another one with its shapes fitted.
     """
-    gap, evidence, base = search.gap, search.evidence, search.base(term)
+    gap, evidence = search.gap, search.evidence
+    others = [t.index for t in search.terms if t.index is not term.index]
+    base = np.concatenate([search.rigid, *others])
     (own,) = evidence.add([gap.columns(candidate.effect)], [candidate.std])
     solution = evidence.solve(np.concatenate([base, own]))
     effect = with_gains(candidate.effect, solution.gains[len(base) :])
@@ -85,7 +87,7 @@ def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
     prior = evidence.precision[index]
     return Rival(
         replace(candidate, effect=effect),
-        tuple(t.candidate for t in search.terms if t is not term),
+        tuple(t.candidate for t in search.terms if t.index is not term.index),
         np.concatenate([solution.gains, np.zeros(len(bends))]),
         A + np.diag(prior),
         prior[: len(base)],
@@ -247,9 +249,13 @@ class _Told:
 
 
 def needed(evidence: float) -> float:
-    """By how much another explanation's evidence must differ not to be alike, [nat]."""
-    limits = thresholds()
-    return max(limits.alike, limits.alike_share * evidence)
+    """By how much another explanation's evidence must differ not to be alike, [nat].
+
+    Args:
+        evidence: Of the explanation, [nat]; its law may be inexact.
+    """
+    prior = Prior()
+    return float(max(-np.log(prior.alike), prior.inexact * evidence))
 
 
 def _joined(parts: Sequence[Sequence[Array]]) -> list[Array]:

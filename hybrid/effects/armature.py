@@ -18,6 +18,7 @@ class Armature(JointEffect):
     id = "armature"
     port = Port.DRIVE
     fields = {"inertia": "armature"}
+    differentiates = True
     gains = (Quantity("inertia", "kg·m²", 0.02, 0.0, 0.5, per=(1, -1)),)
     equation = "τ = I_r · a"
     source = "Siciliano et al. 2009, doi 10.1007/978-1-84628-642-1, section 7.2"

@@ -37,6 +37,7 @@ class Backlash(Effect):
 
     id = "backlash"
     port = Port.TRANSMISSION
+    rough = 0.4
     not_in_loop = "it needs the load that comes next, to know when the gap is crossed"
     steep = True
     behind = "play"

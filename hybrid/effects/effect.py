@@ -87,6 +87,8 @@ class Effect(InPlant, Instant, ABC):
     # What its law leaves out: relative standard deviation of values fitted to motion of
     # an exact plant, beyond what noise leaves open.
     inexact: ClassVar[Mapping[str, float]] = {}
+    # Part of its torque's RMS that its law leaves out, of an exact plant.
+    rough: ClassVar[float] = 0.0
     equation: ClassVar[str]
     source: ClassVar[str]
     sentence: ClassVar[str]

@@ -32,6 +32,7 @@ class Elasticity(Effect):
 
     id = "elasticity"
     port = Port.TRANSMISSION
+    rough = 0.4
     steep = True
     behind = "deflection"
     echoes = True

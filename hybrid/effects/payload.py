@@ -38,6 +38,7 @@ class LinkInertia(Effect):
     id = "link_inertia"
     port = Port.BODY
     scope: ClassVar[Scope] = "coupling"
+    differentiates = True
     gains = _GAINS
     equation = "τ = Y_k(q, v, a) · Δπ_k"
     source = "Atkeson et al. 1986, doi 10.1177/027836498600500306"

@@ -7,7 +7,8 @@ takes energy. Torque of a log that is read right is a sum with positive weights
     τ = Σ m_p Y(q, v, a) u_p + J a + F_v v + F_c sgn v + k (q − q₀) + offset
 
 of what unit masses at fixed points of each link ask for (u_p holds the ten parameters
-of such a mass), of rotor and friction at each joint, and of springs that the file has.
+of such a mass), of rotor and friction at each joint, and of a spring there, in the file
+or not: a cable is one.
 Swapped columns, wrong signs and a wrong clock ask for negative masses, or leave torque
 that no mass explains.
 """
@@ -78,7 +79,7 @@ class Columns:
         columns = np.concatenate([rigid, _drives(state)], axis=2).transpose(1, 0, 2)
         n = chain.size
         size = np.maximum(np.sqrt((columns**2).sum(axis=(0, 1))), _TINY)
-        self._each = columns / size  # (n, M, P + 5n)
+        self._each = columns / size  # (n, M, P + 6n)
         self._normal = self._each.transpose(0, 2, 1) @ self._each
         self._normal += _offset_costs(size, n, masses.shape[1]) * len(state.q)
         self._torque = state.tau
@@ -131,7 +132,7 @@ def direction(v: Array) -> Array:
 
 
 def _drives(state: State) -> Array:
-    """Columns of rotors, friction, offsets and springs, shape (M, n, 5n + s)."""
+    """Columns of rotors, friction, offsets and springs, shape (M, n, 6n)."""
     samples, n = state.q.shape
     drive = np.zeros((samples, n, n, _OWN))
     dry = direction(state.v)
@@ -139,16 +140,15 @@ def _drives(state: State) -> Array:
     each = np.arange(n)
     drive[:, each, each] = own
     drives = drive.reshape(samples, n, _OWN * n)
-    if state.relaxed is None:
-        return drives
-    there = np.flatnonzero(np.isfinite(state.relaxed))
-    spring = np.zeros((samples, n, len(there)))
-    spring[:, there, np.arange(len(there))] = (state.q - state.relaxed)[:, there]
+    relaxed = np.full(n, np.nan) if state.relaxed is None else state.relaxed
+    relaxed = np.where(np.isfinite(relaxed), relaxed, state.q.mean(axis=0))
+    spring = np.zeros((samples, n, n))
+    spring[:, each, each] = state.q - relaxed
     return np.concatenate([drives, spring], axis=2)
 
 
 def _offset_costs(size: Array, joints: int, masses: int) -> Array:
-    """Squares of offsets that count as left over, shape (n, P + 5n, P + 5n).
+    """Squares of offsets that count as left over, shape (n, P + 6n, P + 6n).
 
     Torque that never changes may be held by an offset, but gravity is likelier.
     """

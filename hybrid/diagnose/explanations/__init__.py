@@ -1,0 +1,1 @@
+"""Explanations of a gap: sets of causes, and how probable they are."""
