@@ -318,6 +318,23 @@ def test_a_library_that_is_not_there_is_named(
         read(tmp_path / file)
 
 
+def test_a_heap_of_hdf5_that_never_ends_is_refused(tmp_path):
+    """The library would walk it for ever: what is left of a heap takes no room."""
+    path, t = tmp_path / "log.h5", np.arange(5.0)
+    with h5py.File(path, "w") as file:
+        file["t"], file["q"], file["tau"] = t, np.zeros((5, 2)), np.ones((5, 2))
+        file["q"].attrs["units"] = "deg"  # text is what lies in a heap
+    assert read(path).q.shape == (5, 2)
+    data = bytearray(path.read_bytes())
+    heap = data.index(b"GCOL")
+    free = heap + 16 + 16 + 8  # behind the heap's header and one word
+    assert data[free : free + 8] == bytes(8)
+    data[free + 8 : free + 16] = bytes(8)
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match=f"heap at byte {heap} is damaged"):
+        read(path)
+
+
 def test_links_of_hdf5_to_other_files_are_not_followed(tmp_path):
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["q"] = np.ones((5, 1))
