@@ -28,9 +28,10 @@ class Tier:
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         """Keep what belongs to this tier."""
-        items[:] = [item for item in items if self._holds(item.nodeid)]
+        items[:] = [item for item in items if self.holds(item.nodeid)]
 
-    def _holds(self, test: str) -> bool:
+    def holds(self, test: str) -> bool:
+        """Whether a test, named as pytest does, belongs to this tier."""
         slow, file = test.startswith(tuple(SETTINGS["slow"])), test.split("::")[0]
         return slow if file in self.met else not (slow and file in self.quick)
 
@@ -50,15 +51,8 @@ def tiers(path: str) -> tuple[Tier, Tier]:
     own = max((x for x in named if path.startswith(x)), key=len)
     folder = "/".join(path.split("/")[:2])
     first = _files(named[own])
-    near = _files(
-        [
-            x
-            for key, names in sorted(named.items())
-            if key.startswith(folder)
-            for x in names
-        ]
-    )
-    both = tuple(dict.fromkeys((*first, *near)))
+    near = [x for key in sorted(named) if key.startswith(folder) for x in named[key]]
+    both = tuple(dict.fromkeys((*first, *_files(near))))
     return Tier(first, quick=first), Tier(both, met=first)
 
 
