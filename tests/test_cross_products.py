@@ -284,3 +284,18 @@ def test_a_prior_in_proportion_to_the_data_shares_their_doubt():
     factor = (np.diag(found.covariance) - data) / own
     np.testing.assert_allclose(factor, np.median(factor), rtol=0.2)
     assert 0.9 < np.median(factor) < 1.5
+
+
+def test_blocks_far_off_are_weighed_down_only_where_that_is_asked_for():
+    robot = arm("planar")
+    problem, _, theta = noisy(robot, 1)
+    (m,) = motions(robot, count=1, duration=60.0, rate=50.0)
+    noise = 0.1 * np.random.default_rng(2).normal(size=m.q.shape)
+    noise[1000:1150] += 30.0  # someone leans on the arm
+    products = crossed(problem, [with_torque(m, stacked(problem, m) @ theta + noise)])
+    usual, plain, robust = (
+        np.abs(solve(products, "wls", **options).theta - theta).max()
+        for options in ({}, {"robust": False}, {"robust": True})
+    )
+    assert usual == plain
+    assert robust < 0.2 * plain
