@@ -61,7 +61,8 @@ def check_elements(path: Path) -> None:
 
 def _walk(data: memoryview, order: str, source: str, depth: int) -> None:
     """Walk an array with all that is within it."""
-    at, kinds, flags = 0, [], 0
+    kinds: list[int] = []
+    at, flags = 0, 0
     while at + 8 <= len(data):
         kind, length = struct.unpack_from(f"{order}II", data, at)
         room = 8 + -(-length // 8) * 8
