@@ -27,7 +27,8 @@ from typing import Any
 
 import numpy as np
 from mutation import ROOT, Mutant, digest, drawn
-from sandbox import Sandbox, chosen_tests, tests_digest
+from sandbox import Sandbox
+from tiers import tiers
 
 from hybrid.report import Table, markdown_table, provenance, write_results
 
@@ -60,7 +61,7 @@ def campaign(mutants: Sequence[Mutant], minutes: float) -> list[Row]:
     WORK.mkdir(parents=True, exist_ok=True)
     log = WORK / "mutants.jsonl"
     done, found, left = read_rows(log), {}, []
-    hashes = {m.path: tests_digest(chosen_tests(m.path)) for m in mutants}
+    hashes = {m.path: tiers(m.path)[1].digest for m in mutants}
     for mutant in mutants:
         row = done.get(mutant.key)
         if row and row["source"] == digest(mutant.source()):

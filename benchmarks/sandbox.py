@@ -25,8 +25,9 @@ from typing import Any
 import hypothesis
 import pytest
 from hypothesis import Phase
-from mutation import ROOT, SETTINGS, Mutant, digest
+from mutation import ROOT, Mutant, digest
 from patch import Patch, patch_of
+from tiers import Tier, tiers
 
 _COPIED = ("hybrid", "tests")
 # Loaded before the fork, as they take longer than most tests.
@@ -39,7 +40,8 @@ _PATIENCE = 4.0  # times the processor time of the unchanged code, ended as "tim
 _GRACE = 5.0  # s more
 _WALL = 8.0  # times that limit in wall-clock time, for a process that sleeps
 _BROKEN = 99
-_OUTCOMES = {0: "survived", 1: "killed", 2: "killed"}  # else the tests did not run
+# Five: no test is left, as none of the folder is slow or beside. Else none ran.
+_OUTCOMES = {0: "survived", 1: "killed", 2: "killed", 5: "survived"}
 Outcome = tuple[str, float]  # in a word, and processor time, [s]
 
 
@@ -80,33 +82,48 @@ class Sandbox:
 
     def outcomes(self, mutants: Sequence[Mutant]) -> Iterator[tuple[Mutant, Outcome]]:
         """What the tests say of each mutant, in any order."""
-        groups: dict[tuple[str, ...], list[Mutant]] = {}
+        groups: dict[tuple[Tier, Tier], list[Mutant]] = {}
         for mutant in mutants:
-            groups.setdefault(tuple(chosen_tests(mutant.path)), []).append(mutant)
-        for tests, group in groups.items():
-            limit = _PATIENCE * self._unchanged(list(tests)) + _GRACE
-            patches = {m: patch_of((ROOT / m.path).read_text(), m) for m in group}
-            inner = [(m, p) for m, p in patches.items() if p is not None]
-            for k, outcome in self._forked(list(tests), [p for _, p in inner], limit):
-                yield inner[k][0], outcome
-            for mutant in group:
-                if patches[mutant] is None:
-                    yield mutant, self._written(mutant, list(tests), limit)
+            groups.setdefault(tiers(mutant.path), []).append(mutant)
+        for (first, second), group in groups.items():
+            left: dict[Mutant, float] = {}
+            for mutant, (outcome, seconds) in self._met(group, first):
+                if outcome == "survived":
+                    left[mutant] = seconds
+                else:
+                    yield mutant, (outcome, seconds)
+            for mutant, (outcome, seconds) in self._met(list(left), second):
+                yield mutant, (outcome, left[mutant] + seconds)
 
-    def _unchanged(self, tests: list[str]) -> float:
+    def _met(self, group: list[Mutant], tier: Tier) -> Iterator[tuple[Mutant, Outcome]]:
+        """What one tier of tests says of each mutant."""
+        if not group:
+            return
+        limit = _PATIENCE * self._unchanged(tier) + _GRACE
+        patches = {m: patch_of((ROOT / m.path).read_text(), m) for m in group}
+        inner = [(m, p) for m, p in patches.items() if p is not None]
+        for k, outcome in self._forked(tier, [p for _, p in inner], limit):
+            yield inner[k][0], outcome
+        for mutant in group:
+            if patches[mutant] is None:
+                yield mutant, self._written(mutant, tier, limit)
+
+    def _unchanged(self, tier: Tier) -> float:
         """Processor time of tests that must pass on the code as it is, [s]."""
-        key = self._package + tests_digest(tests)
+        key = self._package + tier.digest
         if key not in self._baseline:
-            ((_, (outcome, seconds)),) = self._forked(tests, [None], _LONG)
+            ((_, (outcome, seconds)),) = self._forked(tier, [None], _LONG)
             if outcome != "survived":
                 log = (self.root / "log").read_text()
-                raise SystemExit(f"{tests} fail on the unchanged code:\n{log[-3000:]}")
+                raise SystemExit(
+                    f"{tier.files} fail on the unchanged code:\n{log[-3000:]}"
+                )
             self._baseline[key] = seconds
             self._file.write_text(json.dumps(self._baseline))
         return self._baseline[key]
 
     def _forked(
-        self, tests: list[str], patches: list[Patch | None], limit: float
+        self, tier: Tier, patches: list[Patch | None], limit: float
     ) -> Iterator[tuple[int, Outcome]]:
         """Outcomes of patches, each in a fork of one session that has collected."""
         if not patches:
@@ -115,14 +132,14 @@ class Sandbox:
         child = _fork()
         if child == 0:
             os.close(inlet)
-            self._session(tests, [_Forks(patches, limit, outlet)])
+            self._session(tier, [_Forks(patches, limit, outlet)])
         os.close(outlet)
         with os.fdopen(inlet) as lines:
             for k, line in enumerate(lines):
                 yield k, tuple(json.loads(line))
         os.waitpid(child, 0)
 
-    def _written(self, mutant: Mutant, tests: list[str], limit: float) -> Outcome:
+    def _written(self, mutant: Mutant, tier: Tier, limit: float) -> Outcome:
         """Outcome of a change that is written into the file."""
         module = self.root / mutant.path
         before = module.read_text()
@@ -130,7 +147,7 @@ class Sandbox:
         child = _fork()
         if child == 0:
             _limit(limit)
-            self._session(tests, [_Own(mutant.path)])
+            self._session(tier, [_Own(mutant.path)])
         try:
             return _waited(child, limit)
         finally:
@@ -142,7 +159,7 @@ class Sandbox:
         self._clock += 1
         os.utime(module, (self._clock, self._clock))
 
-    def _session(self, tests: list[str], plugins: list[Any]) -> None:
+    def _session(self, tier: Tier, plugins: list[Any]) -> None:
         """Run pytest on the copy, and end the process."""
         code = _BROKEN
         try:
@@ -158,8 +175,8 @@ class Sandbox:
             options += ["-p", "no:cacheprovider", "-p", "no:xdist"]
             options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
             options += ["--hypothesis-profile=mutants", "--hypothesis-seed=0"]
-            options += [f"--deselect={x}" for x in SETTINGS["slow"]]
-            code = int(pytest.main([*options, *tests], plugins=plugins))
+            plugins = [tier, *plugins]
+            code = int(pytest.main([*options, *tier.files], plugins=plugins))
         except BaseException:
             traceback.print_exc()
         finally:
@@ -207,19 +224,6 @@ class _Own:
         if any(self.own in x for x in named):
             both = zip(items, named, strict=True)
             items[:] = [x for x, names in both if not names or self.own in names]
-
-
-def chosen_tests(path: str) -> list[str]:
-    """Test files of a module: those named for it, or else for its folder."""
-    names = [x for x in SETTINGS["tests"] if path.startswith(x)]
-    found = SETTINGS["tests"][max(names, key=len)]
-    return [f"tests/test_{x}.py" for x in found]
-
-
-def tests_digest(tests: list[str]) -> str:
-    """Short hash of some tests, and of what they share."""
-    files = [*sorted((ROOT / "tests").glob("[!t]*.py")), *(ROOT / x for x in tests)]
-    return digest("".join(x.read_text() for x in files))
 
 
 def _parameters(item: pytest.Item) -> str:

@@ -67,7 +67,8 @@ def efficiency(q: Array, outliers: float, seeds: int) -> dict[str, float]:
     for seed in range(seeds):
         solution = solve(MODEL, measure(q, NOISE, outliers, seed), LABELS, UNITS)
         error.append(solution.x - TRUE)
-        inside.append(np.abs(error[-1]) < 1.96 * solution.std)
+        low, high = solution.interval()
+        inside.append((low < TRUE) & (TRUE < high))
     ratio = np.sqrt((np.array(error) ** 2).mean(axis=0) / bound)
     pooled = np.sqrt((ratio**2).mean())
     return {"pooled": pooled, "worst": ratio.max(), "coverage": np.mean(inside)}

@@ -6,6 +6,7 @@ an input that takes more than 5 s of processor time, a file left in the working 
 or a process that was taken down. Readers run one after the other, at low priority.
 
     python fuzz/run.py --inputs 1000000 --out reports/fuzz
+    python fuzz/run.py --inputs 60000 --out here --only HDF5 MATLAB
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import json
 import os
 import re
 import resource
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -71,7 +73,9 @@ def write(folder: Path, found: dict, args: argparse.Namespace) -> None:
         slowest, wrong = f"{1000 * one['slowest']:.0f}", len(one["findings"])
         rows.append((name, *numbers, slowest, str(wrong or "–")))
     guided = importlib.util.find_spec("atheris") is not None
-    command = f"python fuzz/run.py --inputs {args.inputs} --out reports/fuzz"
+    command = f"python fuzz/run.py --inputs {args.inputs} --out {folder}"
+    if args.only != [*READERS]:
+        command += " --only " + " ".join(map(shlex.quote, args.only))
     how = provenance(command=command, seed=args.seed, settings={"guided": guided})
     write_results(folder / "results.json", {"readers": found, "provenance": how})
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -89,9 +93,10 @@ def main() -> None:
     parser.add_argument("--inputs", type=int, default=1_000_000, help="of all readers")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--only", nargs="+", choices=READERS, default=[*READERS])
     args = parser.parse_args()
-    each, found = -(-args.inputs // len(READERS)), {}
-    for name in READERS:
+    each, found = -(-args.inputs // len(args.only)), {}
+    for name in args.only:
         found[name] = fuzzed(name, each, args.seed)
         print(name, found[name], flush=True)
         write(args.out, found, args)

@@ -215,6 +215,46 @@ def test_errors_stay_within_a_fifth_of_the_cramer_rao_bound(outliers):
     assert 0.92 < np.mean(inside) < 0.97
 
 
+def coverage(kind, poses, seeds, *, shared=0.0):
+    """Share of corrections of the arm that lie in their intervals, and what was lost.
+
+    Args:
+        kind: What is measured.
+        poses: How many; other ones for each seed.
+        seeds: Number of calibrations.
+        shared: Noise of the joints' positions, which all points of a pose have [rad].
+    """
+    rng, chain = np.random.default_rng(0), disturbed(coman().chain)
+    many = measured(chain, random_poses(coman(), 150, rng), kind)
+    truth = calibrate(coman(), many, robust=False).solution.values()
+    inside, rejected = [], 0
+    for seed in range(seeds):
+        q = random_poses(coman(), poses, rng)
+        turned = q + shared * rng.normal(size=q.shape)
+        data = replace(measured(chain, turned, kind, noise=2e-5, seed=seed), q=q)
+        found = calibrate(coman(), data)
+        arm = geometry_of(found.solution.labels)
+        for label, low, high in np.array(
+            [found.solution.labels, *found.interval()], dtype=object
+        ).T[arm]:
+            if label in truth:
+                inside.append(low < truth[label] < high)
+        rejected += len(found.rejected)
+    return np.mean(inside), rejected
+
+
+def test_intervals_hold_where_the_points_of_a_pose_share_its_errors():
+    inside, _ = coverage("reflectors", 40, 30, shared=1e-4)
+    assert 0.92 < inside < 0.98
+
+
+@pytest.mark.parametrize("kind", ["position", "distance"])
+def test_few_good_poses_are_all_kept_and_their_intervals_hold(kind):
+    inside, rejected = coverage(kind, 24, 20)
+    assert 0.91 < inside < 0.99
+    assert rejected <= 2
+
+
 def test_outliers_are_named_and_good_measurements_are_not():
     q = random_poses(coman(), 60, np.random.default_rng(3))
     data = measured(disturbed(coman().chain), q, "pose", noise=NOISE)

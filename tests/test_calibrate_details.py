@@ -5,13 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import MODELS
+from scipy.stats import beta
+from scipy.stats import f as fisher
+from scipy.stats import t as student
 from test_calibrate import coman, disturbed, flange, measured
 
 from hybrid.calibrate import calibrate
 from hybrid.calibrate.align import _linear, _nearest_rotation, _stations, align
 from hybrid.calibrate.calibrate import _group, _load, _rank, _unit
+from hybrid.calibrate.covariance import clustered_covariance
 from hybrid.calibrate.geometry import geometry_from_chain, steps_from_dh
 from hybrid.calibrate.measurements import Measurements
+from hybrid.calibrate.outliers import OUTSIDE, misfit
 from hybrid.calibrate.poses import (
     _gain,
     choose_poses,
@@ -196,12 +201,15 @@ def test_noise_of_each_kind_is_found_beside_the_estimates():
     found = calibrate(coman(), noisy)
     assert found.solution.noise["position"] == pytest.approx(2e-4, rel=0.15)
     assert found.solution.noise["orientation"] == pytest.approx(1e-3, rel=0.15)
-    assert found.solution.degrees == 80 * 6 - 30 - 3 * len(found.rejected)
     assert len(found.rejected) <= 2
-    low, high = found.interval()
-    middle = (low + high) / 2
+    assert found.solution.iterations < 40  # it settles, and stops
+    # Poses are independent: fewer than they are the degrees of a variance, not rows.
+    assert (found.solution.degrees < 80).all() and (found.solution.degrees > 20).all()
+    low, high = found.interval(0.9)
+    middle, half = (low + high) / 2, (high - low) / 2
     np.testing.assert_allclose(middle, found.solution.x, atol=1e-12)
-    np.testing.assert_allclose((high - low) / 2, 1.965 * found.solution.std, rtol=2e-3)
+    inside = student.cdf(half / found.solution.std, found.solution.degrees)
+    np.testing.assert_allclose(inside, 0.95, rtol=1e-9)
 
 
 def test_noise_is_what_is_left_over_the_freedom_that_is_left():
@@ -210,12 +218,76 @@ def test_noise_is_what_is_left_over_the_freedom_that_is_left():
     found = calibrate(coman(), data, robust=False)
     left = found.errors(data)["position"]
     solution = found.solution
-    assert solution.degrees == 90 - len(solution.x)
-    expected = np.sqrt((left**2).sum() / solution.degrees)
+    expected = np.sqrt((left**2).sum() / (90 - len(solution.x)))
     assert solution.noise["position"] == pytest.approx(expected, rel=1e-6)
-    np.testing.assert_allclose(
-        solution.covariance, np.linalg.inv(solution.jacobian.T @ solution.jacobian)
-    )
+
+
+def linear(rows=4, poses=9, size=5):
+    """Derivatives, the part of noise that is left as residual, pose of each row."""
+    rng = np.random.default_rng(0)
+    J = rng.normal(size=(rows * poses, size)) * rng.uniform(0.1, 3, (rows * poses, 1))
+    left = np.eye(len(J)) - J @ np.linalg.solve(J.T @ J, J.T)
+    return J, left, np.repeat(np.arange(poses), rows)
+
+
+def test_variances_have_no_bias_and_spread_like_chi_squares_of_their_degrees():
+    """A variance is eᵀMe of independent noise e: mean trace M, variance 2 trace M²."""
+    J, left, pose = linear(3, 6, 4)
+    e = np.eye(len(J))
+
+    def variances(noise):
+        return np.diagonal(clustered_covariance(J, left @ noise, pose)[0])
+
+    M = [[(variances(a + b) - variances(a - b)) / 4 for a in e] for b in e]
+    degrees = clustered_covariance(J, left[0], pose)[1]
+    for k, quadratic in enumerate(np.moveaxis(np.array(M), -1, 0)):
+        mean = np.linalg.inv(J.T @ J)[k, k]
+        assert np.trace(quadratic) == pytest.approx(mean)
+        assert degrees[k] == pytest.approx(mean**2 / np.sum(quadratic**2))
+
+
+def test_what_one_pose_alone_tells_has_the_noise_of_its_kind():
+    J, _, pose = linear()
+    alone = np.zeros((len(J), 2))
+    alone[:2] = [[2.0, 0.5], [0.0, 1.0]]
+    both = np.hstack([J, alone])
+    left = np.eye(len(J)) - both @ np.linalg.pinv(both)
+    residual = left @ np.random.default_rng(1).normal(size=len(J))
+    covariance, degrees = clustered_covariance(both, residual, pose)
+    fitted, others = clustered_covariance(J[2:], residual[2:], pose[2:])
+    np.testing.assert_allclose(covariance[:5, :5], fitted, rtol=1e-6)
+    np.testing.assert_allclose(degrees[:5], others, rtol=1e-6)
+    noise = np.linalg.inv(alone[:2].T @ alone[:2])
+    assert (np.diagonal(covariance)[5:] > np.diagonal(noise)).all()
+
+
+def test_a_unit_fits_as_badly_whether_it_was_fitted_or_left_out():
+    """The deletion residual: what a fit does to its own points cancels out."""
+    J, _, _ = linear(3, 12, 4)
+    y = np.random.default_rng(2).normal(size=len(J))
+    y[:3] += 4.0
+    found = []
+    for rows in (slice(0, None), slice(3, None)):
+        x, *_ = np.linalg.lstsq(J[rows], y[rows], rcond=None)
+        left = J @ x - y
+        freedom = len(J[rows]) - 4
+        noise = np.sqrt(left[rows] @ left[rows] / freedom)
+        kept = np.arange(12) >= rows.start / 3
+        found.append(
+            misfit(
+                left.reshape(12, 3) / noise,
+                J.reshape(12, 3, 4),
+                np.linalg.inv(J[rows].T @ J[rows]),
+                kept,
+                freedom,
+            )[0]
+        )
+    assert (found[0] > 1) == (found[1] > 1)
+    # Both are the same number on scales of their own: Fisher's and beta's.
+    f = 33 - 4
+    size = found[1] ** 2 * fisher.isf(OUTSIDE, 3, f)
+    square = found[0] ** 2 * 32 * beta.isf(OUTSIDE, 1.5, 29 / 2)
+    assert size == pytest.approx(square / 3 / ((32 - square) / 29))
 
 
 @pytest.mark.parametrize("bends", [True, False])

@@ -121,16 +121,25 @@ def test_prediction_and_variance_of_a_mixture_are_those_of_its_formula():
     np.testing.assert_allclose(variance[:, 0], spread, rtol=1e-7)
 
 
+def fading(mixture):
+    """The same mixture, cut off where it is large, and trusted less and less."""
+    changed = {"bound": np.array([0.8]), "fade": np.array([0.5, 60.0])}
+    return GaussianMixtureRegression(**{**mixture.arrays(), **changed})
+
+
 def test_an_arms_mixtures_together_are_each_of_them_apart():
     """Of other numbers of inputs and components, in blocks and single samples."""
     sizes = [(0, (0,), (), 1), (2, (0, 1), (2,), 4), (3, (3,), (1, 3), 2)]
     parts = tuple(
-        JointRemainder(j, p, v, random_mixture(j, k=k, d=len(p) + len(v)))
+        JointRemainder(j, p, v, fading(random_mixture(j, k=k, d=len(p) + len(v))))
         for j, p, v, k in sizes
     )
     arm = ArmRemainder(4, parts)
-    q, v = np.random.default_rng(1).normal(size=(2, 1700, 4))
+    assert not arm._together[2]  # that are worked out by themselves
+    q, v = 3 * np.random.default_rng(1).normal(size=(2, 1700, 4))
     tau = arm.predict(q, v)
+    away = [p.regression.distance(p.inputs(q, v)) for p in parts]
+    assert all(((x > 0.5) & (x < 60.0)).mean() > 0.1 for x in away)
     assert not tau[:, 1].any()
     for part in parts:
         own = part.regression.predict(part.inputs(q, v))[:, 0]

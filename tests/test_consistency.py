@@ -391,3 +391,35 @@ def test_no_data_and_a_failed_solver_are_said_so(monkeypatch):
     monkeypatch.setattr(clarabel, "DefaultSettings", impatient)
     with pytest.raises(IdentificationError, match="MaxIterations"):
         physically_consistent(problem, A, b)
+
+
+def test_a_link_without_mass_is_a_blob_of_water_half_way_to_the_next_joint():
+    chain = arm("coman_like").chain
+    inertial = chain.inertial.copy()
+    inertial[2] = 0.0
+    ahead = chain.translation[3]
+    width = np.linalg.norm(ahead) / 4
+    (mass, *first, xx, xy, yy, xz, yz, zz) = inertial_from_pseudo(
+        nominal_bodies(chain, inertial)[2]
+    )
+    assert mass == pytest.approx(1000.0 * width**3)
+    np.testing.assert_allclose(np.array(first) / mass, ahead / 2)
+    # About its centre it is as wide in every direction.
+    c = ahead / 2
+    offset = mass * (c @ c * np.eye(3) - np.outer(c, c))
+    found = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - offset
+    np.testing.assert_allclose(found, 2 * mass * width**2 * np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize(("thin", "stays"), [(0.1, True), (1e-4, False)])
+def test_a_flat_link_stays_and_one_without_any_width_becomes_a_blob(thin, stays):
+    chain = arm("coman_like").chain
+    width = np.linalg.norm(chain.translation[3]) / 4
+    spread = width**2 * np.array([thin**2, 0.5, 2.0])
+    body = np.diag([*spread, 1.0])
+    inertial = chain.inertial.copy()
+    inertial[2] = inertial_from_pseudo(body)
+    found = nominal_bodies(chain, inertial)[2]
+    expected = np.maximum(spread, found[0, 0]) if stays else np.full(3, width**2)
+    np.testing.assert_allclose(np.diag(found)[:3], expected)
+    assert found[0, 0] < (0.5 if stays else 1.1) * width**2

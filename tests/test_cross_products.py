@@ -14,6 +14,7 @@ from hybrid.dynamics import RigidBody
 from hybrid.errors import IdentificationError
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import solve
+from hybrid.regression.prior import Prior
 from hybrid.signals import Sampler
 
 EVERYTHING = -1.0  # no joint is slower: none counts as standing
@@ -221,3 +222,80 @@ def test_memory_does_not_grow_with_the_length_of_the_log():
         sizes.append(len(products.counts))
     assert peaks[1] < 1.3 * peaks[0]
     assert max(sizes) <= 256
+
+
+# --- how sure a solution is -----------------------------------------------------------
+
+
+def noisy(robot, length, *, size=0.5):
+    """Products of a true model with noise that stays for ``length`` samples."""
+    rng, problem = np.random.default_rng(1), linear_problem(robot)
+    theta = rng.normal(size=problem.size)
+    chosen = []
+    for m in motions(robot, count=2, duration=60.0, rate=50.0):
+        n = len(m.t)
+        steps = rng.normal(size=(-(-n // length), robot.size))
+        noise = size * np.repeat(steps, length, axis=0)[:n]
+        chosen.append(with_torque(m, stacked(problem, m) @ theta + noise))
+    return problem, crossed(problem, chosen), theta
+
+
+def test_noise_longer_than_a_block_makes_blocks_grow_until_they_are_independent():
+    robot = arm("planar")
+    degrees = {k: solve(noisy(robot, k)[1], "wls").degrees for k in (1, 50, 400)}
+    blocks = len(noisy(robot, 1)[1].counts)
+    assert degrees[1] == blocks - 1
+    assert degrees[1] > degrees[400] >= 24 - 1
+    errors = []
+    for length in (1, 400):
+        _, products, theta = noisy(robot, length)
+        found = solve(products, "wls")
+        errors.append(np.sqrt(np.mean(((found.theta - theta) / found.std) ** 2)))
+    assert max(errors) < 2.0 and min(errors) > 0.4
+
+
+def test_a_prior_moves_from_nothing_to_all_as_it_grows_certain():
+    problem, products, _ = noisy(arm("planar"), 1)
+    mean, p = np.full(problem.size, 3.0), problem.size
+    free = solve(products, "wls")
+    weak, usual, strong = (
+        solve(products, "wls", prior=Prior(mean, k * np.eye(p)))
+        for k in (1e-9, 1e2, 1e12)
+    )
+    np.testing.assert_allclose(weak.theta, free.theta, rtol=1e-6)
+    np.testing.assert_allclose(weak.std, free.std, rtol=1e-3)
+    assert weak.held == () and strong.held == tuple(range(p))
+    np.testing.assert_allclose(strong.theta, mean, atol=1e-6)
+    # Where data say nothing, the prior's own doubt is what is left, or somewhat more.
+    assert (strong.std >= 0.999e-6).all() and (strong.std < 1e-5).all()
+    assert np.linalg.norm(usual.theta - mean) < np.linalg.norm(free.theta - mean)
+
+
+def test_a_prior_in_proportion_to_the_data_shares_their_doubt():
+    problem, products, _ = noisy(arm("planar"), 1)
+    A, _ = products.normal(np.eye(problem.chain.size))
+    alone = solve(products, "ls")
+    found = solve(products, "ls", prior=Prior(alone.theta, 2.0 * A))
+    weight = found.weight[0, 0]  # one over the variance of the noise
+    np.testing.assert_allclose(found.theta, alone.theta, rtol=1e-6)
+    # The data's part of the doubt shrinks with their share; the prior's is its own.
+    data = (weight / (weight + 2.0)) ** 2 * np.diag(alone.covariance)
+    own = 2.0 / (weight + 2.0) ** 2 * np.diag(np.linalg.inv(A))
+    factor = (np.diag(found.covariance) - data) / own
+    np.testing.assert_allclose(factor, np.median(factor), rtol=0.2)
+    assert 0.9 < np.median(factor) < 1.5
+
+
+def test_blocks_far_off_are_weighed_down_only_where_that_is_asked_for():
+    robot = arm("planar")
+    problem, _, theta = noisy(robot, 1)
+    (m,) = motions(robot, count=1, duration=60.0, rate=50.0)
+    noise = 0.1 * np.random.default_rng(2).normal(size=m.q.shape)
+    noise[1000:1150] += 30.0  # someone leans on the arm
+    products = crossed(problem, [with_torque(m, stacked(problem, m) @ theta + noise)])
+    usual, plain, robust = (
+        np.abs(solve(products, "wls", **options).theta - theta).max()
+        for options in ({}, {"robust": False}, {"robust": True})
+    )
+    assert usual == plain
+    assert robust < 0.2 * plain

@@ -6,6 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 from arms import MODELS, random_arm
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from test_effect_laws import effect, motion_of
 
 from hybrid.dynamics import RigidBody
@@ -265,6 +267,38 @@ def test_presliding_in_the_plant_is_that_of_the_path():
     np.testing.assert_allclose(found[1200:], path[1200:], atol=0.03)
     memory = law.begin([JointState(0.0, 1.0, 2.0, 0.0, 1.0, 0.0)])
     assert memory == (0.8, 0.0)
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 10_000))
+def test_presliding_from_instant_to_instant_is_that_of_the_whole_path(seed):
+    rng = np.random.default_rng(seed)
+    law = effect("presliding", level=5.0, distance=0.02)
+    motion = motion_of(random_arm(3), 60)
+    q = 0.01 * rng.normal(size=motion.q.shape).cumsum(axis=0)
+    motion = replace(motion, q=q, v=rng.normal(size=q.shape))
+    found, memory = [], None
+    for x, v in zip(q[:, 0], motion.v[:, 0], strict=True):
+        state = JointState(0.0, x, v, 0.0, np.sign(v), 0.0)
+        memory = law.begin([state]) if memory is None else memory
+        (torque,), memory = law.at_instant([state], memory, 0.01)
+        found.append(torque)
+    whole = 5.0 * law.columns(motion, None)[:, 0, 0]
+    np.testing.assert_allclose(found, whole, rtol=1e-9, atol=1e-12)
+    assert np.abs(whole).max() <= 5.0
+
+
+def test_presliding_builds_up_over_its_distance_after_a_reversal():
+    law = effect("presliding", level=1.0, distance=0.1)
+    motion = motion_of(random_arm(3), 801)
+    way = np.concatenate([np.linspace(0, 1, 401), np.linspace(1, 0, 401)[1:]])
+    motion = replace(motion, q=way[:, None] + 0 * motion.q, v=0 * motion.v)
+    h = law.columns(motion, None)[:, 0, 0]
+    up, down = way[:401], 1.0 - way[401:]
+    np.testing.assert_allclose(h[:401], 1 - np.exp(-up / 0.1), atol=1e-9)
+    np.testing.assert_allclose(
+        h[401:], -1 + (1 + h[400]) * np.exp(-down / 0.1), atol=1e-9
+    )
 
 
 # --- encoders, bodies, contact --------------------------------------------------------

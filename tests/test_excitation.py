@@ -34,6 +34,7 @@ from hybrid.excitation import (
 )
 from hybrid.excitation.families import trajectory_from_dict
 from hybrid.excitation.folder import write_design
+from hybrid.excitation.knots import Walk
 from hybrid.excitation.path import Grid, uniform
 from hybrid.excitation.solver import solve
 from hybrid.plant.scale import joint_scales
@@ -358,3 +359,81 @@ def test_a_design_on_disk_is_the_motion(tmp_path):
         reference = motion.reference(100.0)
         np.testing.assert_allclose(table[:, 1:3], reference.q, atol=1e-9)
         np.testing.assert_allclose(table[:, 5:7], reference.a, rtol=1e-8, atol=1e-8)
+
+
+# --- motions from knot to knot --------------------------------------------------------
+
+STEP = st.tuples(st.sampled_from(["wait", "go", "move", "cruise"]), st.integers(0, 999))
+
+
+def allowed(speed=2.0, acceleration=3.0):
+    """Two joints of which the second is half as fast."""
+    one = np.array([1.0, 0.5])
+    free = np.full(2, np.inf)
+    return Limits(-10 * one, 10 * one, speed * one, acceleration * one, free, free)
+
+
+@settings(max_examples=40)
+@given(steps=st.lists(STEP, min_size=1, max_size=6))
+def test_a_walk_ends_at_rest_where_its_steps_lead_without_a_jump(steps):
+    here = np.array([0.3, -0.2])
+    walk = Walk(here)
+    for kind, seed in steps:
+        rng = np.random.default_rng(seed)
+        goal, duration = here + rng.uniform(0.01, 1.0, 2), 0.6 + rng.random()
+        if kind == "wait":
+            walk.wait(duration)
+            goal = here
+        elif kind == "go":
+            walk.go(goal, duration)
+        elif kind == "cruise":
+            walk.cruise(1, 0.5, 0.25, duration)
+            goal = here + [0.0, 0.5 * (duration + 0.25)]
+        else:
+            walk.move(goal, allowed())
+        here = goal
+    found = walk.reference(1000.0)
+    np.testing.assert_allclose(found.q[0], [0.3, -0.2])
+    np.testing.assert_allclose(found.q[-1], here, atol=1e-4)
+    np.testing.assert_allclose(found.v[0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.v[-1], 0.0, atol=0.1)
+    for x, rate, off in ((found.q, found.v, 2e-3), (found.v, found.a, 0.5)):
+        slope = (x[2:] - x[:-2]) / (found.t[2:] - found.t[:-2])[:, None]
+        np.testing.assert_allclose(slope, rate[1:-1], atol=off)
+
+
+def test_a_cruise_keeps_its_speed_between_two_ramps():
+    walk = Walk(np.array([1.0, 2.0]))
+    walk.wait(0.5)
+    walk.cruise(1, -0.8, 0.4, 1.0)
+    found = walk.reference(100.0)
+    assert found.t[-1] == pytest.approx(0.5 + 0.4 + 1.0 + 0.4)
+    np.testing.assert_allclose(found.q[:, 0], 1.0)
+    np.testing.assert_allclose(found.q[:50, 1], 2.0)
+    np.testing.assert_allclose(found.v[91:190, 1], -0.8, rtol=1e-9)
+    np.testing.assert_allclose(found.q[[90, 190], 1], [2.0 - 0.16, 2.0 - 0.96])
+    assert found.q[-1, 1] == pytest.approx(2.0 - 0.8 * 1.4)
+    assert np.abs(found.v[[0, -1]]).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("way", "speed", "acceleration", "tight"),
+    [([4.0, 0.5], 2.0, 90.0, "v"), ([0.1, 2.0], 2.0, 90.0, "v"),
+     ([4.0, 0.5], 90.0, 3.0, "a"), ([0.1, 2.0], 90.0, 3.0, "a")],
+)  # fmt: skip
+def test_a_move_takes_half_of_the_tightest_limit(way, speed, acceleration, tight):
+    limits, walk = allowed(speed, acceleration), Walk(np.zeros(2))
+    walk.move(np.array(way), limits)
+    found = walk.reference(5000.0)
+    most = {"v": limits.speed, "a": limits.usable_acceleration}
+    share = {x: np.abs(getattr(found, x)).max(axis=0) / most[x] for x in most}
+    assert share[tight].max() == pytest.approx(0.5, rel=1e-3)
+    assert max(x.max() for x in share.values()) < 0.5001
+    np.testing.assert_allclose(found.q[-1], way, atol=1e-9)
+
+
+def test_a_move_to_where_the_arm_is_takes_no_time_and_a_tiny_one_a_tenth():
+    walk, limits = Walk(np.zeros(2)), allowed()
+    walk.move(np.full(2, 1e-14), limits)
+    walk.move(np.full(2, 1e-7), limits)
+    assert walk.reference(1000.0).t[-1] == pytest.approx(0.1)

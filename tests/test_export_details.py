@@ -264,6 +264,25 @@ def test_a_urdf_holds_every_number_to_the_last_bit(tmp_path):
     np.testing.assert_allclose(found.chain.rotation, robot.chain.rotation, atol=1e-12)
 
 
+def test_the_c_code_lists_joints_and_limits_in_their_order(tmp_path):
+    robot = planar()
+    free = np.array([np.inf, 0.5])
+    robot = replace(robot, q_min=-free, q_max=free, tau_max=np.array([0.25, np.inf]))
+    export(model_of(robot), tmp_path, format="c")
+    text = "".join(x.read_text() for x in sorted(tmp_path.rglob("planar.[ch]")))
+    for k, joint in enumerate(robot.joints):
+        low, high = (f"{x:.6g}" for x in (-free[k], free[k]))
+        assert f" *   {k + 1} {joint}: {low} to {high} rad" in text
+    for name, numbers in (
+        ("q_min", ["-INFINITY", "-0.5"]),
+        ("q_max", ["INFINITY", "0.5"]),
+        ("tau_max", ["0.25", "INFINITY"]),
+    ):
+        field = re.search(rf"_{name}\[2\] = {{(.*?)}};", text, re.DOTALL)
+        written = re.findall(r"PLANAR_R\((.*?)\)", field.group(1))
+        assert written == numbers
+
+
 def test_an_acceleration_limit_is_in_a_urdf_and_no_rotor_that_is_none(tmp_path):
     robot = planar()
     export(model_of(robot), tmp_path, format="urdf")

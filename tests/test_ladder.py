@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from simulated import arm, linear_problem, motions, quiet, with_torque
 
 from hybrid.dynamics import inverse_dynamics
@@ -14,6 +16,7 @@ from hybrid.identify import identify, validate
 from hybrid.identify.data import Data, thinned
 from hybrid.identify.gate import lowers
 from hybrid.regression.prior import file_prior, spread
+from hybrid.regression.problem import part
 
 
 def state(v):
@@ -99,6 +102,36 @@ def test_a_file_that_is_off_helps_where_the_motion_tells_little():
     assert best.mean < 0.5 * min(rows["LS"].mean, rows["WLS"].mean)
     assert fit.estimate.held  # and it says what the file holds
     assert any("held by the robot file" in x for x in fit.unidentifiable)
+
+
+# --- what it is judged on -------------------------------------------------------------
+
+
+@settings(max_examples=40)
+@given(
+    sizes=st.lists(st.integers(60, 900), min_size=1, max_size=7), seed=st.integers(0)
+)
+def test_blocks_are_short_stretches_of_one_log_and_one_fold(sizes, seed):
+    rng = np.random.default_rng(seed)
+    robot = arm("planar")
+    (long,) = motions(robot, count=1, duration=10.0)
+    logs = tuple(part(long, slice(0, n)) for n in sizes)
+    folds = tuple(np.repeat(rng.integers(0, 4, n // 20 + 1), 20)[:n] for n in sizes)
+    data = Data(logs, folds, 10.0, np.full(2, -1.0))
+    labels = np.concatenate(data.blocks)
+    log = np.repeat(np.arange(len(sizes)), sizes)
+    at, fold = np.concatenate([np.arange(n) for n in sizes]), np.concatenate(folds)
+    assert set(labels) == set(range(labels.max() + 1))
+    each = int(np.ceil(48 / len(sizes)))  # 48 blocks in all, or somewhat more
+    for block in range(labels.max() + 1):
+        own = labels == block
+        assert len(set(log[own])) == len(set(fold[own])) == 1
+        assert np.ptp(at[own]) <= np.ceil(sizes[log[own][0]] / each)
+    places = {(a, b * each // sizes[a]) for a, b in zip(log, at, strict=True)}
+    assert len(places) <= labels.max() + 1 <= 4 * len(places)
+    left = [rng.normal(size=m.q.shape) for m in logs]
+    total = (np.concatenate(left) ** 2).sum(axis=0)
+    np.testing.assert_allclose(data.squares(left).sum(axis=0), total)
 
 
 # --- outside of what was seen ---------------------------------------------------------

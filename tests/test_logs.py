@@ -1,7 +1,9 @@
 """Whatever a log is written in, the same recording is read."""
 
+import struct
 import sys
 import warnings
+import zlib
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +15,7 @@ import pandas as pd
 import polars as pl
 import pyarrow as pa
 import pytest
+import scipy.io
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from logs import ARM, DIALECTS, START, Messages, bag, columns, states, truth
@@ -22,6 +25,7 @@ from hybrid.cli.options import read_logs
 from hybrid.cli.screen import Screen
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all
+from hybrid.recording.formats.mat_elements import check_elements
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "ur10_bag"
 TEXTS = (*DIALECTS, "gzip", "tab", "other units", "ur_rtde", "ur_rtde, spaces",
@@ -316,6 +320,62 @@ def test_a_library_that_is_not_there_is_named(
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(RecordingError, match=rf"pip install 'hybrid-arm\[{extra}\]'$"):
         read(tmp_path / file)
+
+
+def test_a_heap_of_hdf5_that_never_ends_is_refused(tmp_path):
+    """The library would walk it for ever: what is left of a heap takes no room."""
+    path, t = tmp_path / "log.h5", np.arange(5.0)
+    with h5py.File(path, "w") as file:
+        file["t"], file["q"], file["tau"] = t, np.zeros((5, 2)), np.ones((5, 2))
+        file["q"].attrs["units"] = "deg"  # text is what lies in a heap
+    assert read(path).q.shape == (5, 2)
+    data = bytearray(path.read_bytes())
+    heap = data.index(b"GCOL")
+    free = heap + 16 + 16 + 8  # behind the heap's header and one word
+    assert data[free : free + 8] == bytes(8)
+    data[free + 8 : free + 16] = bytes(8)
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match=f"heap at byte {heap} is damaged"):
+        read(path)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize(
+    ("at", "byte"),
+    [(48, 73), (48, 14), (48, 0), (17, 0x08), (16, 5)],
+    ids=["no type", "an array for numbers", "type 0", "complex", "sparse"],
+)
+def test_an_array_of_matlab_without_the_numbers_of_its_class_is_refused(
+    tmp_path, at, byte, compressed
+):
+    """SciPy would look the type up beyond its table, or read on beyond the array."""
+    path = tmp_path / "log.mat"
+    content = {"t": np.arange(5.0), "q": np.zeros((5, 2)), "tau": np.ones((5, 2))}
+    scipy.io.savemat(path, content)
+    assert read(path).q.shape == (5, 2)
+    data = bytearray(path.read_bytes())
+    array = data[128 : 128 + 8 + data[132]]
+    assert array[48] == 9  # doubles: behind flags, dimensions and a short name
+    array[at] = byte
+    if compressed:
+        packed = zlib.compress(array)
+        array = struct.pack("<II", 15, len(packed)) + packed
+    path.write_bytes(data[:128] + array)
+    with pytest.raises(RecordingError, match="is not of its type"):
+        read(path)
+
+
+def test_what_scipy_reads_of_its_own_files_is_not_refused():
+    folder = Path(scipy.io.matlab.__file__).parent / "tests" / "data"
+    files = [
+        x for x in folder.glob("*.mat") if b"MATLAB 7.3" not in x.read_bytes()[:10]
+    ]
+    for path in files or pytest.skip("SciPy came without its tests"):
+        try:
+            check_elements(path)
+        except (RecordingError, zlib.error):
+            with pytest.raises((ValueError, TypeError, zlib.error)):
+                scipy.io.loadmat(path)
 
 
 def test_links_of_hdf5_to_other_files_are_not_followed(tmp_path):

@@ -10,6 +10,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 import mutation
 from patch import patch_of
+from tiers import tiers
 
 SIGNALS = ("hybrid/signals",)
 
@@ -71,3 +72,20 @@ def test_a_constant_is_no_function():
     ]
     source = (mutation.ROOT / mutant.path).read_text()
     assert patch_of(source, mutant) is None
+
+
+def test_what_survives_meets_the_slow_tests_and_those_of_its_folder_once():
+    first, second = tiers("hybrid/calibrate/solve.py")
+    quick, slow = (
+        f"tests/test_calibrate.py::test_{x}"
+        for x in ("calibrate_is_public", "errors_stay_within_a_fifth[0.0]")
+    )
+    assert first.holds(quick) and not first.holds(slow)
+    assert second.holds(slow) and not second.holds(quick)
+    near = tiers("hybrid/online/intake.py")[1]
+    beside = tiers("hybrid/regression/prior.py")
+    assert beside[0].files == ("tests/test_ladder.py",)
+    assert "tests/test_cross_products.py" in beside[1].files
+    assert beside[1].holds("tests/test_cross_products.py::test_anything")
+    assert not beside[1].holds("tests/test_ladder.py::test_anything")
+    assert "tests/test_ladder.py" not in near.files

@@ -90,11 +90,7 @@ class Calibration:
 
     def interval(self, level: float = 0.95) -> tuple[Array, Array]:
         """Confidence limits of the corrections, shape (b,) each."""
-        from scipy.stats import t as student
-
-        quantile = float(student.ppf((1 + level) / 2, self.solution.degrees))
-        half = quantile * self.solution.std
-        return self.solution.x - half, self.solution.x + half
+        return self.solution.interval(level)
 
     @property
     def rejected(self) -> tuple[Rejected, ...]:

@@ -2,7 +2,7 @@
 
 Residuals are weighed by the noise of their kind, which is estimated with them. A robust
 loss finds the scale of the noise; what then lies beyond its distribution is left out by
-name, and plain least squares over the rest gives estimates and covariance.
+name, and plain least squares over the rest gives estimates.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
-from scipy.stats import chi2
+from scipy.stats import t as student
 
+from hybrid.calibrate.covariance import clustered_covariance
 from hybrid.calibrate.measurements import Measurements
 from hybrid.calibrate.model import Block, KinematicModel
+from hybrid.calibrate.outliers import misfit
 from hybrid.dynamics.base import BaseParameters, base_parameters
 from hybrid.errors import CalibrationError
 from hybrid.robot.chain import Array
 
 USUAL_NOISE = 1e-4  # m or rad: weights before anything is known
 LEAST_NOISE = 1e-9  # m or rad: below it weights would come from rounding
-OUTSIDE = 5e-4  # share of good measurements that the rejection costs
 _NORMAL = 1.4826  # standard deviation of a normal variable over its median size
-_ROUNDS = 6
+_ROUNDS = 20
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Solution:
     Attributes:
         labels: Names, length b.
         x: Estimates, shape (b,), [m, rad, ...].
-        covariance: Of the estimates, shape (b, b).
-        degrees: Degrees of freedom left.
+        covariance: Of the estimates, shape (b, b); poses are independent.
+        degrees: Degrees of freedom of each estimate's variance, shape (b,).
         noise: Standard deviation of each kind of measurement, [m or rad].
         reduced: Which parameters were kept, and what became of the others.
         jacobian: Derivatives over noise at the estimate, shape (rows, b).
@@ -60,7 +60,7 @@ class Solution:
     labels: tuple[str, ...]
     x: Array
     covariance: Array
-    degrees: int
+    degrees: Array
     noise: dict[str, float]
     reduced: BaseParameters
     jacobian: Array
@@ -74,6 +74,11 @@ class Solution:
         """Standard deviation of each estimate, shape (b,)."""
         std: Array = np.sqrt(np.diagonal(self.covariance))
         return std
+
+    def interval(self, level: float = 0.95) -> tuple[Array, Array]:
+        """Confidence limits of the estimates, shape (b,) each."""
+        half = student.ppf((1 + level) / 2, self.degrees) * self.std
+        return self.x - half, self.x + half
 
     def values(self) -> dict[str, float]:
         """Estimates by name."""
@@ -123,16 +128,16 @@ def solve(
         # With one kind of measurement, weights only scale the whole sum of squares.
         if settled and (len(before) == 1 or _change(before, fit.noise) < 0.02):
             break
-    R = np.linalg.qr(fit.weighed(x)[1], mode="r")
-    inverse = solve_triangular(R, np.eye(len(x)))
+    residual, jacobian = fit.weighed(x)
+    covariance, degrees = clustered_covariance(jacobian, residual, fit.poses(x))
     return Solution(
         labels=reduced.kept_labels,
         x=x,
-        covariance=inverse @ inverse.T,
-        degrees=fit.rows - len(x),
+        covariance=covariance,
+        degrees=degrees,
         noise=dict(fit.noise),
         reduced=reduced,
-        jacobian=fit.weighed(x)[1],
+        jacobian=jacobian,
         rejected=tuple(fit.rejected),
         iterations=fit.iterations,
         evaluations=fit.evaluations,
@@ -153,6 +158,7 @@ class _Fit:
         self.model, self.data, self.load = model, data, load
         self.labels: tuple[str, ...] = ()
         self.noise: dict[str, float] = {}
+        self.freedom: dict[str, float] = {}
         self.kept: dict[str, NDArray[np.bool_]] = {}
         self.rejected: list[Rejected] = []
         self.iterations = self.evaluations = self.rows = 0
@@ -183,6 +189,8 @@ class _Fit:
                 f"{self.data.size} poses; valid are more than the {reduced.size} "
                 "parameters that they shall tell"
             )
+        share = 1 - reduced.size / self.rows
+        self.freedom = {b.name: share * b.residual.size for b in blocks}
         self.labels = reduced.kept_labels
         self._last = (np.full(1, np.nan), [])
         return reduced
@@ -202,6 +210,14 @@ class _Fit:
             residual.append(b.residual[kept].ravel() / noise)
             jacobian.append(b.jacobian[kept].reshape(-1, len(self.labels)) / noise)
         return np.concatenate(residual), np.concatenate(jacobian)
+
+    def poses(self, x: Array) -> NDArray[np.intp]:
+        """Pose of each row of the weighed residuals, shape (rows,)."""
+        rows = [
+            np.repeat(b.pose[self.kept[b.name]], b.residual.shape[1])
+            for b in self.blocks(x)
+        ]
+        return np.concatenate(rows)
 
     def _residual(self, x: Array) -> Array:
         return self.weighed(x)[0]
@@ -246,23 +262,28 @@ class _Fit:
         return x
 
     def reject(self, x: Array) -> bool:
-        """Leave out units beyond the noise; True if they are the same as before."""
-        before = self.kept
+        """Leave out units that the others predict badly; True if the same as before.
+
+        So many stay that they outvote those that go, as in least trimmed squares.
+        """
+        before, rows = self.kept, sum(b.residual.size for b in self.blocks(x))
+        R = np.linalg.qr(self.weighed(x)[1], mode="r")
+        way = np.linalg.inv(R)
+        least = (rows + len(x) + 1) / 2 / rows
         self.kept, self.rejected = {}, []
         for b in self.blocks(x):
+            noise, kept = self.noise[b.name], before[b.name]
+            over = misfit(
+                b.residual / noise, b.jacobian / noise, way @ way.T, kept,
+                self.freedom[b.name],
+            )  # fmt: skip
+            bound = max(1.0, float(np.quantile(over, least, method="higher")))
+            self.kept[b.name] = over <= bound
             size = np.linalg.norm(b.residual, axis=1)
-            limit = np.sqrt(chi2.isf(OUTSIDE, b.residual.shape[1]))
-            self.kept[b.name] = size <= limit * self.noise[b.name]
             self.rejected += [
                 Rejected(int(b.pose[k]), b.name, float(size[k]))
                 for k in np.flatnonzero(~self.kept[b.name])
             ]
-        self.rows = len(self.weighed(x)[0])
-        if self.rows <= len(x):
-            raise CalibrationError(
-                f"{self.data.source}: too many measurements do not fit the others "
-                f"({len(self.rejected)}); check the order and units of the columns"
-            )
         return all(np.array_equal(before[kind], self.kept[kind]) for kind in before)
 
     def weigh(self, x: Array) -> None:
@@ -274,5 +295,6 @@ class _Fit:
             used = float((Q[row : row + len(residual)] ** 2).sum())
             row += len(residual)
             freedom = max(len(residual) - used, 1.0)
+            self.freedom[b.name] = freedom
             noise = float(np.sqrt(residual @ residual / freedom))
             self.noise[b.name] = max(noise, LEAST_NOISE)

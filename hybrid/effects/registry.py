@@ -17,6 +17,7 @@ from typing import Any
 
 from hybrid.effects.effect import Effect, Scale
 from hybrid.errors import EffectError
+from hybrid.names import printable
 
 _ENTRY_POINT_GROUP = "hybrid.effects"
 _STATED = ("id", "port", "gains", "equation", "source", "sentence", "remedy")
@@ -199,7 +200,9 @@ def _groups(
     everything = tuple(range(len(names)))
     if cls.scope == "arm":
         if text is not None:
-            raise EffectError(f"{cls.id} is of the whole arm; leave out ':{text}'")
+            raise EffectError(
+                f"{cls.id} is of the whole arm; leave out ':{printable(text)}'"
+            )
         return [everything]
     if text is None:
         if cls.scope == "coupling":

@@ -166,7 +166,7 @@ def _bounded_solve(A: Array, b: Array, lower: Array) -> Array:
     sets).
     """
     held = np.zeros(len(b), dtype=bool)
-    theta = np.where(np.isfinite(lower), np.maximum(lower, 0.0), 0.0)
+    theta = np.maximum(lower, 0.0)
     for _ in range(_MOST_CHANGES * len(b)):
         free = ~held
         aim = theta.copy()

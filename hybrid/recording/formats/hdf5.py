@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
+from hybrid.recording.formats.hdf5_heap import check_heaps
 from hybrid.recording.formats.npz import table_of_named
 from hybrid.recording.table import LARGEST_FILE, NoJointsError, Table
 from hybrid.recording.words import is_time, meaning, split_unit
@@ -67,6 +68,7 @@ def arrays_of(path: Path) -> tuple[dict[str, NDArray[Any]], float]:
             f"{path}: HDF5 is read by h5py; install it: pip install 'hybrid-arm[hdf5]'"
         ) from error
     try:
+        check_heaps(path)
         with h5py.File(path, "r") as file:
             return _arrays(file, str(path)), _rate(file)
     except RecordingError:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
+from hybrid.recording.formats.mat_elements import check_elements
 from hybrid.recording.formats.npz import table_of_named
-from hybrid.recording.table import LARGEST_FILE, Table
+from hybrid.recording.table import Table
 from hybrid.recording.words import is_time, split_unit
 
 
@@ -61,7 +62,7 @@ def _old(path: Path) -> dict[str, NDArray[Any]]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of variables that it cannot read
-        _check_inflated(path)
+        check_elements(path)
         content = scipy.io.loadmat(path, squeeze_me=False, chars_as_strings=True)
     found: dict[str, NDArray[Any]] = {}
     for name, x in content.items():
@@ -90,29 +91,6 @@ def _without_struct(found: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     if len(structs) != 1:
         return found
     return {name.split(".", 1)[-1]: x for name, x in found.items()}
-
-
-def _check_inflated(path: Path) -> None:
-    """Refuse compressed variables that unpack to more than any log."""
-    import zlib
-
-    total, size = 0, path.stat().st_size
-    with path.open("rb") as file:
-        file.seek(128)
-        while file.tell() + 8 <= size:
-            head = file.read(8)
-            kind, length = (int.from_bytes(head[k : k + 4], "little") for k in (0, 4))
-            if kind == 15:
-                unpacker, data = zlib.decompressobj(), file.read(min(length, size))
-                while data:
-                    total += len(unpacker.decompress(data, 1 << 24))
-                    data = unpacker.unconsumed_tail
-                    if total > LARGEST_FILE:
-                        raise RecordingError(
-                            f"{path}: unpacks to more than {LARGEST_FILE:.3g} bytes"
-                        )
-            else:
-                file.seek(length, 1)
 
 
 def _new(path: Path) -> dict[str, NDArray[Any]]:

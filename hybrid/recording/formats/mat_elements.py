@@ -1,0 +1,97 @@
+"""Elements of a MATLAB file of version 5, walked before SciPy trusts them.
+
+SciPy looks the type of an array's numbers up in a table without asking whether it is in
+there, and reads as many elements as the array's class needs, also beyond the array: a
+damaged file takes the process down (SciPy 1.17).
+
+Source: MathWorks, MAT-File Format, "Level 5 MAT-File Format".
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+from hybrid.errors import RecordingError
+from hybrid.recording.table import LARGEST_FILE
+
+_HEADER = 128  # bytes, the last two of which tell the order of all others
+_MATRIX, _COMPRESSED, _LAST = 14, 15, 18  # types: 1 to the last
+_NUMBERS = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13))
+_TEXT = frozenset((1, 2, 3, 4, 5, 6, 7, 16, 17, 18))
+# Types of what each array begins with: flags, dimensions, name.
+_NAMED = ((6,), (5, 6), (1, 16))
+_CHAR, _SPARSE, _HIGHEST = 4, 5, 15  # classes; those behind are dense numbers
+_COMPLEX = 0x800
+_DEEPEST = 32  # structs and cells within each other
+
+
+def check_elements(path: Path) -> None:
+    """Walk every element of a file.
+
+    Args:
+        path: MATLAB file; of version 4, which has no elements, nothing is checked.
+
+    Raises:
+        RecordingError: An element has no type, or a file unpacks to more than any log.
+    """
+    source, total = str(path), 0
+    with path.open("rb") as file:
+        head = file.read(_HEADER)
+        if 0 in head[:4]:  # that is a version 4 file
+            return
+        order = ">" if head[126:] == b"MI" else "<"
+        while len(tag := file.read(8)) == 8:
+            kind, length = struct.unpack(f"{order}II", tag)
+            data = file.read(min(length, LARGEST_FILE))
+            if kind == _COMPRESSED:
+                room = LARGEST_FILE - total + 1
+                data = zlib.decompressobj().decompress(data, room)
+                total += len(data)
+            if total > LARGEST_FILE:
+                raise RecordingError(
+                    f"{source}: unpacks to more than {LARGEST_FILE:.3g} bytes"
+                )
+            if kind == _COMPRESSED:
+                _walk(memoryview(data), order, source, 0)
+            elif kind == _MATRIX:
+                _walk(memoryview(data), order, source, 1)
+
+
+def _walk(data: memoryview, order: str, source: str, depth: int) -> None:
+    """Walk an array with all that is within it."""
+    kinds: list[int] = []
+    at, flags = 0, 0
+    while at + 8 <= len(data):
+        kind, length = struct.unpack_from(f"{order}II", data, at)
+        room = 8 + -(-length // 8) * 8
+        if kind >> 16:  # a small element: its length is in the type's upper half
+            kind, length, room = kind & 0xFFFF, 0, 8
+        if not 0 < kind <= _LAST or depth > _DEEPEST:
+            raise _damaged(source)
+        if kind == _MATRIX:
+            _walk(data[at + 8 : at + 8 + length], order, source, depth + 1)
+        elif not kinds and at + 12 <= len(data):
+            (flags,) = struct.unpack_from(f"{order}I", data, at + 8)
+        kinds.append(kind)
+        at += room
+    if depth and kinds and not _holds_numbers(kinds, flags):
+        raise _damaged(source)
+
+
+def _holds_numbers(kinds: list[int], flags: int) -> bool:
+    """Whether an array has the elements that its class needs, of types that it may."""
+    kind, own = flags & 0xFF, kinds[3:]
+    if not _CHAR <= kind <= _HIGHEST:
+        return True
+    parts = (3 if kind == _SPARSE else 1) + bool(flags & _COMPLEX)
+    valid = _TEXT if kind == _CHAR else _NUMBERS
+    named = all(x in types for x, types in zip(kinds, _NAMED, strict=False))
+    return named and len(own) >= parts and valid.issuperset(own)
+
+
+def _damaged(source: str) -> RecordingError:
+    return RecordingError(
+        f"{source}: not a whole MATLAB file: an element is not of its type"
+    )
