@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from blind.case import TUNED, plan
+from blind.score import Named, score
 from outputs import command_line
 from rich.console import Console
 from tune_thresholds_cases import TRIALS, checked_cases
 
-from hybrid.benchmark.case import TUNED, plan
-from hybrid.benchmark.score import Named, score
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.files import atomic_path, write_json
 from hybrid.report import Table, markdown_table, provenance, write_results

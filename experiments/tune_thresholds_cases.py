@@ -10,8 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from hybrid.benchmark.case import Case
-from hybrid.benchmark.run import make, read_open, read_rows
+from blind.case import Case
+from blind.run import make, read_open, read_rows
+
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.explanation import split
 from hybrid.diagnose.measure import measure_gap

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hybrid.inspect import Inspection, inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
     from hybrid.plant import simulate
-    from hybrid.recording import Recording
+    from hybrid.recording import Recording, recording_from_table
     from hybrid.recording import read_all as read_recordings
     from hybrid.robot import Robot
     from hybrid.servo import ServoFit, fit_servo
@@ -54,6 +54,7 @@ __all__ = [
     "inspect_recording",
     "predict",
     "read_recordings",
+    "recording_from_table",
     "simulate",
     "validate",
 ]
@@ -81,6 +82,7 @@ _HOME = {
     "inspect_recording": "hybrid.inspect",
     "predict": "hybrid.identify",
     "read_recordings": "hybrid.recording:read_all",
+    "recording_from_table": "hybrid.recording",
     "simulate": "hybrid.plant",
     "validate": "hybrid.identify",
 }

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 from hybrid import __version__
 from hybrid.cli import (
-    benchmark,
     calibrate,
     diagnose,
     effects,
@@ -41,7 +40,6 @@ _VERBS = {
     "diagnose": diagnose,
     "export": export,
     "effects": effects,
-    "benchmark": benchmark,
 }
 _EXAMPLES = """\
 from nothing to a validated model:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hybrid.arrays import Array
+
 Structure = Literal["full", "diagonal", "low_rank"]
 
 _CHUNK_BYTES = 2**21  # of the largest temporary array, so that it stays in the cache

@@ -14,18 +14,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.compensator.checks import check_pair, draw
+from hybrid.compensator.envelope import LOG_VARIANCE as LOG_VARIANCE
 from hybrid.compensator.envelope import Envelope
 from hybrid.errors import HybridError, ModelFileError
 
 if TYPE_CHECKING:
     from hybrid.compensator.modules import NetworkModule
 
-Array = NDArray[np.float64]
 
-LOG_VARIANCE = (-14.0, 6.0)  # of a standardised output
 _ROWS = 4096  # samples at a time
 _KERNEL = 4  # samples that a convolution joins
 

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from hybrid.benchmark.past import past
-from hybrid.benchmark.strangers import Stranger
-from hybrid.effects.effect import Array, JointState, Quantity
+from blind.past import past
+from blind.strangers import Stranger
+from hybrid.arrays import Array
+from hybrid.effects.effect import JointState, Quantity
 
 if TYPE_CHECKING:
     import mujoco

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.robot.spatial import central_inertia, inertial_about
 
 

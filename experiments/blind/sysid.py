@@ -16,11 +16,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from hybrid.benchmark.score import Named
+from blind.score import Named
+from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 # What of the file is fitted at each joint, and the effect that a change of it means.
 FIELDS = {"armature": "armature", "damping": "viscous", "frictionloss": "coulomb"}

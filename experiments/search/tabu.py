@@ -10,8 +10,9 @@ from collections import deque
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hybrid.arrays import Array
 from hybrid.errors import HybridError
-from hybrid.search.search import Array, Best, checked_bounds, checked_values
+from search.search import Best, checked_bounds, checked_values
 
 
 class Tabu:

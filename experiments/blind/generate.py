@@ -1,6 +1,6 @@
 """The generator: a process of its own that seals what it has put into a plant.
 
-    python -m hybrid.benchmark.generate CASE.json OPEN SEALED
+    python -m blind.generate CASE.json OPEN SEALED
 
 ``OPEN`` gets the robot file as the simulator has it, the recordings, and the question;
 ``SEALED`` the truth, and recordings that no diagnosis sees.
@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.benchmark.case import Case
-from hybrid.benchmark.draw import command_effects, draw, torque_effects
-from hybrid.benchmark.independent import INDEPENDENT
-from hybrid.benchmark.robots import load_arm, off_by
-from hybrid.benchmark.size import Rig
-from hybrid.benchmark.strangers import STRANGERS
+from blind.case import Case
+from blind.draw import command_effects, draw, torque_effects
+from blind.independent import INDEPENDENT
+from blind.robots import load_arm, off_by
+from blind.size import Rig
+from blind.strangers import STRANGERS
 from hybrid.effects import Effect, effect_classes
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.files import write_json

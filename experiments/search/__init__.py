@@ -6,6 +6,6 @@ plain algorithms see ``scipy.optimize``; only what is particular to a publicatio
 written here.
 """
 
-from hybrid.search.search import Best, Search, minimise
+from search.search import Best, Search, minimise
 
 __all__ = ["Best", "Search", "minimise"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
-from hybrid.robot.chain import Array
 
 
 def past(effect: Effect, state: JointState, *names: str) -> dict[str, Array]:

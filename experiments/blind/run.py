@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -15,13 +16,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from hybrid.benchmark.baselines import baselines
-from hybrid.benchmark.case import Case
-from hybrid.benchmark.generate import IMPOSSIBLE
-from hybrid.benchmark.motions import motion_error
-from hybrid.benchmark.oracle import shrinkage
-from hybrid.benchmark.robots import load_arm
-from hybrid.benchmark.score import Named, covered, named_causes, score
+from blind.baselines import baselines
+from blind.case import Case
+from blind.generate import IMPOSSIBLE
+from blind.motions import motion_error
+from blind.oracle import shrinkage
+from blind.robots import load_arm
+from blind.score import Named, covered, named_causes, score
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.result import Result
 from hybrid.effects import effect_classes, effect_from_dict
@@ -116,14 +117,21 @@ def make(case: Case, folder: Path, visible: Path, sealed: Path) -> str:
     """
     write_json(folder / "case.json", asdict(case))
     done = subprocess.run(
-        [sys.executable, "-m", "hybrid.benchmark.generate",
+        [sys.executable, "-m", "blind.generate",
          str(folder / "case.json"), str(visible), str(sealed)],
-        capture_output=True, text=True, check=False,
+        capture_output=True, text=True, check=False, env=_environment(),
     )  # fmt: skip
     *_, last = done.stderr.strip().splitlines() or [""]
     if done.returncode not in (0, IMPOSSIBLE):
         raise HybridError(f"the generator failed on {case.key}: {last}")
     return last if done.returncode == IMPOSSIBLE else ""
+
+
+def _environment() -> dict[str, str]:
+    """The environment in which a process of its own finds this folder."""
+    path = os.environ.get("PYTHONPATH")
+    here = str(Path(__file__).parents[1])
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (here, path)))}
 
 
 def read_open(visible: Path) -> tuple[Robot, list[Recording], tuple[str, ...]]:

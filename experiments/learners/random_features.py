@@ -11,16 +11,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.compensator.checks import check_pair, draw
 from hybrid.compensator.envelope import Envelope
 from hybrid.errors import ModelFileError
 
 if TYPE_CHECKING:
-    from hybrid.compensator.modules import RandomFeatureModule
+    from learners.modules import RandomFeatureModule
 
-Array = NDArray[np.float64]
 
 _LENGTHS = (0.3, 0.6, 1.2, 2.5)  # training deviations
 _NOISES = (0.03, 0.1, 0.3, 1.0)  # share of the outputs' deviation
@@ -157,7 +157,7 @@ class RandomFeatureRegression:
 
     def to_torch(self) -> RandomFeatureModule:
         """The same regression as a float64 torch module (loads torch)."""
-        from hybrid.compensator.modules import RandomFeatureModule
+        from learners.modules import RandomFeatureModule
 
         return RandomFeatureModule(self)
 

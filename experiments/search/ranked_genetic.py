@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hybrid.search.genetic import Genetic
-from hybrid.search.search import Array
+from hybrid.arrays import Array
+from search.genetic import Genetic
 
 _SHRINKING = 2.0  # exponent with which mutations shrink over the generations
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hybrid.benchmark.past import past
+from blind.past import past
 from hybrid.effects.effect import (
     Array,
     Body,

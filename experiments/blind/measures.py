@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.benchmark.score import EQUIVALENT
+from blind.score import EQUIVALENT
 from hybrid.diagnose.model import WORTH
 
 Row = Mapping[str, Any]

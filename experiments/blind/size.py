@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.candidates import declared
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.measure import measure_gap
@@ -17,7 +18,6 @@ from hybrid.plant import Noise, Plant, Reference
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 _CLOSE = 0.1  # of the size asked for
 _TRIES = 4

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.benchmark.measures import (
+from blind.confusion import confusion_figure
+from blind.measures import (
     MEASURES,
     Ratio,
     Row,
@@ -23,7 +24,6 @@ from hybrid.benchmark.measures import (
 )
 from hybrid.files import atomic_path
 from hybrid.report import Table, markdown_table, save_figure, write_results
-from hybrid.report.confusion import confusion_figure
 
 METHODS = ("ranking", "stepwise", "stlsq", "fixed", "sysid")
 _NAMES = {

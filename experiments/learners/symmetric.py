@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.compensator.checks import check_matrix, check_pair
 from hybrid.errors import HybridError, ModelFileError
 
 if TYPE_CHECKING:
     from hybrid.compensator import Remainder
-    from hybrid.compensator.modules import SymmetricModule
-
-Array = NDArray[np.float64]
+    from learners.modules import SymmetricModule
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,15 +105,18 @@ class SymmetricRegression:
             ModelFileError: An array is missing or not valid.
         """
         from hybrid.compensator import REMAINDERS
+        from learners.random_features import RandomFeatureRegression
+
+        inside = REMAINDERS | {RandomFeatureRegression.kind: RandomFeatureRegression}
 
         kinds = {name.partition(":")[0] for name in arrays if ":" in name}
-        known = kinds & (REMAINDERS.keys() - {cls.kind})
+        known = kinds & inside.keys()
         if len(kinds) != 1 or not known:
             raise ModelFileError(f"symmetric remainder of unknown kind {sorted(kinds)}")
         (kind,) = known
         own = {k.partition(":")[2]: x for k, x in arrays.items() if ":" in k}
         try:
-            inner = REMAINDERS[kind].from_arrays(own)
+            inner = inside[kind].from_arrays(own)
             parity = float(np.asarray(arrays["parity"]).item())
             return cls(inner, np.asarray(arrays["signs"], float), parity)
         except ModelFileError:
@@ -124,6 +126,6 @@ class SymmetricRegression:
 
     def to_torch(self) -> SymmetricModule:
         """The same regression as a torch module (loads torch)."""
-        from hybrid.compensator.modules import SymmetricModule
+        from learners.modules import SymmetricModule
 
         return SymmetricModule(self.inner.to_torch(), self.signs, self.parity)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate, candidate
 from hybrid.diagnose.evidence import Evidence
@@ -16,7 +17,6 @@ from hybrid.diagnose.products import Index
 from hybrid.diagnose.result import Result
 from hybrid.effects import Effect
 from hybrid.recording import Recording
-from hybrid.robot.chain import Array
 
 _WORTH = 0.02  # of the gap: less than this cannot be shared out
 

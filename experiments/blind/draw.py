@@ -6,14 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hybrid.benchmark.independent import INDEPENDENT
-from hybrid.benchmark.size import Rig
-from hybrid.benchmark.strangers import STRANGERS
+from blind.independent import INDEPENDENT
+from blind.size import Rig
+from blind.strangers import STRANGERS
+from hybrid.arrays import Array
 from hybrid.diagnose.candidates import places
 from hybrid.effects import Effect, effect_classes
 from hybrid.effects.effect import Port
 from hybrid.errors import EffectError, HybridError
-from hybrid.robot.chain import Array
 
 # Sums of other laws, which a fit may choose but no cause has.
 _COMPOSITE = {"threshold_friction", "improved_stribeck"}

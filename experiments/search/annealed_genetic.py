@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.errors import HybridError
-from hybrid.search.adaptive_genetic import AdaptiveGenetic
-from hybrid.search.search import Array, checked_values
+from search.adaptive_genetic import AdaptiveGenetic
+from search.search import checked_values
 
 
 class AnnealedGenetic(AdaptiveGenetic):
@@ -34,7 +35,7 @@ class AnnealedGenetic(AdaptiveGenetic):
             population.
         cooling: Its factor from one generation to the tenth after it.
         chain: Steps of the inner loop, in each generation; ours, as T₀ is.
-        options: See :class:`~hybrid.search.adaptive_genetic.AdaptiveGenetic`.
+        options: See :class:`~search.adaptive_genetic.AdaptiveGenetic`.
 
     Raises:
         HybridError: An argument is out of range.

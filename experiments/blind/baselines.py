@@ -21,8 +21,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from hybrid.benchmark.score import Named
-from hybrid.benchmark.sysid import fit_sysid, has_sysid
+from blind.score import Named
+from blind.sysid import fit_sysid, has_sysid
+from hybrid.arrays import Array
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.result import Result
@@ -30,7 +31,6 @@ from hybrid.diagnose.term import Term
 from hybrid.errors import IdentificationError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 _RIDGE = 1e-6  # of the largest diagonal entry
 _LEVEL = 0.01
