@@ -12,6 +12,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+RUNS := .venv/.runs
 
 # One thread per process: the linear algebra is small, and two test workers would fight.
 export OMP_NUM_THREADS = 1
@@ -20,7 +21,7 @@ export OPENBLAS_NUM_THREADS = 1
 .PHONY: demo test studies check format mutants fuzz clean
 .DEFAULT_GOAL := demo
 
-demo: $(INSTALLED)
+demo: $(RUNS)
 	$(BIN)/python experiments/demo.py --out reports/demo
 
 test: $(INSTALLED)
@@ -53,11 +54,16 @@ clean:
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Installed once, and again only when what should be installed changes.
+$(RUNS): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "Installing into .venv (once; a few minutes on a slow line) ..."
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e .
+	@touch $@
+
 $(INSTALLED): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing into .venv (once; a few minutes on a slow line) ..."
 	$(BIN)/python -m pip install --disable-pip-version-check \
 		-c constraints.txt -e ".[dev]"
-	@touch $@
+	@touch $@ $(RUNS)
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \

@@ -34,7 +34,16 @@ FLOORS = (
     {"signals"},
     {"recording"},
     {"robot"},
-    {"arrays", "files", "names", "parameters", "errors", "threads"},
+    {
+        "arrays",
+        "examples",
+        "extras",
+        "files",
+        "names",
+        "parameters",
+        "errors",
+        "threads",
+    },
 )
 LEVEL = {name: -depth for depth, names in enumerate(FLOORS) for name in names}
 

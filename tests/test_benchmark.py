@@ -276,11 +276,6 @@ def test_a_plant_without_effects_is_no_alarm_and_is_not_answered_twice(tmp_path)
     assert told == []
 
 
-def test_an_unknown_arm_is_bad_input_before_anything_runs():
-    with pytest.raises(HybridError, match="valid are files and TwoDofs"):
-        plan(["no_such_arm"], 1, seed=0)
-
-
 def test_half_a_line_of_an_interrupted_run_is_run_again(tmp_path):
     log = tmp_path / "cases.jsonl"
     log.write_text('{"key": "a"}\n{"key": "b", "verd')

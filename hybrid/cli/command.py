@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from hybrid import __version__
 from hybrid.cli import (
     calibrate,
+    demo,
     diagnose,
     effects,
     excite,
@@ -29,6 +30,7 @@ from hybrid.names import printable
 OK, BUG, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
 _VERBS = {
+    "demo": demo,
     "inspect": inspect,
     "excite": excite,
     "simulate": simulate,
@@ -42,6 +44,9 @@ _VERBS = {
     "effects": effects,
 }
 _EXAMPLES = """\
+a real log, in ten seconds:
+  hybrid demo
+
 from nothing to a validated model:
   hybrid simulate --robot models/coman_truth.yaml --seed 0 --out logs/fit
   hybrid simulate --robot models/coman_truth.yaml --seed 1 --out logs/held_out

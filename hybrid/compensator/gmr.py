@@ -26,6 +26,7 @@ from hybrid.compensator.conditional import FARTHEST as FARTHEST
 from hybrid.compensator.conditional import Conditional, soft_minimum
 from hybrid.compensator.em import Structure
 from hybrid.errors import HybridError, ModelFileError
+from hybrid.extras import check_extra
 
 if TYPE_CHECKING:
     from hybrid.compensator.gmr_module import GmrModule
@@ -261,6 +262,7 @@ class GaussianMixtureRegression:
 
     def to_torch(self) -> GmrModule:
         """The same regression as a float64 torch module (loads torch)."""
+        check_extra("torch", "learn", "A torch module")
         from hybrid.compensator.gmr_module import GmrModule
 
         return GmrModule(self)
