@@ -16,6 +16,7 @@ PACKAGE = Path(__file__).parents[1] / "hybrid"
 # Top to bottom; modules of one line may import each other, and everything below.
 FLOORS = (
     {"__main__", "cli"},
+    {"views"},
     {"report"},
     {"diagnose"},
     {"calibrate"},
@@ -41,6 +42,7 @@ FLOORS = (
         "files",
         "names",
         "parameters",
+        "shown",
         "errors",
         "threads",
     },

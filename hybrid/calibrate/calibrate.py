@@ -27,6 +27,7 @@ from hybrid.errors import CalibrationError, HybridWarning, RobotError
 from hybrid.parameters import Parameter
 from hybrid.robot import Robot
 from hybrid.robot.rewrite import write_placements
+from hybrid.shown import Shown
 
 GROUPS = ("base", "tool", "geometry", "compliance", "scale")
 USUAL = ("base", "tool", "geometry")
@@ -54,7 +55,7 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(Shown):
     """A calibrated arm.
 
     Attributes:
