@@ -7,6 +7,7 @@
 #   make format  let ruff put the format right
 #   make mutants change the code in 400 places and see whether the tests notice
 #   make fuzz    a million damaged files for every reader -> reports/fuzz/
+#   make docs    the documentation -> build/site/; links are checked
 #   make clean   remove everything these targets made, except reports
 
 PYTHON ?= python3
@@ -18,7 +19,7 @@ RUNS := .venv/.runs
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test studies check format mutants fuzz clean
+.PHONY: demo test docs studies check format mutants fuzz clean
 .DEFAULT_GOAL := demo
 
 demo: $(RUNS)
@@ -26,6 +27,11 @@ demo: $(RUNS)
 
 test: $(INSTALLED)
 	$(BIN)/pytest -n 2 --dist worksteal
+
+docs: $(INSTALLED)
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet \
+		-c constraints.txt -e ".[docs]"
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 studies: $(INSTALLED)
 	$(BIN)/pytest -n 2 --dist worksteal -m study
