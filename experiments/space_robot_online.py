@@ -20,6 +20,8 @@ from space_robot import motion
 from space_robot_ours import track, with_noise
 from space_robot_report import write_report
 from space_robot_searches import (
+
+from hybrid.arrays import Array
     Run,
     plain,
     recursive_least_squares,
@@ -28,7 +30,6 @@ from space_robot_searches import (
     swarm_at_once,
 )
 
-from hybrid.robot.chain import Array
 
 VARIANTS = {
     "best/2": ("best2bin", 0.0),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 
+
 SI = {
     "time": ("s",),
     "q": ("rad", "m"),
