@@ -11,9 +11,9 @@ from compensation import CONTROL, torque
 from compensation_loop import OBSERVER, SETTLE, inertia
 from scipy.signal import lfilter
 
-from hybrid.arrays import Array
 from hybrid import DynamicModel
 from hybrid.plant import Plant
+from hybrid.robot.chain import Array
 
 BLOCK, HOUR = 0.5, 3600.0  # s
 PUSHES = 2000

@@ -14,10 +14,10 @@ from typing import Any, cast
 
 import numpy as np
 from scipy.optimize import minimize as local_minimum
-from hybrid.arrays import Array
 from search.niche_genetic import NicheGenetic
 from search.search import minimise
 
+from hybrid.arrays import Array
 from hybrid.excitation.constraints import Limits
 from hybrid.excitation.criteria import Condition, Criterion, gram_condition
 from hybrid.excitation.observation import Observation

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from joint_friction_logs import improved
 from scipy.optimize import differential_evolution
-from hybrid.arrays import Array
 from search import minimise
 from search.adaptive_genetic import AdaptiveGenetic
 from search.annealed_genetic import AnnealedGenetic
 from separable import Problem, fit_separable
 
+from hybrid.arrays import Array
 from hybrid.effects import JointState
 from hybrid.effects.improved_stribeck import ImprovedStribeck
 

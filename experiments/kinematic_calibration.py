@@ -21,11 +21,11 @@ import numpy as np
 from kinematic_calibration_report import write_report
 from mh6 import LABELS, MODEL, TRUE, UNITS, UPPER, measure, pose_errors, random_poses
 from outputs import command_line
-from hybrid.arrays import Array
 from search import minimise
 from search.ranked_genetic import RankedGenetic
 from search.tabu import Tabu
 
+from hybrid.arrays import Array
 from hybrid.calibrate import Measurements
 from hybrid.calibrate.solve import solve
 

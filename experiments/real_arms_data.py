@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid import Fit, Motion
 from hybrid.effects import Effect
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.identify import Validation, ValidationRow
+from hybrid.robot.chain import Array
 
 
 @dataclass(frozen=True)

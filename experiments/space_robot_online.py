@@ -20,8 +20,6 @@ from space_robot import motion
 from space_robot_ours import track, with_noise
 from space_robot_report import write_report
 from space_robot_searches import (
-
-from hybrid.arrays import Array
     Run,
     plain,
     recursive_least_squares,
@@ -30,6 +28,7 @@ from hybrid.arrays import Array
     swarm_at_once,
 )
 
+from hybrid.robot.chain import Array
 
 VARIANTS = {
     "best/2": ("best2bin", 0.0),

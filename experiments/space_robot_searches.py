@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import differential_evolution
-from hybrid.arrays import Array
 from search import minimise
 from search.adaptive_genetic import AdaptiveGenetic
 from search.particle_swarm import ParticleSwarm
@@ -16,6 +15,7 @@ from search.recursive_differential_evolution import (
 )
 from space_robot import LOWER, OFFLINE, SAMPLES, TRUE, UPPER, predicted, rigid_columns
 
+from hybrid.arrays import Array
 
 FORGETTING, PENALTY = 0.98, 1e-6
 POPULATION, GENERATIONS = 80, 150  # of the offline start

@@ -89,13 +89,9 @@ def draw(cls: type[Effect]) -> bytes | None:
     )  # fmt: skip
     body = RigidBody(robot.chain, motion)
     joints = (1,) if cls.scope == "joint" else (0, 1)
-    try:
-        effect = cls.typical(joints, joint_scales(robot))
-        columns = effect.columns(motion, body)[:, -1]
-    except Exception:  # an effect may need what this motion does not hold
-        return None
-    torque = columns @ effect.gain_values
-    if not np.isfinite(torque).all() or not np.any(torque):
+    effect = cls.typical(joints, joint_scales(robot))
+    torque = effect.columns(motion, body)[:, -1] @ effect.gain_values
+    if not np.any(torque):  # it changes commands, or large torques only
         return None
     figure = new_figure(height=2.2)
     axes = figure.subplots()

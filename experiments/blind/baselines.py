@@ -21,9 +21,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from hybrid.arrays import Array
 from blind.score import Named
 from blind.sysid import fit_sysid, has_sysid
+from hybrid.arrays import Array
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.result import Result

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hybrid.arrays import Array
 from blind.independent import INDEPENDENT
 from blind.size import Rig
 from blind.strangers import STRANGERS
+from hybrid.arrays import Array
 from hybrid.diagnose.candidates import places
 from hybrid.effects import Effect, effect_classes
 from hybrid.effects.effect import Port

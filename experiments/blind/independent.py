@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from hybrid.arrays import Array
 from blind.past import past
 from blind.strangers import Stranger
+from hybrid.arrays import Array
 from hybrid.effects.effect import JointState, Quantity
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from hybrid.arrays import Array
 from blind.score import Named
+from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.recording import Recording
 from hybrid.robot import Robot

@@ -5,7 +5,6 @@ import numpy as np
 from hybrid.arrays import Array
 
 
-
 def observability_index(jacobian: Array, poses: int) -> float:
     """Index O₁: geometric mean of the singular values, per root of a pose.
 

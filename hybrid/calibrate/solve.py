@@ -17,11 +17,11 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from hybrid.arrays import Array
 from hybrid.calibrate.measurements import Measurements
 from hybrid.calibrate.model import Block, KinematicModel
 from hybrid.dynamics.base import BaseParameters, base_parameters
 from hybrid.errors import CalibrationError
+from hybrid.robot.chain import Array
 
 USUAL_NOISE = 1e-4  # m or rad: weights before anything is known
 LEAST_NOISE = 1e-9  # m or rad: below it weights would come from rounding

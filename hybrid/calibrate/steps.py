@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hybrid.arrays import Array
-
+from hybrid.robot.chain import Array
 
 Values = Mapping[str, float | Array]
 

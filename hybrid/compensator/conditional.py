@@ -8,7 +8,6 @@ import numpy as np
 
 from hybrid.arrays import Array
 
-
 # Inputs are cut off this many deviations from the training mean, where every component
 # has long faded: squares of larger numbers could overflow, in single precision first.
 FARTHEST = 1e6

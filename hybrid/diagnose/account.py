@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.bayes import coloured, memory, quiet
 from hybrid.diagnose.ceiling import recoverable
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.thresholds import Thresholds
+from hybrid.robot.chain import Array
 
 _CALM = 0.25  # of the cut-off: the band in which events are looked for
 

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.gap import Columns, Gap
@@ -16,6 +15,7 @@ from hybrid.diagnose.products import Index
 from hybrid.diagnose.shapes import nudges
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
+from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 

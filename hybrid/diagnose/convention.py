@@ -16,7 +16,6 @@ from functools import partial
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import Candidate, candidate
 from hybrid.diagnose.evidence import Evidence
@@ -32,6 +31,7 @@ from hybrid.effects.viscous import Viscous
 from hybrid.identify.data import FEWEST_PERIODS
 from hybrid.recording import Recording
 from hybrid.robot import Robot
+from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 _BESIDE = (Viscous, Coulomb, TorqueOffset)

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import instead
@@ -18,6 +17,7 @@ from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.measure import block_seconds
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.term import Term
+from hybrid.robot.chain import Array
 
 _BLOCK_SECONDS = 1.0
 _TAIL = 0.02  # of a term's squares: no more than a filter spreads

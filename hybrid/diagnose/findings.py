@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import Candidate, candidate, same
 from hybrid.diagnose.diagnosis import Finding, Shrink, Value
@@ -22,6 +21,7 @@ from hybrid.diagnose.units import unit_at, units
 from hybrid.effects import Effect
 from hybrid.effects.asymmetric_friction import AsymmetricFriction
 from hybrid.effects.torque_offset import TorqueOffset
+from hybrid.robot.chain import Array
 
 _RESAMPLES = 400
 _NORMAL = 1.96

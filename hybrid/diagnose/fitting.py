@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid.diagnose.candidates import HARDLY, Candidate, fuller, with_gains
 from hybrid.diagnose.model import ALIKE, Model, far
 from hybrid.diagnose.pool import REPEATED
@@ -15,6 +14,7 @@ from hybrid.diagnose.refine import shape_steps
 from hybrid.diagnose.shapes import at_places, places
 from hybrid.diagnose.term import Term
 from hybrid.effects.payload import LinkInertia
+from hybrid.robot.chain import Array
 
 _PASSES, _SETTLED = 4, 0.1  # at most; nats that are worth another
 _SAME = 0.01  # of the gain that columns are made at: no matter

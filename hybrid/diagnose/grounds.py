@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.model import WIDEST, Model
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.term import Term
+from hybrid.robot.chain import Array
 
 _FEWEST_SECONDS = 3.0
 _FEWEST_MOVING = 1.0  # s

@@ -10,7 +10,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import (
     Candidate,
@@ -31,6 +30,7 @@ from hybrid.diagnose.term import Term
 from hybrid.effects import Effect
 from hybrid.effects.contact import Contact
 from hybrid.robot import Robot
+from hybrid.robot.chain import Array
 
 WORTH = 10.0  # nats that a term must add
 ALIKE = 3.0  # nats that do not settle which of two effects it is

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2, qmc
 
-from hybrid.arrays import Array
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.background import clocks
 from hybrid.diagnose.candidates import Candidate, with_gains
@@ -20,6 +19,7 @@ from hybrid.diagnose.products import Index
 from hybrid.diagnose.refine import shifted, take_nudges
 from hybrid.diagnose.shapes import at_places, places, shape_units
 from hybrid.effects import Effect
+from hybrid.robot.chain import Array
 
 _NORMAL = 1.96
 _OPEN = 10.0  # times a gain's prior deviation

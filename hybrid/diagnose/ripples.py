@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
-
+from hybrid.robot.chain import Array
 
 _MOST_PERIODS = 400
 _FILTER_ORDER = 5

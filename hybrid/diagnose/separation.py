@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from hybrid.arrays import Array
 from hybrid.diagnose.along import Along
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.bayes import log_bayes
@@ -27,6 +26,7 @@ from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import thresholds
 from hybrid.effects import Effect
 from hybrid.effects.torque_ripple import TorqueRipple
+from hybrid.robot.chain import Array
 
 _EXACT_PASSES = 4
 _LONG_WAVES = 6  # per turn

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
 from hybrid.diagnose.account import Account
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.diagnosis import Finding
@@ -20,6 +19,7 @@ from hybrid.diagnose.thresholds import thresholds
 from hybrid.diagnose.unseen import negligible, useful_terms
 from hybrid.diagnose.vetted import vetted
 from hybrid.effects import Effect
+from hybrid.robot.chain import Array
 
 _TINY = 0.01  # of all that is explained
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from hybrid.arrays import Array
 from hybrid.diagnose.account import Account, account
 from hybrid.diagnose.attribute import Search
 from hybrid.diagnose.candidates import Candidate
@@ -11,6 +10,7 @@ from hybrid.diagnose.findings import alternatives, elsewhere
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.thresholds import Thresholds
+from hybrid.robot.chain import Array
 
 
 def vetted(

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.robot.chain import Chain
+from hybrid.robot.chain import Array, Chain
 
 
 @dataclass(frozen=True)

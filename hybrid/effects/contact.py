@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 
 

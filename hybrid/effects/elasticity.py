@@ -10,8 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg.lapack import dtbtrs
 
-from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
 

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
+from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
 from hybrid.effects.instant import Scalar
 from hybrid.signals import Motion
 

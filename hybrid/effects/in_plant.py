@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.effects.state import JointState
+from hybrid.effects.state import Array, JointState
 
 if TYPE_CHECKING:
     import mujoco

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from hybrid.arrays import Array
-from hybrid.effects.effect import Effect
+from hybrid.effects.effect import Array, Effect
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.effects.effect import JointState, Port, Quantity
+from hybrid.effects.effect import Array, JointState, Port, Quantity
 from hybrid.effects.joint_effect import JointEffect
 
 

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import qr
 
-from hybrid.arrays import Array
 from hybrid.dynamics import regressor, stacked_base
 from hybrid.excitation.path import Path
-from hybrid.robot.chain import Chain
+from hybrid.robot.chain import Array, Chain
 
 FIRST = "first independent columns"
 PIVOTED = "columns by pivoted QR"

@@ -14,8 +14,8 @@ from typing import Protocol
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
+from hybrid.robot.chain import Array
 
 # Eigenvalues below this part of the largest are rounding.
 _FLOOR = 1e-15

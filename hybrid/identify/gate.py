@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from hybrid.arrays import Array
-
+from hybrid.robot.chain import Array
 
 _CHANCE = 0.025  # that noise alone passes, however many terms were tried
 

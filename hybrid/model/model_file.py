@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid import __version__
+from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics import BaseParameters
 from hybrid.effects import Effect, Scale, effect_from_dict

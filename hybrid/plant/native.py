@@ -6,8 +6,8 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid.effects import Effect
+from hybrid.robot.chain import Array
 
 
 def split_effects(

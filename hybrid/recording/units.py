@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 
-
 SI = {
     "time": ("s",),
     "q": ("rad", "m"),

@@ -12,10 +12,9 @@ from xml.parsers import expat
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.files import atomic_path
-from hybrid.robot.chain import Chain
+from hybrid.robot.chain import Array, Chain
 from hybrid.robot.compiled import compiled_without_files
 from hybrid.robot.spatial import rotation_from_axis_angle
 

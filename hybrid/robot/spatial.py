@@ -6,7 +6,6 @@ import numpy as np
 
 from hybrid.arrays import Array
 
-
 # Of a moment of inertia: three numbers of six digits may be off by this much.
 ROUNDED = 1.5e-5
 _SMALLEST = 1e-9  # kg·m²: moments of which rounding does not matter

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hybrid.arrays import Array
-
+from hybrid.robot.chain import Array
 
 
 @dataclass(frozen=True, eq=False)

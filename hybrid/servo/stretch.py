@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.recording import Recording, resample, unbroken
+from hybrid.robot.chain import Array
 
 _SHORTEST = 2.0  # s: a servo settles in less
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 
-
 _AT_ONCE = 6  # signals filtered: more would not stay in the cache
 _PART = 0.7  # of a signal: to filter less than that alone is worth the cut
 
