@@ -7,24 +7,31 @@
 #   make format  let ruff put the format right
 #   make mutants change the code in 400 places and see whether the tests notice
 #   make fuzz    a million damaged files for every reader -> reports/fuzz/
+#   make docs    the documentation -> build/site/; links are checked
 #   make clean   remove everything these targets made, except reports
 
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+RUNS := .venv/.runs
 
 # One thread per process: the linear algebra is small, and two test workers would fight.
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test studies check format mutants fuzz clean
+.PHONY: demo test docs studies check format mutants fuzz clean
 .DEFAULT_GOAL := demo
 
-demo: $(INSTALLED)
+demo: $(RUNS)
 	$(BIN)/python experiments/demo.py --out reports/demo
 
 test: $(INSTALLED)
 	$(BIN)/pytest -n 2 --dist worksteal
+
+docs: $(INSTALLED)
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet \
+		-c constraints.txt -e ".[docs]"
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 studies: $(INSTALLED)
 	$(BIN)/pytest -n 2 --dist worksteal -m study
@@ -53,11 +60,16 @@ clean:
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Installed once, and again only when what should be installed changes.
+$(RUNS): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "Installing into .venv (once; a few minutes on a slow line) ..."
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e .
+	@touch $@
+
 $(INSTALLED): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing into .venv (once; a few minutes on a slow line) ..."
 	$(BIN)/python -m pip install --disable-pip-version-check \
 		-c constraints.txt -e ".[dev]"
-	@touch $@
+	@touch $@ $(RUNS)
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hybrid.benchmark.measures import Ratio
+from blind.measures import Ratio
+
 from hybrid.files import atomic_path
 from hybrid.report import Table, markdown_table, provenance, write_results
 

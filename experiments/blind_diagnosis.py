@@ -12,12 +12,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from blind.case import TUNED, Case, plan
+from blind.run import run_cases
+from blind.tables import by_robot, targets_table, write_benchmark
 from outputs import command_line
 from rich.console import Console
 
-from hybrid.benchmark.case import TUNED, Case, plan
-from hybrid.benchmark.run import run_cases
-from hybrid.benchmark.tables import by_robot, targets_table, write_benchmark
 from hybrid.report import numbers_table, provenance
 
 ROOT = Path(__file__).parents[1]

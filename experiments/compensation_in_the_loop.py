@@ -20,6 +20,7 @@ from compensation import CONTROL, load_arm
 from compensation_loop import guide, track
 from compensation_models import diagnosed_effects, fitted_models
 from compensation_observer import residual, smallest_force, threshold
+from measures import measures_figure, measures_table
 from outputs import command_line
 from rich.console import Console
 
@@ -29,7 +30,6 @@ from hybrid.files import atomic_path
 from hybrid.plant import random_fourier
 from hybrid.report import markdown_table, numbers_table, provenance, save_figure
 from hybrid.report import write_results as write
-from hybrid.report.measures import measures_figure, measures_table
 
 MEASURES = {"tracking": "mrad", "hand": "% of rated torque", "push": "N"}
 

@@ -20,6 +20,7 @@ import numpy as np
 from compensation import kinds_of_motion, load_arm
 from compensation_learned import learned
 from compensation_models import diagnosed_effects
+from measures import measures_figure, measures_table
 from outputs import command_line
 from rich.console import Console
 
@@ -28,7 +29,6 @@ from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.report import markdown_table, numbers_table, provenance, save_figure
 from hybrid.report import write_results as write
-from hybrid.report.measures import measures_figure, measures_table
 from hybrid.signals import motion_from_recording
 
 MEASURES = dict.fromkeys(("seen before", "payload", "faster", "learned"), "N·m")

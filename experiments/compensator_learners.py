@@ -11,13 +11,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from learners import RandomFeatureRegression, SymmetricRegression
 
 from hybrid import DynamicModel, Recording
 from hybrid.compensator import (
     GaussianMixtureRegression,
     NetworkRegression,
-    RandomFeatureRegression,
-    SymmetricRegression,
 )
 from hybrid.signals import Sampler, motion_from_recording
 

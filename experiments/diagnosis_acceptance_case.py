@@ -7,11 +7,11 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
+from blind.sysid import has_sysid
 from diagnosis_acceptance_report import Run
 from diagnosis_acceptance_sysid import fit_by_sysid
 
 from hybrid import Robot, simulate
-from hybrid.benchmark.sysid import has_sysid
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.fixed import fixed_model, fixed_simulator
 from hybrid.diagnose.gap import Gap

@@ -11,9 +11,9 @@ from time import process_time
 from typing import Any
 
 import numpy as np
+from blind.sysid import SysidFit, fit_sysid
 
 from hybrid import Robot
-from hybrid.benchmark.sysid import SysidFit, fit_sysid
 from hybrid.plant import Plant
 from hybrid.recording import Recording
 

@@ -14,15 +14,15 @@ from typing import Any, cast
 
 import numpy as np
 from scipy.optimize import minimize as local_minimum
+from search.niche_genetic import NicheGenetic
+from search.search import minimise
 
+from hybrid.arrays import Array
 from hybrid.excitation.constraints import Limits
 from hybrid.excitation.criteria import Condition, Criterion, gram_condition
 from hybrid.excitation.observation import Observation
 from hybrid.excitation.path import Family, Grid, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
-from hybrid.robot.chain import Array
-from hybrid.search.niche_genetic import NicheGenetic
-from hybrid.search.search import minimise
 
 _TRIES = 15  # without gain
 _LOCAL_STEPS = 30

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from joint_friction_logs import improved
 from scipy.optimize import differential_evolution
+from search import minimise
+from search.adaptive_genetic import AdaptiveGenetic
+from search.annealed_genetic import AnnealedGenetic
 from separable import Problem, fit_separable
 
+from hybrid.arrays import Array
 from hybrid.effects import JointState
 from hybrid.effects.improved_stribeck import ImprovedStribeck
-from hybrid.robot.chain import Array
-from hybrid.search import minimise
-from hybrid.search.adaptive_genetic import AdaptiveGenetic
-from hybrid.search.annealed_genetic import AnnealedGenetic
 
 LAWS = {"Coulomb + viscous": [0, 3], "Stribeck": [0, 1, 2, 3], "improved": [*range(6)]}
 # With how often they ask in a generation: for the offspring, and in the inner loop.

@@ -21,13 +21,13 @@ import numpy as np
 from kinematic_calibration_report import write_report
 from mh6 import LABELS, MODEL, TRUE, UNITS, UPPER, measure, pose_errors, random_poses
 from outputs import command_line
+from search import minimise
+from search.ranked_genetic import RankedGenetic
+from search.tabu import Tabu
 
+from hybrid.arrays import Array
 from hybrid.calibrate import Measurements
 from hybrid.calibrate.solve import solve
-from hybrid.robot.chain import Array
-from hybrid.search import minimise
-from hybrid.search.ranked_genetic import RankedGenetic
-from hybrid.search.tabu import Tabu
 
 GENERATIONS, STEPS = 300, 2500
 NOISE = 5e-5  # m and rad

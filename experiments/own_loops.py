@@ -21,6 +21,7 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+from blind.robots import load_arm
 from outputs import command_line
 from own_fault import KINDS
 from own_loop import OwnLoop
@@ -28,7 +29,6 @@ from own_motion import Make
 from rich.console import Console
 
 from hybrid import Diagnosis, diagnose
-from hybrid.benchmark.robots import load_arm
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.plant import random_fourier

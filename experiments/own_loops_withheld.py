@@ -14,12 +14,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from blind.score import EQUIVALENT
 from outputs import command_line
 from own_fault import IN_COMMAND, KINDS
 from own_loops import counted, run, write_report
 from rich.console import Console
 
-from hybrid.benchmark.score import EQUIVALENT
 from hybrid.report import Table
 
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from blind.robots import off_by
 
-from hybrid.benchmark.robots import off_by
 from hybrid.effects import Effect
 from hybrid.effects.delay import Delay
 from hybrid.effects.encoder_offset import EncoderOffset

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import differential_evolution
-from space_robot import LOWER, OFFLINE, SAMPLES, TRUE, UPPER, predicted, rigid_columns
-
-from hybrid.robot.chain import Array
-from hybrid.search import minimise
-from hybrid.search.adaptive_genetic import AdaptiveGenetic
-from hybrid.search.particle_swarm import ParticleSwarm
-from hybrid.search.recursive_differential_evolution import (
+from search import minimise
+from search.adaptive_genetic import AdaptiveGenetic
+from search.particle_swarm import ParticleSwarm
+from search.recursive_differential_evolution import (
     RecursiveDifferentialEvolution,
 )
+from space_robot import LOWER, OFFLINE, SAMPLES, TRUE, UPPER, predicted, rigid_columns
+
+from hybrid.arrays import Array
 
 FORGETTING, PENALTY = 0.98, 1e-6
 POPULATION, GENERATIONS = 80, 150  # of the offline start

@@ -7,17 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from published_chain import PLAIN
 
+from hybrid.arrays import Array
 from hybrid.report.style import BLACK, BLUE, GREY, RED, clean, legend, new_figure
 from hybrid.report.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

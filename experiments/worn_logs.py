@@ -18,6 +18,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
+from blind.robots import load_arm
 from outputs import command_line
 from own_fault import KINDS
 from own_loop import OwnLoop
@@ -25,7 +26,6 @@ from own_loops import RECORDINGS, by_condition, named, outcome, write_report
 from rich.console import Console
 
 from hybrid import diagnose
-from hybrid.benchmark.robots import load_arm
 from hybrid.errors import HybridWarning
 from hybrid.recording import Recording
 

@@ -18,10 +18,10 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
+from blind.robots import load_arm
 from own_loops import write_report
 from right_logs import made, outcome, said_of_right, wrong_logs
 
-from hybrid.benchmark.robots import load_arm
 from hybrid.errors import HybridWarning
 from hybrid.recording import read
 from hybrid.report.table import Table

@@ -25,7 +25,7 @@ from hybrid.identify import DynamicModel
 from hybrid.model.model_file import content_digest
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
-from hybrid.recording import Recording, read, read_all, write
+from hybrid.recording import Recording, read, read_all, recording_from_table, write
 from hybrid.robot import Robot
 
 MODELS = Path(__file__).parents[1] / "models"
@@ -182,7 +182,7 @@ def _labels(path: Path) -> object:
     """Read a log of one row of labels, whose columns are all numbers."""
     labels = path.read_bytes().decode("utf-8", errors="replace").split(",")[:50]
     x = {label: np.arange(5.0) for label in labels}
-    return Recording.from_table(x)
+    return recording_from_table(x)
 
 
 LABELS = (

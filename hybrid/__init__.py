@@ -11,6 +11,8 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from hybrid.shown import Shown
+
 if TYPE_CHECKING:
     from hybrid.calibrate import calibrate
     from hybrid.diagnose.diagnose import diagnose
@@ -23,13 +25,16 @@ if TYPE_CHECKING:
     from hybrid.inspect import Inspection, inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
     from hybrid.plant import simulate
-    from hybrid.recording import Recording
+    from hybrid.recording import Recording, recording_from_table
     from hybrid.recording import read_all as read_recordings
     from hybrid.robot import Robot
     from hybrid.servo import ServoFit, fit_servo
     from hybrid.signals import Motion
 
 __version__ = "0.1.0"
+
+# Results show themselves through a floor above them, which this package names.
+Shown.views = staticmethod(lambda: import_module("hybrid.views"))
 
 __all__ = [
     "Diagnosis",
@@ -54,6 +59,7 @@ __all__ = [
     "inspect_recording",
     "predict",
     "read_recordings",
+    "recording_from_table",
     "simulate",
     "validate",
 ]
@@ -81,6 +87,7 @@ _HOME = {
     "inspect_recording": "hybrid.inspect",
     "predict": "hybrid.identify",
     "read_recordings": "hybrid.recording:read_all",
+    "recording_from_table": "hybrid.recording",
     "simulate": "hybrid.plant",
     "validate": "hybrid.identify",
 }

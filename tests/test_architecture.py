@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ PACKAGE = Path(__file__).parents[1] / "hybrid"
 # Top to bottom; modules of one line may import each other, and everything below.
 FLOORS = (
     {"__main__", "cli"},
-    {"benchmark"},
+    {"views"},
     {"report"},
     {"diagnose"},
     {"calibrate"},
@@ -26,7 +27,6 @@ FLOORS = (
     {"excitation"},
     {"model"},
     {"compensator"},
-    {"search"},
     {"servo"},
     {"plant"},
     {"inspect"},
@@ -35,14 +35,24 @@ FLOORS = (
     {"signals"},
     {"recording"},
     {"robot"},
-    {"files", "names", "parameters", "errors", "threads"},
+    {
+        "arrays",
+        "examples",
+        "extras",
+        "files",
+        "names",
+        "parameters",
+        "shown",
+        "errors",
+        "threads",
+    },
 )
 LEVEL = {name: -depth for depth, names in enumerate(FLOORS) for name in names}
 
 # Library -> the only places that may import it, and what others do instead.
 HOMES = {
     "mujoco": (
-        ("robot", "plant", "servo", "benchmark.sysid"),  # the last is a peer
+        ("robot", "plant", "servo"),
         "ask Robot for the model, or import it under TYPE_CHECKING",
     ),
     "pinocchio": (("robot", "dynamics"), "use hybrid.dynamics"),
@@ -147,6 +157,23 @@ def test_imports_point_down_only():
                 elif target != source.floor and LEVEL[target] > LEVEL[source.floor]:
                     wrong.append(f"{source.at(i.line)} imports {i.module}")
     check(wrong, "Imports point down; move the shared part to the lower floor:")
+
+
+def test_imports_run_in_no_circle_lazily_closed_or_not():
+    named = {source.name for source in sources()}
+    below = {}
+    for source in sources():
+        names = [
+            i.module.removeprefix("hybrid.")
+            for i in imports(source.tree)
+            if i.module.startswith("hybrid.") and not i.typing
+        ]
+        names = [n if n in named else n.rpartition(".")[0] for n in names]
+        below[source.name] = {n for n in names if n in named and n != source.name}
+    try:
+        list(TopologicalSorter(below).static_order())
+    except CycleError as error:
+        check(error.args[1], "Move what both need to a module below:")
 
 
 def test_nothing_binds_a_submodule_through_the_package():

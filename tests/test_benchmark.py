@@ -5,25 +5,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from blind.baselines import baselines, by_sysid
+from blind.case import STRATA, Case, plan
+from blind.draw import command_effects, draw, torque_effects
+from blind.generate import generate
+from blind.independent import INDEPENDENT
+from blind.measures import MEASURES, Ratio, confusion, size
+from blind.motions import motion_error
+from blind.robots import complete, load_arm, off_by
+from blind.run import read_open, read_rows, run_cases
+from blind.score import Named, covered, score
+from blind.size import Rig
+from blind.strangers import STRANGERS
+from blind.sysid import SysidFit, fit_sysid
+from blind.tables import by_robot, targets_table, write_benchmark
 from diagnosed import RIPPLE, STRIBECK, planar
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybrid.benchmark.baselines import baselines, by_sysid
-from hybrid.benchmark.case import STRATA, Case, plan
-from hybrid.benchmark.draw import command_effects, draw, torque_effects
-from hybrid.benchmark.generate import generate
-from hybrid.benchmark.independent import INDEPENDENT
-from hybrid.benchmark.measures import MEASURES, Ratio, confusion, size
-from hybrid.benchmark.motions import motion_error
-from hybrid.benchmark.robots import complete, load_arm, off_by
-from hybrid.benchmark.run import read_open, read_rows, run_cases
-from hybrid.benchmark.score import Named, covered, score
-from hybrid.benchmark.size import Rig
-from hybrid.benchmark.strangers import STRANGERS
-from hybrid.benchmark.sysid import SysidFit, fit_sysid
-from hybrid.benchmark.tables import by_robot, targets_table, write_benchmark
-from hybrid.cli.command import main
 from hybrid.diagnose.diagnose import examine
 from hybrid.effects import effect_classes
 from hybrid.effects.effect import JointState
@@ -277,22 +276,6 @@ def test_a_plant_without_effects_is_no_alarm_and_is_not_answered_twice(tmp_path)
     assert told == []
 
 
-def test_the_verb_shows_a_line_for_each_case_and_the_table(tmp_path, capsys):
-    case = plan([PLANAR], 1, seed=0, strata=["none"])[0]
-    answered = row("none", [], [], **{k: getattr(case, k) for k in ("key", "robot")})
-    (tmp_path / "cases.jsonl").write_text(json.dumps(answered) + "\n")
-    verb = ["benchmark", "diagnose", "--cases", "1", "--strata", "none"]
-    assert main([*verb, "--robots", PLANAR, "--out", str(tmp_path)]) == 0
-    assert "false alarm" in capsys.readouterr().out
-    assert (tmp_path / "tables.md").is_file()
-
-
-def test_an_unknown_arm_is_bad_input_before_anything_runs(tmp_path, capsys):
-    verb = ["benchmark", "diagnose", "--robots", "no_such_arm", "--out", str(tmp_path)]
-    assert main(verb) == 2
-    assert "valid are files and TwoDofs" in capsys.readouterr().err
-
-
 def test_half_a_line_of_an_interrupted_run_is_run_again(tmp_path):
     log = tmp_path / "cases.jsonl"
     log.write_text('{"key": "a"}\n{"key": "b", "verd')
@@ -459,7 +442,7 @@ def test_a_report_holds_tables_cases_and_the_confusion(tmp_path):
          "crashed": "ValueError: no"},
         {"key": "y", "arm": "a", "stratum": "none", "skipped": "too large"},
     ]  # fmt: skip
-    how = {"command": "hybrid benchmark"}
+    how = {"command": "blind_diagnosis"}
     content = write_benchmark(rows, tmp_path, tuned=["a"], how=how)
     assert content["measures"]["a"]["abstains, ≥ 1×"] == [1, 1]
     assert "2 (1)" in (tmp_path / "tables.md").read_text()  # cases (crashes)

@@ -4,9 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from test_benchmark import row
-
-from hybrid.benchmark.measures import (
+from blind.measures import (
     MEASURES,
     Ratio,
     as_method,
@@ -17,7 +15,9 @@ from hybrid.benchmark.measures import (
     shares,
     size,
 )
-from hybrid.benchmark.score import Named
+from blind.score import Named
+from test_benchmark import row
+
 from hybrid.diagnose.prior import Prior
 
 BY_NAME = {m.name: m for m in MEASURES}

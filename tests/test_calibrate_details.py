@@ -16,11 +16,11 @@ from hybrid.calibrate.calibrate import _group, _load, _rank, _unit
 from hybrid.calibrate.covariance import clustered_covariance
 from hybrid.calibrate.geometry import geometry_from_chain, steps_from_dh
 from hybrid.calibrate.measurements import Measurements
+from hybrid.calibrate.observability import observability_index
 from hybrid.calibrate.outliers import OUTSIDE, misfit
 from hybrid.calibrate.poses import (
     _gain,
     choose_poses,
-    observability_index,
     random_poses,
 )
 from hybrid.calibrate.steps import Frame

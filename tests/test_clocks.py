@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import MODELS
+from blind.case import Case
+from blind.run import make, read_open
 from simulated import arm
 from test_convention import EULER, STEP, raw_logs
 
-from hybrid.benchmark.case import Case
-from hybrid.benchmark.run import make, read_open
 from hybrid.diagnose.convention import find_convention
 from hybrid.diagnose.diagnose import examine
 from hybrid.diagnose.fixed import MODEL, write_fixed

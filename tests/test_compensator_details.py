@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from learners import RandomFeatureRegression, SymmetricRegression
+from learners.random_features import _evidence, _features
 from scipy.stats import multivariate_normal
 from test_gmr import random_mixture, sample
 
 from hybrid.compensator import (
     GaussianMixtureRegression,
     NetworkRegression,
-    RandomFeatureRegression,
-    SymmetricRegression,
 )
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.compensator.checks import check_matrix, check_pair, draw
@@ -22,7 +22,6 @@ from hybrid.compensator.gmr_fit import (
     predictive_log_likelihood,
 )
 from hybrid.compensator.network import LOG_VARIANCE, groups
-from hybrid.compensator.random_features import _evidence, _features
 from hybrid.errors import HybridError, IdentificationError, ModelFileError
 
 

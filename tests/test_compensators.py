@@ -5,13 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from learners import RandomFeatureRegression, SymmetricRegression
 
 from hybrid.compensator import (
-    REMAINDERS,
     GaussianMixtureRegression,
     NetworkRegression,
-    RandomFeatureRegression,
-    SymmetricRegression,
 )
 from hybrid.compensator.em import Mixture, log_likelihood, run_em, structured
 from hybrid.compensator.envelope import Envelope
@@ -141,7 +139,7 @@ def test_the_torch_module_has_the_same_mean_and_variance(kind):
 @each
 def test_saved_arrays_give_the_same_bits(kind):
     model, (x, _) = learned(kind), samples(kind, 100, seed=3)
-    again = REMAINDERS[model.kind].from_arrays(model.arrays())
+    again = type(model).from_arrays(model.arrays())
     for ours, theirs in zip(
         model.predict_distribution(x), again.predict_distribution(x), strict=True
     ):
@@ -155,7 +153,7 @@ def test_damaged_arrays_are_refused(kind):
         arrays = dict(model.arrays())
         del arrays[name]
         with pytest.raises(ModelFileError):
-            REMAINDERS[model.kind].from_arrays(arrays)
+            type(model).from_arrays(arrays)
 
 
 @each

@@ -13,6 +13,8 @@ from excitation_published import (
     niche_design,
     set_condition,
 )
+from search.niche_genetic import NicheGenetic
+from search.search import minimise
 
 from hybrid.effects import effects_from_text
 from hybrid.errors import HybridError
@@ -27,8 +29,6 @@ from hybrid.excitation.path import uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
-from hybrid.search.niche_genetic import NicheGenetic
-from hybrid.search.search import minimise
 
 PLANAR = Robot.load(MODELS / "planar.xml")
 

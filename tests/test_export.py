@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import MODELS, public_arm, random_arm, random_states
+from learners import RandomFeatureRegression
 from test_files import killed_at
 
 import hybrid
@@ -20,7 +21,6 @@ from hybrid.cli import main
 from hybrid.compensator import (
     GaussianMixtureRegression,
     NetworkRegression,
-    RandomFeatureRegression,
 )
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.dynamics import BaseParameters, regressor

@@ -7,11 +7,11 @@ from functools import cache
 import numpy as np
 import pytest
 from arms import MODELS
+from blind.robots import load_arm, off_by
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from wrong_logs import WRONG, about, healthy
 
-from hybrid.benchmark.robots import load_arm, off_by
 from hybrid.cli.command import main
 from hybrid.diagnose.diagnose import examine
 from hybrid.effects.coulomb import Coulomb

@@ -24,7 +24,7 @@ from rosbags.rosbag2 import StoragePlugin
 from hybrid.cli.options import read_logs
 from hybrid.cli.screen import Screen
 from hybrid.errors import HybridWarning, RecordingError
-from hybrid.recording import Recording, read, read_all
+from hybrid.recording import Recording, read, read_all, recording_from_table
 from hybrid.recording.formats.mat_elements import check_elements
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "ur10_bag"
@@ -77,12 +77,12 @@ def test_every_dialect_and_format_reads_to_the_same_recording(files, name):
 def test_a_table_in_memory_is_read_like_a_file(make):
     log = truth()
     table = {"time": log.t} | columns(log, DIALECTS["named"], logs.ALPHABETICAL)
-    check_same(Recording.from_table(make(table), joints=ARM))
+    check_same(recording_from_table(make(table), joints=ARM))
 
 
 def test_what_is_no_table_is_refused():
     with pytest.raises(RecordingError, match="list is no table; valid are"):
-        Recording.from_table([1, 2])
+        recording_from_table([1, 2])
 
 
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -98,7 +98,7 @@ def test_any_order_of_joints_and_columns_in_any_dialect_is_the_same(
     order = order if "{joint}" in label("q", 0, "{joint}") else ARM
     table = list(({"time": log.t} | columns(log, label, order)).items())
     np.random.default_rng(seed).shuffle(table)
-    assert Recording.from_table(dict(table), joints=ARM) == log
+    assert recording_from_table(dict(table), joints=ARM) == log
 
 
 @pytest.mark.parametrize("storage", list(StoragePlugin))
@@ -258,12 +258,12 @@ def test_a_torque_constant_is_for_currents_and_nothing_else():
     log = truth()
     table = {"t": log.t} | columns(log, DIALECTS["hybrid"])
     constant = {"tau": {"torque_constant": 2.0, "columns": "tau{}"}}
-    found = taken(Recording.from_table, table, map=constant)
+    found = taken(recording_from_table, table, map=constant)
     assert {u.unit for u in found.reading.columns if u.channel == "tau"} == {"A"}
     assert np.allclose(found.tau, 2 * log.tau)
     table |= {f"{k} [Nm]": table.pop(k) for k in [f"tau{j}" for j in range(1, 7)]}
     with pytest.raises(RecordingError, match="is in Nm; .* or a current with torque_c"):
-        taken(Recording.from_table, table, map={"tau": {"torque_constant": 2.0}})
+        taken(recording_from_table, table, map={"tau": {"torque_constant": 2.0}})
 
 
 def test_a_map_is_a_file_a_preset_or_a_dict(tmp_path):
@@ -408,8 +408,8 @@ def test_a_log_without_a_clock_is_read_at_the_rate_of_the_map():
     log = truth()
     table = {"observations/qpos": log.q, "observations/effort": log.tau}
     with pytest.raises(RecordingError, match="no column of time"):
-        Recording.from_table(table, joints=ARM)
-    found = taken(Recording.from_table, table, map={"time": {"rate": 125}})
+        recording_from_table(table, joints=ARM)
+    found = taken(recording_from_table, table, map={"time": {"rate": 125}})
     assert np.allclose(found.t, log.t) and np.array_equal(found.tau, log.tau)
 
 
@@ -431,7 +431,7 @@ def test_plain_labels_come_before_those_of_motors():
     log = truth()
     table = {"t": log.t} | columns(log, DIALECTS["hybrid"])
     table |= {f"motor_position_{k}": 100 * log.q[:, k] for k in range(6)}
-    recording = taken(Recording.from_table, table)
+    recording = taken(recording_from_table, table)
     check_same(recording)
     assert "of the motor" in dict(recording.reading.aside)["motor_position_0"]
 
@@ -440,7 +440,7 @@ def test_a_unit_that_the_file_states_is_above_a_preset():
     log = truth()
     degrees = {f"position_{k} [deg]": np.degrees(log.q[:, k]) for k in range(6)}
     table = {"t": log.t} | degrees
-    found = taken(Recording.from_table, table, map="joint_state", torque=False)
+    found = taken(recording_from_table, table, map="joint_state", torque=False)
     assert np.allclose(found.q, log.q)
 
 
@@ -478,5 +478,5 @@ def test_a_prefix_of_the_driver_is_no_part_of_a_name():
         names = dict(zip(ARM, prefixed, strict=True))
         table = {f"q_{names[j]}": log.q[:, k] for k, j in enumerate(ARM)}
         table |= {f"tau_{names[j]}": log.tau[:, k] for k, j in enumerate(ARM)}
-        found = Recording.from_table({"t": log.t} | table, joints=ARM)
+        found = recording_from_table({"t": log.t} | table, joints=ARM)
         assert np.array_equal(found.q, log.q) and np.array_equal(found.tau, log.tau)

@@ -1,8 +1,7 @@
 """Measures of methods over runs: medians, ranges and ratios, and a figure."""
 
 import numpy as np
-
-from hybrid.report.measures import measures_figure, measures_table
+from measures import measures_figure, measures_table
 
 METHODS, UNITS = ("plain", "full"), {"error": "N·m"}
 VALUES = {"error": np.array([[2.0, 1.0], [4.0, 1.0], [6.0, 3.0]])}

@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
-
-from hybrid.errors import HybridError
-from hybrid.search import minimise
-from hybrid.search.adaptive_genetic import AdaptiveGenetic
-from hybrid.search.annealed_genetic import AnnealedGenetic
-from hybrid.search.particle_swarm import ParticleSwarm
-from hybrid.search.recursive_differential_evolution import (
+from search import minimise
+from search.adaptive_genetic import AdaptiveGenetic
+from search.annealed_genetic import AnnealedGenetic
+from search.particle_swarm import ParticleSwarm
+from search.recursive_differential_evolution import (
     RecursiveDifferentialEvolution,
 )
+
+from hybrid.errors import HybridError
 
 LOWER, UPPER = np.array([-3.0, 0.0, 10.0]), np.array([5.0, 1.0, 90.0])
 OPTIMUM = np.array([1.0, 0.3, 70.0])

@@ -2,18 +2,18 @@
 
 import numpy as np
 import pytest
-
-from hybrid.errors import HybridError
-from hybrid.search import minimise
-from hybrid.search.adaptive_genetic import AdaptiveGenetic
-from hybrid.search.annealed_genetic import AnnealedGenetic
-from hybrid.search.niche_genetic import NicheGenetic
-from hybrid.search.ranked_genetic import RankedGenetic
-from hybrid.search.recursive_differential_evolution import (
+from search import minimise
+from search.adaptive_genetic import AdaptiveGenetic
+from search.annealed_genetic import AnnealedGenetic
+from search.niche_genetic import NicheGenetic
+from search.ranked_genetic import RankedGenetic
+from search.recursive_differential_evolution import (
     RecursiveDifferentialEvolution,
 )
-from hybrid.search.search import checked_bounds, checked_values
-from hybrid.search.tabu import Tabu
+from search.search import checked_bounds, checked_values
+from search.tabu import Tabu
+
+from hybrid.errors import HybridError
 
 LOW, HIGH = np.array([-3.0, 0.0, 10.0]), np.array([5.0, 1.0, 90.0])
 GENETIC = (AdaptiveGenetic, AnnealedGenetic, NicheGenetic, RankedGenetic)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from search import minimise
+from search.ranked_genetic import RankedGenetic
+from search.tabu import Tabu
 
 from hybrid.errors import HybridError
-from hybrid.search import minimise
-from hybrid.search.ranked_genetic import RankedGenetic
-from hybrid.search.tabu import Tabu
 
 LOW, HIGH = np.full(4, -2.0), np.full(4, 3.0)
 SEARCHES = {

@@ -2,7 +2,8 @@
 
 from hybrid.calibrate.calibrate import Calibration, build_setup, calibrate
 from hybrid.calibrate.measurements import Measurements
-from hybrid.calibrate.poses import choose_poses, observability_index, random_poses
+from hybrid.calibrate.observability import observability_index
+from hybrid.calibrate.poses import choose_poses, random_poses
 from hybrid.calibrate.read import read_measurements
 from hybrid.calibrate.validate import Errors, cross_validate
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.calibrate.align import align
 from hybrid.calibrate.geometry import (
     Geometry,
@@ -18,14 +19,15 @@ from hybrid.calibrate.geometry import (
 )
 from hybrid.calibrate.measurements import Measurements
 from hybrid.calibrate.model import KinematicModel, Steps, station_label
+from hybrid.calibrate.observability import observability_index
 from hybrid.calibrate.solve import Rejected, Solution, solve
 from hybrid.calibrate.steps import follow, free_frame, start
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError, HybridWarning, RobotError
 from hybrid.parameters import Parameter
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.robot.rewrite import write_placements
+from hybrid.shown import Shown
 
 GROUPS = ("base", "tool", "geometry", "compliance", "scale")
 USUAL = ("base", "tool", "geometry")
@@ -53,7 +55,7 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(Shown):
     """A calibrated arm.
 
     Attributes:
@@ -116,8 +118,6 @@ class Calibration:
     @property
     def observability(self) -> float:
         """Index O₁ of the poses used, in units of the noise; see ``poses``."""
-        from hybrid.calibrate.poses import observability_index
-
         return observability_index(self.solution.jacobian, self.data.size)
 
     @property

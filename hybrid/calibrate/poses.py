@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.calibrate.calibrate import USUAL, build_setup
 from hybrid.calibrate.geometry import geometry_from_chain
 from hybrid.calibrate.measurements import Measurements
@@ -13,25 +14,8 @@ from hybrid.calibrate.steps import follow, start
 from hybrid.dynamics.base import base_parameters
 from hybrid.errors import CalibrationError
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 _ROUNDS = 20  # of exchanges; three or four are usual
-
-
-def observability_index(jacobian: Array, poses: int) -> float:
-    """Index O₁: geometric mean of the singular values, per root of a pose.
-
-    Borm and Menq 1991, doi 10.1177/027836499101000106. The larger, the smaller the
-    volume of the confidence region.
-
-    Args:
-        jacobian: Derivatives over noise, shape (rows, b).
-        poses: Number of poses N behind them.
-    """
-    sizes = np.linalg.svd(jacobian, compute_uv=False)
-    if sizes[-1] <= 0:
-        return 0.0
-    return float(np.exp(np.log(sizes).mean()) / np.sqrt(poses))
 
 
 def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Array:

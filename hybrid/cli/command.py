@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 from hybrid import __version__
 from hybrid.cli import (
-    benchmark,
     calibrate,
+    demo,
     diagnose,
     effects,
     excite,
@@ -30,6 +30,7 @@ from hybrid.names import printable
 OK, BUG, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
 _VERBS = {
+    "demo": demo,
     "inspect": inspect,
     "excite": excite,
     "simulate": simulate,
@@ -41,9 +42,11 @@ _VERBS = {
     "diagnose": diagnose,
     "export": export,
     "effects": effects,
-    "benchmark": benchmark,
 }
 _EXAMPLES = """\
+a real log, in ten seconds:
+  hybrid demo
+
 from nothing to a validated model:
   hybrid simulate --robot models/coman_truth.yaml --seed 0 --out logs/fit
   hybrid simulate --robot models/coman_truth.yaml --seed 1 --out logs/held_out

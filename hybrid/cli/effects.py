@@ -6,14 +6,23 @@ from argparse import ArgumentParser, Namespace
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli.options import add_common, check_outputs, record, write_record
+from hybrid.cli.options import (
+    add_common,
+    add_robot,
+    check_outputs,
+    load_robot,
+    record,
+    write_record,
+)
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
     from hybrid.effects import Effect, Quantity
+    from hybrid.robot import Robot
 
 HELP = """list effects, or tell all about one
-an effect has gains, which a fit finds, and shapes, which are given.
+an effect has gains, which a fit finds, and shapes, which are given. With a robot, the
+usual size of each is shown for each joint, in SI units.
 
 --json: provenance, effects (effect, port, scope, equation, source, sentence, remedy,
 gains, shapes).
@@ -21,6 +30,7 @@ gains, shapes).
 examples:
   hybrid effects
   hybrid effects stribeck
+  hybrid effects stribeck --robot models/planar.xml
   hybrid effects --effects-from mine.py --json effects.json"""
 
 _ACTS_ON = {"joint": "the joint", "coupling": "these joints", "arm": "the arm"}
@@ -29,6 +39,7 @@ _ACTS_ON = {"joint": "the joint", "coupling": "these joints", "arm": "the arm"}
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("effect", nargs="?", metavar="EFFECT", help="one of them")
+    add_robot(parser, required=False, more=", to show sizes for")
     add_common(parser)
 
 
@@ -45,6 +56,8 @@ def run(args: Namespace, screen: Screen) -> None:
     write_record(args, record(args, []), content)
     if args.effect:
         _show_one(found[0], screen)
+        if args.robot:
+            _show_sizes(found[0], load_robot(args), screen)
     else:
         _show_all(found, screen)
 
@@ -107,6 +120,20 @@ def _show_one(cls: type[Effect], screen: Screen) -> None:
     place = {"joint": ":JOINT", "coupling": ":JOINT+JOINT", "arm": ""}[cls.scope]
     value = kinds[0][1].name
     screen.say(f"--effects '{cls.id}{place}' or '{cls.id}{place}({value}=NUMBER)'")
+
+
+def _show_sizes(cls: type[Effect], robot: Robot, screen: Screen) -> None:
+    """What ``per`` comes to on an arm."""
+    from hybrid.cli.screen import words_table
+    from hybrid.plant.scale import joint_scales
+
+    rows = [
+        (joint, x.name, x.unit, f"{x.typical:.4g}", f"{x.lower:.4g} to {x.upper:.4g}")
+        for joint, scale in zip(robot.joints, joint_scales(robot), strict=True)
+        for x in (y.scaled(scale) for y in (*cls.gains, *cls.shapes))
+    ]
+    header = ("joint", "parameter", "unit", "usual", "plausible")
+    screen.show(words_table(header, rows, title=f"On {robot.name}"))
 
 
 def _sentence(cls: type[Effect]) -> str:

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from hybrid.compensator.gmr import GaussianMixtureRegression
 from hybrid.compensator.network import NetworkRegression
-from hybrid.compensator.random_features import RandomFeatureRegression
-from hybrid.compensator.symmetric import SymmetricRegression
 
 if TYPE_CHECKING:
     import torch
@@ -20,9 +18,7 @@ __all__ = [
     "REMAINDERS",
     "GaussianMixtureRegression",
     "NetworkRegression",
-    "RandomFeatureRegression",
     "Remainder",
-    "SymmetricRegression",
 ]
 
 
@@ -68,7 +64,5 @@ REMAINDERS: dict[str, type[Remainder]] = {
     for cls in (
         GaussianMixtureRegression,
         NetworkRegression,
-        RandomFeatureRegression,
-        SymmetricRegression,
     )
 }

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.compensator.gmr import GaussianMixtureRegression
 from hybrid.compensator.mixtures import FARTHEST_FADE, Mixtures
 from hybrid.errors import ModelFileError
 
 if TYPE_CHECKING:
     from hybrid.compensator import Remainder
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
     from hybrid.compensator.gmr import GaussianMixtureRegression
-
-Array = NDArray[np.float64]
 
 
 def check_matrix(name: str, values: ArrayLike, columns: int | None = None) -> Array:

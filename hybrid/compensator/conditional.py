@@ -5,9 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hybrid.arrays import Array
+
+# Inputs are cut off this many deviations from the training mean, where every component
+# has long faded: squares of larger numbers could overflow, in single precision first.
+FARTHEST = 1e6
 
 
 class Conditional(NamedTuple):

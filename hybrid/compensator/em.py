@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hybrid.arrays import Array
+from hybrid.extras import check_extra
+
 Structure = Literal["full", "diagonal", "low_rank"]
 
 _CHUNK_BYTES = 2**21  # of the largest temporary array, so that it stays in the cache
@@ -58,6 +59,7 @@ def run_em(
         known: Weight of ``start`` as data, in samples.
         device: A torch device; by default a GPU if there is one.
     """
+    check_extra("torch", "learn", "Learning in passes over all samples")
     import torch
 
     if device is None:

@@ -7,14 +7,15 @@ from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.compensator.checks import check_matrix
-from hybrid.compensator.gmr import FARTHEST, GaussianMixtureRegression
+from hybrid.compensator.conditional import FARTHEST
+from hybrid.compensator.gmr import GaussianMixtureRegression
 from hybrid.errors import HybridError, ModelFileError
 
-Array = NDArray[np.float64]
-
+LOG_VARIANCE = (-14.0, 6.0)  # range of a network's log variance, standardised
 _COMPONENTS = 4
 
 

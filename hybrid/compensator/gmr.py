@@ -18,21 +18,20 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.compensator.checks import check_matrix, check_mixture
+from hybrid.compensator.conditional import FARTHEST as FARTHEST
 from hybrid.compensator.conditional import Conditional, soft_minimum
 from hybrid.compensator.em import Structure
 from hybrid.errors import HybridError, ModelFileError
+from hybrid.extras import check_extra
 
 if TYPE_CHECKING:
     from hybrid.compensator.gmr_module import GmrModule
 
-Array = NDArray[np.float64]
 
-# Inputs are cut off this many deviations from the training mean, where every component
-# has long faded: squares of larger numbers could overflow, in single precision first.
-FARTHEST = 1e6
 # Size of the largest temporary of one chunk of samples, so that it stays in the cache.
 CHUNK_BYTES = 2**20
 
@@ -90,8 +89,9 @@ class GaussianMixtureRegression:
         """Number of components K."""
         return self.weights.size
 
-    @staticmethod
+    @classmethod
     def fit(
+        cls,
         x: ArrayLike,
         y: ArrayLike,
         *,
@@ -139,6 +139,7 @@ class GaussianMixtureRegression:
         from hybrid.compensator.gmr_fit import fit_gmr  # scikit-learn is slow to load
 
         return fit_gmr(
+            cls,
             x,
             y,
             candidates=candidates if components is None else (components,),
@@ -261,6 +262,7 @@ class GaussianMixtureRegression:
 
     def to_torch(self) -> GmrModule:
         """The same regression as a float64 torch module (loads torch)."""
+        check_extra("torch", "learn", "A torch module")
         from hybrid.compensator.gmr_module import GmrModule
 
         return GmrModule(self)

@@ -5,17 +5,18 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.compensator.checks import check_pair, draw
 from hybrid.compensator.em import Mixture, Structure, log_likelihood, run_em
-from hybrid.compensator.gmr import GaussianMixtureRegression
 from hybrid.errors import HybridError, IdentificationError
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from hybrid.compensator.gmr import GaussianMixtureRegression
 
 # The fade starts beyond this share of the training samples and ends at twice their
 # distance, that is four times its square.
@@ -28,6 +29,7 @@ CONSTANT = 1e-12
 
 
 def fit_gmr(
+    kind: type[GaussianMixtureRegression],
     x: ArrayLike,
     y: ArrayLike,
     *,
@@ -62,7 +64,7 @@ def fit_gmr(
                 joint, mixture, passes=_STRUCTURING, floor=covariance_floor,
                 structure=structure, rank=rank,
             )  # fmt: skip
-        model = _build(mixture, x, y, bound=limit, floor=covariance_floor)
+        model = _build(kind, mixture, x, y, bound=limit, floor=covariance_floor)
         models[count] = model
         if held_out is None:
             scores[count] = -_bic(joint, mixture, structure, rank) / (2.0 * len(joint))
@@ -227,13 +229,19 @@ def _run_em(
 
 
 def _build(
-    mixture: Mixture, x: Array, y: Array, *, bound: Array, floor: float
+    kind: type[GaussianMixtureRegression],
+    mixture: Mixture,
+    x: Array,
+    y: Array,
+    *,
+    bound: Array,
+    floor: float,
 ) -> GaussianMixtureRegression:
     input_offset, input_scale = _offset_and_scale(x)
     output_offset, output_scale = _offset_and_scale(y)
     offset = np.concatenate([np.zeros_like(input_offset), output_offset])
     scale = np.concatenate([np.ones_like(input_scale), output_scale])
-    model = GaussianMixtureRegression(
+    model = kind(
         weights=mixture.weights,
         means=offset + scale * mixture.means,
         covariances=mixture.covariances * np.outer(scale, scale),

@@ -1,10 +1,15 @@
 """Gaussian-mixture regression as a torch module, for export and for training loops."""
 
 # No postponed annotations: TorchScript reads the types of the buffers below.
+from typing import TYPE_CHECKING
+
 import torch
 from torch import Tensor
 
-from hybrid.compensator.gmr import FARTHEST, GaussianMixtureRegression
+from hybrid.compensator.conditional import FARTHEST
+
+if TYPE_CHECKING:
+    from hybrid.compensator.gmr import GaussianMixtureRegression
 
 
 class GmrModule(torch.nn.Module):
@@ -39,7 +44,7 @@ class GmrModule(torch.nn.Module):
     bound: Tensor
     fade: Tensor
 
-    def __init__(self, model: GaussianMixtureRegression) -> None:
+    def __init__(self, model: "GaussianMixtureRegression") -> None:
         super().__init__()
         c = model.conditional
         buffers = {

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.compensator.checks import check_matrix
-from hybrid.compensator.gmr import FARTHEST, GaussianMixtureRegression
-
-Array = NDArray[np.float64]
+from hybrid.compensator.conditional import FARTHEST
+from hybrid.compensator.gmr import GaussianMixtureRegression
 
 _CHUNK = 768  # samples at a time, so that a joint's components stay in the cache
 _NEVER = 1e150  # whitened distance of a component that fills up a row

@@ -1,23 +1,24 @@
 """Learned remainders as torch modules, and how networks are trained."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from hybrid.compensator.envelope import Envelope
-from hybrid.compensator.gmr import FARTHEST
-from hybrid.compensator.network import LOG_VARIANCE, NetworkRegression
-from hybrid.compensator.random_features import RandomFeatureRegression
+from hybrid.arrays import Array
+from hybrid.compensator.conditional import FARTHEST
+from hybrid.compensator.envelope import LOG_VARIANCE, Envelope
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from hybrid.compensator.network import NetworkRegression
 
 _BATCH = 256
 _RATE = 3e-3
 _DECAY = 1e-4
 
 
-class _Enveloped(torch.nn.Module):
+class EnvelopedModule(torch.nn.Module):
     """A module from x to mean and variance that fades as its envelope says."""
 
     offset: Tensor
@@ -31,18 +32,20 @@ class _Enveloped(torch.nn.Module):
     def __init__(self, envelope: Envelope) -> None:
         super().__init__()
         for name, values in envelope.arrays().items():
-            self._keep(name.removeprefix("envelope."), values)
+            self.keep(name.removeprefix("envelope."), values)
 
-    def _keep(self, name: str, values: Array) -> None:
+    def keep(self, name: str, values: Array) -> None:
+        """Hold an array under a name, as it is saved and moved between devices."""
         self.register_buffer(name, torch.tensor(values, dtype=torch.float64))
 
-    def _learned(self, z: Tensor) -> tuple[Tensor, Tensor]:
+    def learned(self, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean [N·m] and variance [(N·m)²] at standardised inputs z, shape (N, d)."""
         raise NotImplementedError
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Mean [N·m] and variance [(N·m)²], shape (N, m), at inputs x, shape (N, d)."""
         z = torch.clamp((x - self.offset) / self.scale, -FARTHEST, FARTHEST)
-        mean, variance = self._learned(z)
+        mean, variance = self.learned(z)
         w = torch.tensordot(z, self.whitening, dims=([1], [2])) - self.centre
         distance = (w * w).sum(dim=2)
         soft = -2.0 * torch.logsumexp(-0.5 * distance, dim=1, keepdim=True)
@@ -55,42 +58,21 @@ class _Enveloped(torch.nn.Module):
         return trust * mean, variance + doubt * self.prior_variance
 
 
-class RandomFeatureModule(_Enveloped):
-    """The numbers of a :class:`RandomFeatureRegression`."""
-
-    directions: Tensor
-    phases: Tensor
-    weights: Tensor
-    factor: Tensor
-    noise: Tensor
-
-    def __init__(self, model: RandomFeatureRegression) -> None:
-        super().__init__(model.envelope)
-        for name, values in model.arrays().items():
-            if not name.startswith("envelope."):
-                self._keep(name, values)
-
-    def _learned(self, z: Tensor) -> tuple[Tensor, Tensor]:
-        phi = torch.cos(z @ self.directions + self.phases)
-        phi = phi * (2.0 / self.phases.shape[0]) ** 0.5
-        doubt = ((phi @ self.factor) ** 2).sum(dim=1, keepdim=True)
-        return phi @ self.weights, self.noise * (1.0 + doubt)
-
-
-class NetworkModule(_Enveloped):
+class NetworkModule(EnvelopedModule):
     """The numbers of a :class:`NetworkRegression`."""
 
     size: Tensor
 
-    def __init__(self, model: NetworkRegression) -> None:
+    def __init__(self, model: "NetworkRegression") -> None:
         super().__init__(model.envelope)
         self.history, self.depth = model.history, len(model.layers)
-        self._keep("size", model.scale)
+        self.keep("size", model.scale)
         for k, (weight, bias) in enumerate(model.layers):
-            self._keep(f"weight_{k}", weight)
-            self._keep(f"bias_{k}", bias)
+            self.keep(f"weight_{k}", weight)
+            self.keep(f"bias_{k}", bias)
 
-    def _learned(self, z: Tensor) -> tuple[Tensor, Tensor]:
+    def learned(self, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean [N·m] and variance [(N·m)²] at standardised inputs z, shape (N, d)."""
         layers = [
             (getattr(self, f"weight_{k}"), getattr(self, f"bias_{k}"))
             for k in range(self.depth)
@@ -152,20 +134,3 @@ def train(
     return tuple(
         (w.detach().double().numpy(), b.detach().double().numpy()) for w, b in layers
     )
-
-
-class SymmetricModule(torch.nn.Module):
-    """A module and its mirror image; see ``SymmetricRegression``."""
-
-    signs: Tensor
-
-    def __init__(self, inner: torch.nn.Module, signs: Array, parity: float) -> None:
-        super().__init__()
-        self.inner, self.parity = inner, parity
-        self.register_buffer("signs", torch.tensor(signs, dtype=torch.float64))
-
-    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean [N·m] and variance [(N·m)²], shape (N, m), at inputs x, shape (N, d)."""
-        mean, variance = self.inner(x)
-        mirrored, spread = self.inner(x * self.signs)
-        return 0.5 * (mean + self.parity * mirrored), 0.5 * (variance + spread)

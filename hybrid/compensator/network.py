@@ -14,18 +14,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.compensator.checks import check_pair, draw
+from hybrid.compensator.envelope import LOG_VARIANCE as LOG_VARIANCE
 from hybrid.compensator.envelope import Envelope
 from hybrid.errors import HybridError, ModelFileError
+from hybrid.extras import check_extra
 
 if TYPE_CHECKING:
     from hybrid.compensator.modules import NetworkModule
 
-Array = NDArray[np.float64]
 
-LOG_VARIANCE = (-14.0, 6.0)  # of a standardised output
 _ROWS = 4096  # samples at a time
 _KERNEL = 4  # samples that a convolution joins
 
@@ -74,6 +75,7 @@ class NetworkRegression:
             bound: Largest absolute output, [N·m]; the largest of ``y`` by default.
             max_samples: Rows to learn from at most.
         """
+        check_extra("torch", "learn", "Training a network")
         from hybrid.compensator.modules import train
 
         rng = np.random.default_rng(rng)
@@ -165,6 +167,7 @@ class NetworkRegression:
 
     def to_torch(self) -> NetworkModule:
         """The same regression as a float64 torch module (loads torch)."""
+        check_extra("torch", "learn", "A torch module")
         from hybrid.compensator.modules import NetworkModule
 
         return NetworkModule(self)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from hybrid.excitation.constraints import (
 )
 from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition, normalised
 from hybrid.excitation.expected_error import ExpectedError
+from hybrid.excitation.folder import write_design
 from hybrid.excitation.observation import Observation
 from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
@@ -26,6 +28,7 @@ from hybrid.excitation.solver import PENALTY, Solution, solve
 from hybrid.excitation.stack import StackProgram
 from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
+from hybrid.shown import Shown
 
 # Sharpness of the criterion and iterations: for each start, then for the best of them.
 # To sharpen too early ends in a worse minimum.
@@ -37,7 +40,7 @@ _KEPT = 1e-4  # an excess below is rounding, not a limit in the way
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class Design(Shown):
     """Motions to run one after the other, and the information they bring.
 
     Attributes:
@@ -115,6 +118,15 @@ class Design:
         sums = np.cumsum(self.grams, axis=0)
         volumes = np.array([np.linalg.slogdet(x)[1] for x in sums])
         return np.append(1.0, 1.0 - np.exp(-np.diff(volumes) / (2 * b)))
+
+    def save(self, folder: str | PathLike[str], *, rate: float = 200.0) -> None:
+        """Write the motions as CSV files, and ``design.json``.
+
+        Args:
+            folder: Where the files shall be.
+            rate: Samples of the motions per second, [Hz].
+        """
+        write_design(folder, self, rate=rate)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready results."""

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import csv
+from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hybrid.excitation.design import Design
 from hybrid.files import atomic_folder, atomic_path, write_json
 from hybrid.plant.reference import Reference
+
+if TYPE_CHECKING:
+    from hybrid.excitation.design import Design
 
 DESIGN = "design.json"
 
@@ -41,7 +44,11 @@ def write_reference(
 
 
 def write_design(
-    folder: Path, design: Design, *, rate: float, more: dict[str, Any] | None = None
+    folder: str | PathLike[str],
+    design: Design,
+    *,
+    rate: float,
+    more: dict[str, Any] | None = None,
 ) -> list[Path]:
     """Write the references and ``design.json``.
 
@@ -54,6 +61,7 @@ def write_design(
     Returns:
         The files of the references.
     """
+    folder = Path(folder)
     paths = reference_paths(folder, len(design.trajectories))
     with atomic_folder(folder) as hidden:
         for path, trajectory in zip(paths, design.trajectories, strict=True):

@@ -11,6 +11,7 @@ from hybrid.export.manifest import build_manifest, model_digest, seal
 from hybrid.export.onnx_graph import import_onnx, onnx_model
 from hybrid.export.program import program_from_model
 from hybrid.export.simulator import mjcf_text, urdf_text
+from hybrid.extras import check_extra
 from hybrid.files import atomic_folder
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.names import file_stem
@@ -44,6 +45,8 @@ def export(model: DynamicModel, folder: str | Path, *, format: str) -> tuple[str
         raise HybridError(f"no format {format!r}; valid are {', '.join(FORMATS)}")
     if format == "onnx":
         import_onnx()
+    if format == "torchscript":
+        check_extra("torch", "learn", "TorchScript")
     digest = model_digest(model)
     left_out: Sequence[str] = ()
     memory: Sequence[str] = ()

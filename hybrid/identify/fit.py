@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.intervals import Estimate, weak_directions
 from hybrid.regression.problem import Problem
 from hybrid.robot.chain import Array
+from hybrid.shown import Shown
 
 # Gautier and Khalil 1992, doi 10.1177/027836499201100408: motions that identify well
 # have condition numbers below about a hundred.
@@ -21,7 +23,7 @@ _HEAVY = 0.1  # share of an unknown in the weak directions from which it is name
 
 
 @dataclass(frozen=True)
-class Fit:
+class Fit(Shown):
     """A model and how far to trust it.
 
     Attributes:
@@ -54,6 +56,14 @@ class Fit:
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     rounds: int = 1
+
+    def save(self, path: str | Path) -> None:
+        """Write the model to a JSON file; :meth:`DynamicModel.load` reads it.
+
+        Raises:
+            ModelFileError: The path does not end in ``.json``.
+        """
+        self.model.save(path)
 
     @property
     def covariance(self) -> Array:

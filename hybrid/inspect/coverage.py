@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.dynamics.base import base_parameters, inertial_labels
 from hybrid.dynamics.regressor import regressor
 from hybrid.dynamics.stacked import rich_motion
@@ -20,8 +20,6 @@ from hybrid.inspect.samples import tick
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot.chain import Chain
-
-Array = NDArray[np.float64]
 
 _CREEP = 0.02  # of the highest speed: below, a joint counts as still
 _SURE = 1.96  # standard errors

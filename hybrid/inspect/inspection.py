@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from hybrid.inspect.coverage import Excitation, JointCoverage
 from hybrid.inspect.doubt import Doubt, is_error
 from hybrid.recording import Recording
 from hybrid.recording.clock import GAP
+from hybrid.shown import Shown
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Clock:
 
 
 @dataclass(frozen=True)
-class Inspection:
+class Inspection(Shown):
     """One log: its clock, what it can tell, and what speaks against it.
 
     Attributes:
@@ -57,6 +59,10 @@ class Inspection:
     def misleads(self) -> bool:
         """Whether a model of this log would be wrong."""
         return any(map(is_error, self.doubts))
+
+    def save(self, path: str | Path) -> None:
+        """Write a page of all that is known of the log; ``path`` is an HTML file."""
+        Shown.views().write_page(path, self)
 
     def as_dict(self) -> dict[str, Any]:
         """The same as names, numbers and lists."""

@@ -10,14 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt
 from hybrid.inspect.samples import STILL, tick, usual_step
 from hybrid.recording import Recording
 from hybrid.recording.recording import row_words
-
-Array = NDArray[np.float64]
 
 _LEAP = 10.0  # times a large step of the joint, and times any step nearby
 _TICKS = 10.0  # steps of an encoder: fewer are its noise

@@ -18,11 +18,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.dynamics.regressor import regressor
 from hybrid.inspect.state import State
 from hybrid.robot.chain import Chain
-
-Array = NDArray[np.float64]
 
 _REACH = 0.25  # of the arm's length: how far masses of a link, or a tool, may be
 _CREEP = 0.02  # of the highest speed: below, dry friction changes its sign gradually

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt, Severity
 from hybrid.inspect.masses import Columns, file_masses, unit_masses
 from hybrid.inspect.reading import Reading, readings
@@ -27,8 +28,6 @@ from hybrid.inspect.speeds import bear_out
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot.chain import Chain
-
-Array = NDArray[np.float64]
 
 _SURE = 0.5  # gain; of logs that are right, no other reading reached 0.3
 _ALIKE = 0.2  # loss of gain by which two readings may differ and be as good

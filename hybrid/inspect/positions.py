@@ -7,11 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-
-Array = NDArray[np.float64]
 
 SLACK = 0.1  # rad or m: limits in robot files are rounded, encoders overshoot
 _TURNS = 4 * np.pi  # rad: an arm's joint does not go farther

@@ -9,10 +9,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.inspect.state import State
 from hybrid.robot.chain import Chain
-
-Array = NDArray[np.float64]
 
 _ROUND = "to count the other way round"
 _DEGREE = np.pi / 180

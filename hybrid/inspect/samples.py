@@ -7,11 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt
 from hybrid.recording import Recording
 from hybrid.recording.recording import row_words
-
-Array = NDArray[np.float64]
 
 SHORTEST = 1.0  # s: below, not even one slow move
 FEWEST = 100  # samples

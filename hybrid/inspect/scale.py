@@ -9,16 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.inspect.doubt import Doubt, Severity
 from hybrid.inspect.masses import direction
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-
-Array = NDArray[np.float64]
 
 _TELLS = 0.25  # of the variance that friction leaves: less, and the scale is no scale
 _ODD, _WRONG = 3.0, 10.0  # factors: beyond what files and tools do; beyond doubt

@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt, Severity
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-
-Array = NDArray[np.float64]
 
 _WRONG, _ODD = 1.5, 1.1  # factors
 _FOLLOWS = 0.9  # correlation of a speed with the slope that it is of

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.recording import Recording
 from hybrid.signals.cutoff import choose_cutoff
 from hybrid.signals.filters import butterworth, central_difference
-
-Array = NDArray[np.float64]
 
 _MOST = 300  # samples: a hundred columns are told apart by a few times as many
 _PRETENDED = 500.0  # Hz

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics import BaseParameters, RigidBody
 from hybrid.effects import Effect
 from hybrid.errors import ModelFileError
 from hybrid.model.effect_torque import EffectTorque, effect_torque
+from hybrid.model.model_file import read_model, write_model
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 
@@ -119,8 +120,6 @@ class DynamicModel:
             ModelFileError: The path does not end in ``.json``, or the model holds what
                 none may have and could not be loaded.
         """
-        from hybrid.model.model_file import write_model
-
         write_model(self, Path(path))
 
     @classmethod
@@ -131,9 +130,7 @@ class DynamicModel:
             ModelFileError: The file is missing, damaged, edited or of another version,
                 or holds an effect that is not known here.
         """
-        from hybrid.model.model_file import read_model
-
-        return read_model(Path(path))
+        return read_model(cls, Path(path))
 
 
 def check_same_arm(model: DynamicModel, robot: Robot) -> None:

@@ -12,21 +12,23 @@ from base64 import b64decode, b64encode
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hybrid import __version__
+from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics import BaseParameters
 from hybrid.effects import Effect, Scale, effect_from_dict
 from hybrid.errors import HybridError, ModelFileError
 from hybrid.files import read_json, write_json
-from hybrid.model.dynamic_model import DynamicModel
 from hybrid.names import name_fault
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
+
+if TYPE_CHECKING:
+    from hybrid.model.dynamic_model import DynamicModel
 
 SCHEMA = "hybrid.model/2"
 _DAMAGE = (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError)
@@ -39,7 +41,7 @@ def write_model(model: DynamicModel, path: Path) -> None:
         raise ModelFileError(f"{path}: a model is saved as .json")
     try:
         content = content_from_model(model)
-        _read(dict(content))  # what could not be read again is not written
+        _read(type(model), dict(content))  # what could not be read again is not written
     except (ValueError, HybridError) as error:
         raise ModelFileError(f"{path}: not saved, {error}") from error
     write_json(path, content)
@@ -58,10 +60,10 @@ def content_from_model(model: DynamicModel) -> dict[str, Any]:
     return {"sha256": content_digest(content), **content}
 
 
-def read_model(path: Path) -> DynamicModel:
+def read_model(kind: type[DynamicModel], path: Path) -> DynamicModel:
     """See :meth:`hybrid.model.dynamic_model.DynamicModel.load`."""
     try:
-        return _read(read_json(path))
+        return _read(kind, read_json(path))
     except OSError as error:
         raise ModelFileError(f"{path}: cannot be read ({error.strerror})") from error
     except HybridError as error:
@@ -72,7 +74,7 @@ def read_model(path: Path) -> DynamicModel:
         raise ModelFileError(f"{path}: not a saved model ({error!r})") from error
 
 
-def _read(content: Any) -> DynamicModel:
+def _read(kind: type[DynamicModel], content: Any) -> DynamicModel:
     if content.get("schema") != SCHEMA:
         found = content.get("schema", "none")
         raise ModelFileError(f"schema is {found!r}, valid is {SCHEMA}")
@@ -86,10 +88,10 @@ def _read(content: Any) -> DynamicModel:
             f"fingerprint is {content['fingerprint']!r}, but that of its robot is "
             f"{robot.fingerprint()}: it is of another arm"
         )
-    simpler = {name: _model(robot, x) for name, x in content["simpler"].items()}
+    simpler = {name: _model(kind, robot, x) for name, x in content["simpler"].items()}
     for fault in filter(None, map(name_fault, simpler)):
         raise ModelFileError(f"simpler model: {fault}")
-    return replace(_model(robot, content), simpler=simpler)
+    return replace(_model(kind, robot, content), simpler=simpler)
 
 
 def content_digest(content: Mapping[str, Any]) -> str:
@@ -143,7 +145,7 @@ def _unpacked(name: str, content: Mapping[str, Any]) -> Array:
     return _finite(name, np.frombuffer(numbers, "<f8").astype(float).reshape(shape))
 
 
-def _model(robot: Robot, content: Any) -> DynamicModel:
+def _model(kind: type[DynamicModel], robot: Robot, content: Any) -> DynamicModel:
     n, learned, cutoff = robot.size, content["remainder"], content["cutoff"]
     remainder = None
     if learned is not None:
@@ -153,7 +155,7 @@ def _model(robot: Robot, content: Any) -> DynamicModel:
     if cutoff is not None and not 0 < _real(cutoff) < np.inf:
         raise ModelFileError(f"cutoff is {cutoff}, valid is a number above 0 or none")
     links, standing = content["inertial"], content["standing"]
-    return DynamicModel(
+    return kind(
         robot=robot,
         base=_base(robot, content["base"]),
         effects=tuple(_effect(e, robot) for e in content["effects"]),

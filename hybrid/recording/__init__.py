@@ -1,8 +1,16 @@
 """Joint logs: what they hold, where they come from, how they are read and written."""
 
 from hybrid.recording.clock import resample, unbroken
-from hybrid.recording.read import read, read_all
+from hybrid.recording.read import read, read_all, recording_from_table
 from hybrid.recording.recording import Recording
 from hybrid.recording.write import write
 
-__all__ = ["Recording", "read", "read_all", "resample", "unbroken", "write"]
+__all__ = [
+    "Recording",
+    "read",
+    "read_all",
+    "recording_from_table",
+    "resample",
+    "unbroken",
+    "write",
+]

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording.decide import Decision, decide, decide_command
 from hybrid.recording.formats import FOLDERS, READERS, STREAMED, kind_of
+from hybrid.recording.formats.frame import table_of_frame
 from hybrid.recording.formats.ros import read_ros
 from hybrid.recording.mapping import Mapping, read_mapping
 from hybrid.recording.reading import Used
@@ -24,7 +26,6 @@ from hybrid.recording.streams import main_stream
 from hybrid.recording.table import LARGEST_FILE, NoJointsError, Table
 from hybrid.recording.units import seconds
 
-Array = NDArray[np.float64]
 Map = str | Path | MappingType[str, Any] | Mapping | None
 
 
@@ -108,6 +109,32 @@ def read_all(
     if not recordings:
         raise RecordingError(f"{next(iter(found)).parent}: no file there holds joints")
     return recordings
+
+
+def recording_from_table(
+    table: Any,
+    *,
+    joints: tuple[str, ...] | None = None,
+    map: Map = None,
+    torque: bool = True,
+) -> Recording:
+    """The recording of a pandas, polars or pyarrow table, or a dict of arrays.
+
+    Args:
+        table: Table with named columns; labels, joints and units are told as in
+            files, an index of dates or of name ``time`` is a column.
+        joints: Joint names of the robot, base to tip; None if not known.
+        map: As in :func:`read`.
+        torque: Refuse a table without torques.
+
+    Raises:
+        RecordingError: It is no table, or no valid log.
+
+    Warns:
+        HybridWarning: Columns were set aside.
+    """
+    tables = (table_of_frame(table),)
+    return recording_of(tables, joints=joints, map=map, torque=torque)
 
 
 def recording_of(

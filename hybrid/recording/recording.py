@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping as MappingType
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.recording.reading import Reading
-
-if TYPE_CHECKING:
-    from hybrid.recording.mapping import Mapping
-
-Array = NDArray[np.float64]
 
 CHANNELS = ("q", "tau", "v", "command", "temperature")
 
@@ -108,36 +101,6 @@ class Recording:
         )
 
     __hash__ = None  # type: ignore[assignment]
-
-    @classmethod
-    def from_table(
-        cls,
-        table: Any,
-        *,
-        joints: tuple[str, ...] | None = None,
-        map: str | Path | MappingType[str, Any] | Mapping | None = None,
-        torque: bool = True,
-    ) -> Recording:
-        """The recording of a pandas, polars or pyarrow table, or a dict of arrays.
-
-        Args:
-            table: Table with named columns; labels, joints and units are told as in
-                files, an index of dates or of name ``time`` is a column.
-            joints: Joint names of the robot, base to tip; None if not known.
-            map: As in :func:`hybrid.recording.read`.
-            torque: Refuse a table without torques.
-
-        Raises:
-            RecordingError: It is no table, or no valid log.
-
-        Warns:
-            HybridWarning: Columns were set aside.
-        """
-        from hybrid.recording.formats.frame import table_of_frame
-        from hybrid.recording.read import recording_of
-
-        tables = (table_of_frame(table),)
-        return recording_of(tables, joints=joints, map=map, torque=torque)
 
     def in_order(self, joints: tuple[str, ...]) -> Recording:
         """The same log with its columns in the order of ``joints``.

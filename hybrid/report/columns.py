@@ -6,12 +6,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from hybrid.files import atomic_path
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
 
 

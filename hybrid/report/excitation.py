@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.names import figure_text
 from hybrid.report.style import (
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
 
     from hybrid.excitation import Design, Limits
     from hybrid.plant.reference import Reference
-
-Array = NDArray[np.float64]
 
 
 def motion_figure(

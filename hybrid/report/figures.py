@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from hybrid.names import figure_text
 from hybrid.report.style import (
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     from hybrid.identify import Validation
 
-Array = NDArray[np.float64]
 
 # More points than this hide each other.
 MOST_POINTS = 3000

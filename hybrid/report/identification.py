@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.viscous import Viscous
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from hybrid.identify import DynamicModel, Fit, Validation
     from hybrid.recording import Recording
 
-Array = NDArray[np.float64]
 
 _LAWS = (Coulomb, Viscous, ThresholdFriction)  # of speed alone, to be drawn over it
 _EXCERPT_SECONDS = 3.0  # of a recording: more is not to be made out

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.names import figure_text
 from hybrid.report.style import BLACK, BLUE, RED, check_shape, clean, new_figure
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 # Half-width of a 95 % interval, in standard deviations.
 INTERVAL = 1.96

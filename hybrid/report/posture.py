@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.excitation.clearance import ends_in_world, frames
 from hybrid.files import atomic_path
 from hybrid.report.style import BLUE, GREY, RED, WIDTH, new_figure
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from hybrid.plant.reference import Reference
 
-Array = NDArray[np.float64]
 
 _COLUMNS = 4
 _DOTS = 80  # per inch of an animation

@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hybrid.arrays import Array
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 BLACK = "#1a1a1a"
 GREY = "#8c8c8c"

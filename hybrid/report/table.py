@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.names import markdown
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
     from hybrid.identify import Validation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

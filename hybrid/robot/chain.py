@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array as Array
 from hybrid.errors import RobotError
 from hybrid.names import name_fault
-
-Array = NDArray[np.float64]
 
 INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 INERTIAL_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)

@@ -1,4 +1,4 @@
-"""Robots by name: files that other packages have already put on this computer."""
+"""Robots by name: files that this package or others have put on this computer."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from hybrid.errors import RobotError
+from hybrid.examples import example_robots
 
 _EXAMPLES, _DESCRIPTIONS = "example-robot-data", "robot_descriptions"
 
@@ -20,7 +21,8 @@ def robot_file(source: str | Path, home: Path | None = None) -> Path:
 
     Names are those of the files of ``example-robot-data`` (``ur5``, ``panda``), and
     after them those of ``robot_descriptions`` (``ur5e``, ``ur5e_mj_description``), of
-    which only what its cache holds is used.
+    which only what its cache holds is used. Last come the arms of this package
+    (``coman_like``, and ``ur10`` without the shapes of its links).
 
     Args:
         source: A path; or a name, which has no folder.
@@ -33,22 +35,21 @@ def robot_file(source: str | Path, home: Path | None = None) -> Path:
     name = str(source)
     if path.is_file() or Path(name).name != name:
         return path
-    examples = _examples()
+    examples, own = _examples(), example_robots()
     if name in examples:
         return examples[name]
     described = _described()
     for known in (name, f"{name}_mj_description", f"{name}_description"):
         if known in described:
             return _cached(known, described[known])
+    if name in own:
+        return own[name]
     if Path(name).suffix:
         return path
-    names = sorted({*examples, *(x.removesuffix("_description") for x in described)})
-    valid = (
-        f"valid are files and {', '.join(names)}"
-        if names
-        else f"for robots by name install {_EXAMPLES} or {_DESCRIPTIONS}"
-    )
-    raise RobotError(f"{name}: no such robot file; {valid}")
+    shown = {x.removesuffix("_description") for x in described}
+    names = ", ".join(sorted({*examples, *shown, *own}))
+    more = "" if examples else f"; the package {_EXAMPLES} has more"
+    raise RobotError(f"{name}: no such robot file; valid are files and {names}{more}")
 
 
 def _examples() -> Mapping[str, Path]:

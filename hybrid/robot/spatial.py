@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hybrid.arrays import Array
 
 # Of a moment of inertia: three numbers of six digits may be off by this much.
 ROUNDED = 1.5e-5

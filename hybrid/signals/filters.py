@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hybrid.arrays import Array
 
 _AT_ONCE = 6  # signals filtered: more would not stay in the cache
 _PART = 0.7  # of a signal: to filter less than that alone is worth the cut

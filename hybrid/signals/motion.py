@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.recording.clock import resample
 from hybrid.recording.recording import Recording
 from hybrid.signals.cutoff import choose_cutoff
@@ -17,8 +18,6 @@ from hybrid.signals.filters import (
     passes_all,
 )
 from hybrid.signals.speed import correction_by_speed
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

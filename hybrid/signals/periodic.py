@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.recording.clock import resample
 from hybrid.recording.recording import Recording
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

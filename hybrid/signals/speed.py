@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.recording.recording import Recording
 from hybrid.signals.cutoff import QUIET
 from hybrid.signals.filters import butterworth_gain
 
-Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
 _SEGMENT = 4.0  # s: of a spectrum

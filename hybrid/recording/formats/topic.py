@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.names import printable
 from hybrid.recording.formats.cdr import Layout, LayoutError, Path, layout_of
 from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, Table
-
-Array = NDArray[np.float64]
 
 BATCH = 4096  # messages decoded at once
 _MOST_BYTES = 16 << 20  # of messages held before they are decoded

@@ -1,0 +1,131 @@
+"""A learned remainder that keeps a symmetry, whatever it is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hybrid.arrays import Array
+from hybrid.compensator.checks import check_matrix, check_pair
+from hybrid.errors import HybridError, ModelFileError
+
+if TYPE_CHECKING:
+    from hybrid.compensator import Remainder
+    from learners.modules import SymmetricModule
+
+
+@dataclass(frozen=True, eq=False)
+class SymmetricRegression:
+    """``f(x) = ½ [g(x) + p · g(s x)]``: odd (p = −1) or even (p = 1) in some inputs.
+
+    Friction, for instance, is odd in speed: s is −1 for speeds and 1 for positions.
+
+    Attributes:
+        inner: The regression g.
+        signs: The sign s of each input, shape (d,).
+        parity: −1 or 1.
+    """
+
+    kind: ClassVar[str] = "symmetric"
+
+    inner: Remainder
+    signs: Array
+    parity: float
+
+    def __post_init__(self) -> None:
+        signs = np.array(self.signs, dtype=float)
+        if signs.shape != (self.inner.inputs,) or not (np.abs(signs) == 1.0).all():
+            raise HybridError(f"signs are {signs}; valid is −1 or 1 for each input")
+        if self.parity not in (-1.0, 1.0):
+            raise HybridError(f"parity is {self.parity}, valid is −1 or 1")
+        object.__setattr__(self, "signs", signs)
+
+    @staticmethod
+    def fit(
+        x: ArrayLike,
+        y: ArrayLike,
+        *,
+        signs: ArrayLike,
+        parity: float,
+        learn: Callable[..., Remainder],
+        **options: Any,
+    ) -> SymmetricRegression:
+        """Learn from every sample and its mirror image.
+
+        Args:
+            x: Inputs, shape (N, d), any unit.
+            y: Torque that the physical terms leave, shape (N, m), [N·m].
+            signs: Sign of each input, shape (d,).
+            parity: −1 for odd, 1 for even.
+            learn: ``fit`` of the regression inside.
+            **options: Passed on to it.
+        """
+        x, y = check_pair(x, y)
+        signs = np.asarray(signs, dtype=float)
+        both = np.concatenate([x, x * signs]), np.concatenate([y, parity * y])
+        return SymmetricRegression(learn(*both, **options), signs, parity)
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs d."""
+        return self.inner.inputs
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs m."""
+        return self.inner.outputs
+
+    def predict(self, x: ArrayLike) -> Array:
+        """Mean, shape (N, m), [N·m]; see :class:`~hybrid.compensator.Remainder`."""
+        x = check_matrix("x", x, self.inputs)
+        mirrored = self.inner.predict(x * self.signs)
+        return 0.5 * (self.inner.predict(x) + self.parity * mirrored)
+
+    def predict_distribution(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Mean [N·m] and variance [(N·m)²], shapes (N, m)."""
+        x = check_matrix("x", x, self.inputs)
+        mean, variance = self.inner.predict_distribution(x)
+        mirrored, spread = self.inner.predict_distribution(x * self.signs)
+        return 0.5 * (mean + self.parity * mirrored), 0.5 * (variance + spread)
+
+    def arrays(self) -> dict[str, Array]:
+        """Everything to save, by name."""
+        inner = {f"{self.inner.kind}:{k}": x for k, x in self.inner.arrays().items()}
+        return inner | {"signs": self.signs, "parity": np.array([self.parity])}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Self:
+        """The inverse of :meth:`arrays`.
+
+        Raises:
+            ModelFileError: An array is missing or not valid.
+        """
+        from hybrid.compensator import REMAINDERS
+        from learners.random_features import RandomFeatureRegression
+
+        inside = REMAINDERS | {RandomFeatureRegression.kind: RandomFeatureRegression}
+
+        kinds = {name.partition(":")[0] for name in arrays if ":" in name}
+        known = kinds & inside.keys()
+        if len(kinds) != 1 or not known:
+            raise ModelFileError(f"symmetric remainder of unknown kind {sorted(kinds)}")
+        (kind,) = known
+        own = {k.partition(":")[2]: x for k, x in arrays.items() if ":" in k}
+        try:
+            inner = inside[kind].from_arrays(own)
+            parity = float(np.asarray(arrays["parity"]).item())
+            return cls(inner, np.asarray(arrays["signs"], float), parity)
+        except ModelFileError:
+            raise
+        except (KeyError, ValueError, TypeError, HybridError) as error:
+            raise ModelFileError(f"symmetry is damaged: {error}") from error
+
+    def to_torch(self) -> SymmetricModule:
+        """The same regression as a torch module (loads torch)."""
+        from learners.modules import SymmetricModule
+
+        return SymmetricModule(self.inner.to_torch(), self.signs, self.parity)

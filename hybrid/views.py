@@ -1,0 +1,194 @@
+"""The results of the lower floors as tables, rows and pictures.
+
+:func:`table`, :func:`rows` and :func:`draw` have one implementation for each kind of
+result; :class:`hybrid.shown.Shown` calls them.
+"""
+
+from __future__ import annotations
+
+from functools import singledispatch
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from markupsafe import Markup, escape
+
+from hybrid.calibrate import Calibration
+from hybrid.excitation import Design
+from hybrid.identify import Fit
+from hybrid.inspect import Inspection
+from hybrid.names import figure_text
+from hybrid.report.calibration import corrections_table
+from hybrid.report.fit import held_out_table
+from hybrid.report.inspection import joints_table, write_inspection
+from hybrid.report.provenance import provenance
+from hybrid.report.style import BEST, BLUE, clean, new_figure, stage_inks
+from hybrid.report.table import Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_HEIGHT = 3.2  # inches
+
+
+def html(result: Any) -> str:
+    """The table of a result as HTML; names in it are escaped."""
+    shown = table(result)
+    head = Markup("").join(Markup("<th>{}</th>").format(x) for x in shown.header)
+    body = Markup("").join(
+        Markup("<tr>{}</tr>").format(
+            Markup("").join(Markup("<td>{}</td>").format(x) for x in row)
+        )
+        for row in shown.rows
+    )
+    return (
+        f"<table><caption>{escape(shown.caption)}</caption>"
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    )
+
+
+def plot(result: Any, ax: Axes | None = None) -> Axes:
+    """Draw a result into axes, or into those of a new figure."""
+    axes = new_figure(_HEIGHT).subplots() if ax is None else ax
+    draw(result, axes)
+    return axes
+
+
+def write_page(path: str | Path, inspection: Inspection) -> None:
+    """Write the page of an inspection."""
+    write_inspection(path, [inspection], provenance=provenance())
+
+
+@singledispatch
+def table(result: Any) -> Table:
+    """The table that says most about a result."""
+    raise NotImplementedError(type(result))
+
+
+@singledispatch
+def rows(result: Any) -> list[dict[str, Any]]:
+    """A result as rows of numbers in SI units, by column."""
+    raise NotImplementedError(type(result))
+
+
+@singledispatch
+def draw(result: Any, ax: Axes) -> None:
+    """Draw a result into axes."""
+    raise NotImplementedError(type(result))
+
+
+@table.register
+def _(fit: Fit) -> Table:
+    return held_out_table(fit)
+
+
+@rows.register
+def _(fit: Fit) -> list[dict[str, Any]]:
+    low, high = fit.estimate.interval()
+    columns = zip(
+        fit.labels, fit.units, fit.estimate.theta, fit.estimate.std, low, high,
+        strict=True,
+    )  # fmt: skip
+    names = ("unknown", "unit", "value", "std", "low", "high")
+    return [dict(zip(names, row, strict=True)) for row in columns]
+
+
+@draw.register(Fit)
+def _(fit: Fit, ax: Axes) -> None:
+    inks = stage_inks(list(fit.held_out))
+    joints = [*map(figure_text, fit.model.robot.joints)]
+    width = 0.84 / len(fit.held_out)
+    for k, (name, rms) in enumerate(fit.held_out.items()):
+        left = np.arange(len(joints)) - 0.42 + k * width
+        ink = inks.get(name, BEST)
+        ax.bar(left, rms, 0.92 * width, align="edge", color=ink, label=name)
+    clean(ax, grid="y")
+    ax.set_xticks(range(len(joints)), joints, rotation=20)
+    ax.set_ylabel("held-out RMS error [N·m]")
+    ax.legend(frameon=False, fontsize=8)
+
+
+@table.register
+def _(design: Design) -> Table:
+    wanted = zip(
+        design.observation.base.kept_labels, design.standard_errors(), strict=True
+    )
+    lines = tuple((name, f"{error:.3g}") for name, error in wanted)
+    caption = (
+        f"{len(design.trajectories)} motions of {design.robot.name}, "
+        f"condition {design.condition:.3g}"
+    )
+    return Table(("unknown", "standard error to expect"), lines, caption)
+
+
+@rows.register
+def _(design: Design) -> list[dict[str, Any]]:
+    labels = design.observation.base.kept_labels
+    pairs = zip(labels, design.standard_errors(), strict=True)
+    return [{"unknown": name, "standard_error": float(x)} for name, x in pairs]
+
+
+@draw.register(Design)
+def _(design: Design, ax: Axes) -> None:
+    reference = design.trajectories[0].reference(design.rate)
+    _lines(ax, reference.t, reference.q, design.robot.joints, "position [rad]")
+
+
+@table.register
+def _(calibration: Calibration) -> Table:
+    return corrections_table(calibration)
+
+
+@rows.register
+def _(calibration: Calibration) -> list[dict[str, Any]]:
+    low, high = calibration.interval()
+    return [
+        {"correction": x.name, "unit": x.unit, "value": x.value, "std": x.std,
+         "low": low[k], "high": high[k]}
+        for k, x in enumerate(calibration.parameters)
+    ]  # fmt: skip
+
+
+@draw.register(Calibration)
+def _(calibration: Calibration, ax: Axes) -> None:
+    low, high = calibration.interval()
+    middle, place = (low + high) / 2, np.arange(len(low))
+    ax.errorbar(place, 1e3 * middle, 5e2 * (high - low), fmt="o", color=BLUE, capsize=2)
+    ax.axhline(0.0, color="#e3e3e3", linewidth=0.8)
+    clean(ax, grid="y")
+    names = [figure_text(x.name) for x in calibration.parameters]
+    ax.set_xticks(place, names, rotation=90)
+    ax.set_ylabel("correction [mm or mrad]")
+
+
+@table.register
+def _(inspection: Inspection) -> Table:
+    found = joints_table([inspection])
+    count = len(inspection.doubts)
+    doubts = f"{count} doubt{'s' * (count != 1)}" if count else "nothing against it"
+    caption = f"{inspection.recording.source}: {doubts}"
+    return Table(found.header, found.rows, caption)
+
+
+@rows.register
+def _(inspection: Inspection) -> list[dict[str, Any]]:
+    return list(inspection.as_dict()["joints"])
+
+
+@draw.register(Inspection)
+def _(inspection: Inspection, ax: Axes) -> None:
+    log = inspection.recording
+    measured = log.tau if log.has_torque else log.q
+    label = "torque [N·m]" if log.has_torque else "position [rad]"
+    _lines(ax, log.t - log.t[0], measured, log.joints, label)
+
+
+def _lines(ax: Axes, t: Any, x: Any, joints: tuple[str, ...], label: str) -> None:
+    """One line for each joint over time."""
+    for j, joint in enumerate(joints):
+        ax.plot(t, x[:, j], linewidth=0.9, label=figure_text(joint))
+    clean(ax, grid="y")
+    ax.margins(x=0)
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel(label)
+    ax.legend(frameon=False, fontsize=8)

@@ -1,0 +1,78 @@
+"""What the documentation says to type can be typed, and the Python page is complete."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+import hybrid
+from hybrid.cli.command import build_parser, main
+
+ROOT = Path(__file__).parents[1]
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
+
+
+def commands(page):
+    for block in re.findall(r"```(?:sh|bash)\n(.*?)```", page.read_text("utf-8"), re.S):
+        for line in block.replace("\\\n", " ").splitlines():
+            if line.startswith("hybrid "):
+                yield line
+
+
+LINES = [(page.name, line) for page in PAGES for line in commands(page)]
+
+
+@pytest.mark.parametrize(("page", "line"), LINES)
+def test_every_command_of_the_documentation_is_understood(page, line):
+    words = shlex.split(line, comments=True)[1:]
+    _, unknown = build_parser().parse_known_args(words)
+    assert not unknown
+
+
+def newcomers_effect():
+    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.S)
+    return code
+
+
+def test_the_newcomers_effect_is_found_again_as_printed(tmp_path, monkeypatch, capsys):
+    (tmp_path / "models").symlink_to(ROOT / "models")
+    (tmp_path / "mine.py").write_text(newcomers_effect(), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    for line in commands(ROOT / "CONTRIBUTING.md"):
+        words = shlex.split(line)[1:]
+        if words[0] == "identify":
+            words += ["--json", "fit.json"]
+        assert main(words) == 0
+    unknowns = json.loads(Path("fit.json").read_text("utf-8"))["unknowns"]
+    found = {x["label"]: x["interval"] for x in unknowns}
+    truth = json.loads(Path("logs/truth.json").read_text("utf-8"))
+    for x in truth["effects"]:
+        low, high = found[f"{x['effect']}.slope[{x['joints'][0]}]"]
+        assert 0 < low <= x["values"]["slope"] <= high
+
+
+def test_the_notebook_of_an_own_effect_has_the_printed_one():
+    text = (ROOT / "docs" / "notebooks" / "own_effect.ipynb").read_text("utf-8")
+    cells = ["".join(x["source"]) for x in json.loads(text)["cells"]]
+    assert any(newcomers_effect() in x for x in cells)
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text("utf-8").split()) <= 900
+
+
+def test_the_python_page_names_everything_public():
+    shown = (ROOT / "docs" / "api.md").read_text("utf-8")
+    missing = []
+    for name in hybrid.__all__:
+        thing = getattr(hybrid, name)
+        if callable(thing):
+            where = f"::: {thing.__module__}.{thing.__name__}\n"
+            missing += [] if where in shown else [where]
+    assert not missing

@@ -1,0 +1,29 @@
+"""Every notebook runs from its first cell to its last."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "docs" / "notebooks"
+DATA = Path(os.environ.get("HYBRID_DATA", FOLDER.parents[2] / "shared" / "data"))
+QUICK = ("ur10",)
+NAMES = [
+    pytest.param(path.stem, marks=() if path.stem in QUICK else pytest.mark.study)
+    for path in sorted(FOLDER.glob("*.ipynb"))
+]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("name", NAMES)
+def test_a_notebook_runs_to_its_end(name, tmp_path, monkeypatch):
+    nbclient = pytest.importorskip("nbclient")
+    nbformat = pytest.importorskip("nbformat")
+    if name == "so101" and not (DATA / "so101").is_dir():
+        pytest.skip("no logs of so101: set HYBRID_DATA to the folder that has them")
+    monkeypatch.setenv("HYBRID_DATA", str(DATA))
+    notebook = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
+    client = nbclient.NotebookClient(
+        notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}
+    )
+    client.execute()

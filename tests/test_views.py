@@ -1,0 +1,95 @@
+"""Results show themselves as tables, pictures and data frames; no name is markup."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from test_calibrate import coman, disturbed, measured
+
+from hybrid import Recording, Robot, identify, inspect_recording, simulate
+from hybrid.calibrate import calibrate, random_poses
+from hybrid.excitation import Condition, Fourier, design, observe
+from hybrid.identify import DynamicModel
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Robot.load("planar")
+
+
+@pytest.fixture(scope="module")
+def logs(arm):
+    return simulate(arm, trajectories=2, duration=6.0)
+
+
+@pytest.fixture(scope="module")
+def fit(arm, logs):
+    return identify(arm, logs, stages=("rigid",))
+
+
+@pytest.fixture(scope="module")
+def motions(arm):
+    return design(
+        arm, observe(arm.chain), Fourier(3, 0.2), rng=np.random.default_rng(0),
+        criterion=Condition(), starts=1,
+    )  # fmt: skip
+
+
+def test_a_fit_shows_the_error_of_every_stage_and_joint(fit):
+    html = fit._repr_html_()
+    assert "<th>shoulder</th>" in html and "<td>IRLS</td>" in html
+
+
+def test_a_fit_is_drawn_into_axes_that_are_given(fit):
+    axes = Figure().subplots()
+    assert fit.plot(axes) is axes
+    drawn = sorted(bar.get_height() for bar in axes.patches)
+    np.testing.assert_allclose(drawn, sorted(np.concatenate([*fit.held_out.values()])))
+
+
+def test_a_frame_holds_every_unknown_within_its_interval(fit):
+    frame = fit.to_frame()
+    assert isinstance(frame, pd.DataFrame)
+    assert tuple(frame["unknown"]) == fit.labels
+    assert ((frame["low"] <= frame["value"]) & (frame["value"] <= frame["high"])).all()
+
+
+def test_a_saved_fit_loads_as_its_model(fit, tmp_path):
+    fit.save(tmp_path / "model.json")
+    assert DynamicModel.load(tmp_path / "model.json").effects == fit.model.effects
+
+
+def test_a_design_shows_the_errors_to_expect_and_saves_its_motions(motions, tmp_path):
+    assert list(motions.to_frame()["standard_error"]) == list(motions.standard_errors())
+    assert f"condition {motions.condition:.3g}" in motions._repr_html_()
+    assert len(motions.plot().lines) == 2
+    motions.save(tmp_path / "motions")
+    rows = (tmp_path / "motions" / "reference_1.csv").read_text().splitlines()
+    assert rows[0].startswith("t,q_shoulder")
+
+
+def test_a_calibration_draws_each_correction_with_its_interval():
+    arm, rng = coman(), np.random.default_rng(0)
+    q = random_poses(arm, 30, rng)
+    places = measured(disturbed(arm.chain), q, "position", noise=1e-5)
+    found = calibrate(arm, places)
+    frame = found.to_frame()
+    np.testing.assert_array_equal(frame["low"], found.interval()[0])
+    assert len(found.plot().get_xticks()) == len(frame)
+    assert "<td>mm</td>" in found._repr_html_()
+
+
+def test_an_inspection_shows_draws_and_saves_a_page(arm, logs, tmp_path):
+    found = inspect_recording(logs[0], arm)
+    assert "shoulder" in found._repr_html_()
+    assert len(found.plot().lines) == arm.size
+    assert list(found.to_frame()["joint"]) == list(arm.joints)
+    found.save(tmp_path / "log.html")
+    assert "shoulder" in (tmp_path / "log.html").read_text(encoding="utf-8")
+
+
+def test_a_name_with_markup_in_it_stays_text():
+    t = np.linspace(0.0, 2.0, 400)
+    q = np.stack([np.sin(3 * t), np.cos(2 * t)], axis=1)
+    log = Recording(t, q, joints=("<script>", "b"))
+    assert "<script>" not in inspect_recording(log)._repr_html_()
