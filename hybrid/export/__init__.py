@@ -4,12 +4,22 @@ from hybrid.export.compiled import CompiledModel
 from hybrid.export.export import FORMATS, export
 from hybrid.export.manifest import read_manifest
 from hybrid.export.program import Program, program_from_model
+from hybrid.export.simulator import (
+    Simulator,
+    missing_model,
+    model_simulator,
+    simulator,
+)
 
 __all__ = [
     "FORMATS",
     "CompiledModel",
     "Program",
+    "Simulator",
     "export",
+    "missing_model",
+    "model_simulator",
     "program_from_model",
     "read_manifest",
+    "simulator",
 ]

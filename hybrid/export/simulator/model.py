@@ -1,0 +1,98 @@
+"""An identified model as a simulator, and what the simulator lacks as a model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hybrid.dynamics import stacked_base
+from hybrid.errors import HybridError
+from hybrid.export.simulator.simulator import Simulator, simulator
+from hybrid.export.simulator.typical import typical_motion
+from hybrid.model.dynamic_model import DynamicModel
+from hybrid.robot import Robot
+from hybrid.signals import Motion
+
+
+def model_simulator(
+    model: DynamicModel,
+    *,
+    kind: str = "mjcf",
+    motions: Sequence[Motion] = (),
+    folder: str | Path | None = None,
+) -> Simulator:
+    """The file of a model's arm with what was identified.
+
+    Args:
+        model: An identified model; ``model.robot.path`` is the file.
+        kind: ``mjcf`` or ``urdf``.
+        motions: Motions with the speeds at which friction is fitted; by default one
+            within the range that was seen in fitting.
+        folder: Where the file will stand, if not where it stood.
+
+    Raises:
+        HybridError: No physically consistent links were identified.
+    """
+    if model.inertial is None:
+        raise HybridError(
+            "a simulator needs links that could be built; identify with "
+            "consistent=True, on the command line --consistent"
+        )
+    motions = motions or (typical_motion(_seen(model)),)
+    made = simulator(
+        _bare(model).with_inertial(model.inertial),
+        model.effects,
+        kind=kind,
+        motions=motions,
+        folder=folder,
+    )
+    return replace(made, notes=(*made.notes, *learned(model)))
+
+
+def missing_model(model: DynamicModel, made: Simulator) -> DynamicModel:
+    """What has to be added to the torque of a simulator: a model without links.
+
+    Exported as C it runs beside any simulator: its torque is taken off the joints.
+
+    Args:
+        model: What was made a simulator of.
+        made: The simulator.
+    """
+    robot = _bare(model).with_inertial(np.zeros_like(model.robot.chain.inertial))
+    base = stacked_base(model.robot.chain, (), ())
+    return replace(
+        model,
+        robot=replace(robot, chain=replace(robot.chain, gravity=np.zeros(3))),
+        base=base.with_values(np.zeros(base.size)),
+        effects=made.rest,
+        inertial=robot.chain.inertial,
+        simpler={},
+    )
+
+
+def learned(model: DynamicModel) -> tuple[str, ...]:
+    """The learned remainder in words, if there is one."""
+    if model.remainder is None or not model.remainder.parts:
+        return ()
+    joints = [model.robot.joints[p.joint] for p in model.remainder.parts]
+    return (f"learned remainder of {', '.join(joints)}",)
+
+
+def _bare(model: DynamicModel) -> Robot:
+    """The arm without what its file declares of its joints: effects have all of it."""
+    robot, none = model.robot, np.zeros(model.robot.size)
+    names = "damping", "frictionloss", "quadratic", "cubic", "stiffness"
+    chain = replace(robot.chain, armature=none)
+    return replace(robot, chain=chain, **dict.fromkeys(names, none))
+
+
+def _seen(model: DynamicModel) -> Robot:
+    """The arm with the range that was seen in fitting as its limits."""
+    seen = {name: model.range[name] for name in ("q_min", "q_max", "v_max")
+            if name in model.range}  # fmt: skip
+    if "v_max" in seen:  # as fast as it was seen, however long it takes to be so
+        seen["v_max"] = np.maximum(seen["v_max"], 1e-6)
+    return replace(model.robot, **seen)
