@@ -231,7 +231,7 @@ def joint_rotors(root):
 
 
 def test_a_urdf_holds_every_number_to_the_last_bit(tmp_path):
-    robot = public_arm("panda")
+    robot = replace(public_arm("panda"), path="")
     effects = [
         kind((k,), {name: share * (k + 1)})
         for k in range(robot.size)

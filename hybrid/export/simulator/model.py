@@ -42,14 +42,14 @@ def model_simulator(
             "consistent=True, on the command line --consistent"
         )
     motions = motions or (typical_motion(_seen(model)),)
-    made = simulator(
+    return simulator(
         _bare(model).with_inertial(model.inertial),
         model.effects,
         kind=kind,
         motions=motions,
         folder=folder,
+        notes=learned(model),
     )
-    return replace(made, notes=(*made.notes, *learned(model)))
 
 
 def missing_model(model: DynamicModel, made: Simulator) -> DynamicModel:

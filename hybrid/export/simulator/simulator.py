@@ -22,6 +22,7 @@ from hybrid.errors import HybridError, RobotError
 from hybrid.export.simulator.friction import StandIn, is_friction, stand_in
 from hybrid.files import atomic_path
 from hybrid.model.declared import declared_effects
+from hybrid.names import xml_comment
 from hybrid.plant.arm import overrides
 from hybrid.plant.native import effects_of_fields, split_effects
 from hybrid.export.simulator.typical import typical_motion
@@ -98,6 +99,7 @@ def simulator(
     kind: str = "mjcf",
     motions: Sequence[Motion] = (),
     folder: str | Path | None = None,
+    notes: Sequence[str] = (),
 ) -> Simulator:
     """The file of an arm with other numbers, and with effects put in.
 
@@ -114,6 +116,8 @@ def simulator(
             within the arm's limits by default.
         folder: Where the file will stand, if not where it stood: meshes and pictures
             are named relative to it.
+        notes: What else the file does not have, in words; all of it is in a comment at
+            its top.
 
     Raises:
         HybridError: The kind is not known.
@@ -126,21 +130,25 @@ def simulator(
     new = plan.change.robot
     document, old, own = source(new, kind)
     edit = edit_mjcf if kind == "mjcf" else edit_urdf
-    notes = list(edit(document, plan.change, old))
+    said = list(edit(document, plan.change, old))
     found = read(document, old, kind)
     _check(found, new, gravity=kind == "mjcf")
     if own and folder is not None:
         move = move_assets if kind == "mjcf" else move_meshes
         move(document, Path(robot.path).parent, Path(folder))
-    notes += [_fitted(robot, x) for x in plan.friction]
-    notes += [in_words(robot, effect) for effect in plan.unsaid]
+    said += [_fitted(robot, x) for x in plan.friction]
+    said += [in_words(robot, effect) for effect in plan.unsaid] + list(notes)
+    if said:
+        lines = [f"Not in this file, or only nearly: {xml_comment(x)}." for x in said]
+        comment = "\n     ".join(lines)
+        document.put(document.tags[0].start, f"<!-- {comment} -->\n")
     return Simulator(
         text=document.written(),
         original=document.content,
         robot=found,
         friction=plan.friction,
         rest=plan.rest,
-        notes=tuple(notes),
+        notes=tuple(said),
     )
 
 

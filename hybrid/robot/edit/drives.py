@@ -49,7 +49,9 @@ def edit_drives(
         share = replace(new, offset=new.offset / len(own))
         for (a, gear), tag in zip(own, found, strict=True):
             missing = list(_edit(document, model, a, gear, tag, share))
-            notes += [f"{x} of {joints[j]}, whose actuator has no place" for x in missing]
+            notes += [
+                f"{x} of {joints[j]}, whose actuator has no place" for x in missing
+            ]
     return tuple(dict.fromkeys(notes))
 
 
@@ -85,16 +87,15 @@ def _edit(
             most = min(most, float(np.abs(model.actuator_forcerange[a]).max()))
         document.set(tag, {"forcelimited": "true", "forcerange": (-most, most)})
     gain, bias = model.actuator_gainprm[a].copy(), model.actuator_biasprm[a].copy()
-    linear = (
-        model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
-        and model.actuator_biastype[a]
-        in (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE)
-    )  # fmt: skip
-    if not linear:
+    kind, plain = model.actuator_biastype[a], mujoco.mjtBias.mjBIAS_NONE
+    linear = kind == plain or kind == mujoco.mjtBias.mjBIAS_AFFINE
+    if not linear or model.actuator_gaintype[a] != mujoco.mjtGain.mjGAIN_FIXED:
         yield "a change of the torque"
         return
-    if model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE:
+    if kind == plain:
         bias[:] = 0.0
+    if (new.stiffness, new.damping) != (1.0, 1.0) and not bias[1:3].any():
+        yield "gains of a servo"
     gain[0] *= new.gain * (new.stiffness if bias[1] else new.damping if bias[2] else 1)
     bias[:3] *= new.gain * np.array([1.0, new.stiffness, new.damping])
     bias[0] += new.offset / gear

@@ -19,6 +19,7 @@ from hybrid.robot.edit.document import Document, Tag, element, moved_path
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.part import Part, changed_parts, mjcf_parts
 from hybrid.robot.mjcf import drives_of, joint_names
+from hybrid.robot.read import read_robot
 from hybrid.robot.robot import Robot
 
 # By default MuJoCo's dry friction is so soft that it is viscous at low speed.
@@ -64,17 +65,19 @@ def model_of(document: Document, robot: Robot) -> Any:
     Raises:
         RobotError: It does not compile.
     """
-    return compiled_spec(_spec(document, robot), robot.path)[0]
+    return compiled_spec(spec_of(document, robot), robot.path)[0]
 
 
 def check_mjcf(document: Document, robot: Robot) -> Robot:
     """The arm that the document has, where the arm's file stands."""
-    spec = _spec(document, robot)
-    found = Robot.load(spec, joints=robot.joints, held=dict(robot.held))
-    return replace(found, name=robot.name, path=robot.path)
+    spec = spec_of(document, robot)
+    # What a tendon of the file adds is not in it, and is no fault here.
+    fields, _ = read_robot(spec, robot.joints, robot.held)
+    return replace(Robot(**fields), name=robot.name, path=robot.path)
 
 
-def _spec(document: Document, robot: Robot) -> Any:
+def spec_of(document: Document, robot: Robot) -> Any:
+    """A document as a spec that stands where the arm's file does."""
     import mujoco
 
     try:
@@ -209,7 +212,11 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
     if "armature" in changed:
         given["armature"] = new.chain.armature[j] - of_drives["armature"]
     if changed & {"damping", "quadratic", "cubic"}:
-        friction = [new.damping[j] - of_drives["damping"], new.quadratic[j], new.cubic[j]]
+        friction = [
+            new.damping[j] - of_drives["damping"],
+            new.quadratic[j],
+            new.cubic[j],
+        ]
         bent = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
         given["damping"] = friction if bent else friction[0]
     if "frictionloss" in changed:

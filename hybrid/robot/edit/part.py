@@ -61,7 +61,9 @@ def mjcf_parts(robot: Robot, model: Any) -> list[Part]:
     data.qpos[:] = start(model, robot.held)
     mujoco.mj_kinematics(model, data)
     names = joint_names(model)
-    moved = {int(model.jnt_bodyid[names.index(x)]): k for k, x in enumerate(robot.joints)}
+    moved = {
+        int(model.jnt_bodyid[names.index(x)]): k for k, x in enumerate(robot.joints)
+    }
     link, parts = {0: -1}, []
     for body in range(1, model.nbody):
         k = link[body] = moved.get(body, link[int(model.body_parentid[body])])
@@ -108,9 +110,7 @@ def urdf_parts(robot: Robot, text: str) -> list[Part]:
     return parts
 
 
-def changed_parts(
-    parts: Sequence[Part], old: Robot, new: Robot
-) -> Iterator[Part]:
+def changed_parts(parts: Sequence[Part], old: Robot, new: Robot) -> Iterator[Part]:
     """Bodies whose parameters change with those of the links.
 
     The body that the joint moves takes the change. Where that would leave no body that

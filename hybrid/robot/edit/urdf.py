@@ -73,9 +73,7 @@ def inertial_text(mass: float, center: Array, about: Array) -> str:
 def _inertial_parts(
     mass: float, center: Array, about: Array
 ) -> dict[str, dict[str, object]]:
-    six = {
-        f"i{'xyz'[r]}{'xyz'[c]}": about[r, c] for r in range(3) for c in range(r, 3)
-    }
+    six = {f"i{'xyz'[r]}{'xyz'[c]}": about[r, c] for r in range(3) for c in range(r, 3)}
     origin = {"xyz": center, "rpy": "0 0 0"}
     return {"origin": origin, "mass": {"value": mass}, "inertia": six}
 
