@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from hybrid.effects.effect import Array, JointState, Port, Quantity
@@ -23,11 +23,6 @@ class Spring(JointEffect):
     source = "Hollerbach et al. 2016, doi 10.1007/978-3-319-32552-1_6"
     sentence = "A spring, hose or counterbalance pulls on {joints}."
     remedy = "Add a joint spring, or the counterbalance's geometry, to the simulator."
-
-    @property
-    def actuator(self) -> Mapping[str, float]:
-        """See :attr:`Instant.actuator`."""
-        return {} if self.values["stiffness"] else {"offset": -self.values["preload"]}
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:

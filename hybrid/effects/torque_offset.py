@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from hybrid.effects.effect import Array, JointState, Port, Quantity
@@ -14,16 +14,12 @@ class TorqueOffset(JointEffect):
 
     id = "torque_offset"
     port = Port.DRIVE
+    fields = {"level": "preload"}
     gains = (Quantity("level", "N·m", 0.02, -0.3, 0.3, per=(1, 0)),)
     equation = "τ = c"
     source = "Swevers et al. 1997, doi 10.1109/70.631234"
     sentence = "The reported torque of {joints} is shifted by a constant."
     remedy = "Zero the current sensor with the drive off."
-
-    @property
-    def actuator(self) -> Mapping[str, float]:
-        """See :attr:`Instant.actuator`."""
-        return {"offset": -self.values["level"]}
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:

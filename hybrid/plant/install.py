@@ -12,7 +12,7 @@ from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
 from hybrid.plant.arm import has_hook, overrides
 from hybrid.plant.laws import Laws, part
-from hybrid.plant.native import split_effects
+from hybrid.plant.native import split_effects, springs
 from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
@@ -20,7 +20,10 @@ if TYPE_CHECKING:
     import mujoco
 
 
-_OWN = ("dof_damping", "dof_dampingpoly", "dof_frictionloss", "actuator_biasprm")
+_OWN = (
+    "dof_damping", "dof_dampingpoly", "dof_frictionloss", "jnt_stiffness",
+    "qpos_spring",
+)  # fmt: skip
 
 
 class _Remainder(Protocol):
@@ -69,15 +72,12 @@ class Installed:
         self.left_out = tuple(e.id for e in hooked if not e.actuator)
 
     def _set_fields(self, values: Mapping[str, Array]) -> None:
-        """Set friction to the model's own, where the file has what stands in for it.
-
-        That may be a constant torque of motors, too.
-        """
+        """Set friction to the model's own, where the file has what stands in for it."""
         model, dof = self._model, self._dof
         joints = model.dof_jntid[dof]
-        motors = np.isin(model.actuator_trnid[:, 0], joints)
-        motors &= ~model.actuator_biasprm[:, 1:].any(axis=1)
-        model.actuator_biasprm[motors, 0] = 0.0
+        stiffness, relaxed = springs(values)
+        model.jnt_stiffness[joints] = stiffness
+        model.qpos_spring[model.jnt_qposadr[joints]] = relaxed
         model.dof_damping[dof] = values["damping"]
         model.dof_dampingpoly[dof] = np.c_[values["quadratic"], values["cubic"]]
         model.dof_frictionloss[dof] = values["frictionloss"]

@@ -14,6 +14,10 @@ from hybrid.effects.spring import Spring
 from hybrid.effects.viscous import Viscous
 from hybrid.robot.chain import Array
 
+# Of a joint with a preload and no spring, [N·m/rad]: the spring that has the preload
+# pulls no differently wherever the joint is.
+_SOFT = 1e-9
+
 
 def split_effects(
     effects: Sequence[Effect], fields: Collection[str], size: int
@@ -50,8 +54,7 @@ def split_effects(
 def _without_sense(values: Mapping[str, Array]) -> dict[str, Array]:
     """The part of fields that no joint may have, which would drive it."""
     out = {name: np.minimum(x, 0.0) for name, x in values.items()}
-    if "preload" in out:
-        out["preload"] = np.where(values["stiffness"] > 0, 0.0, values["preload"])
+    out.pop("preload", None)  # it has any sign
     if "quadratic" in out:
         # damping + quadratic·|v| + cubic·v² is nowhere below zero.
         linear, cubic = (np.maximum(values[x], 0.0) for x in ("damping", "cubic"))
@@ -78,3 +81,14 @@ def effects_of_fields(values: Mapping[str, Array]) -> Iterator[Effect]:
             }
             if any(own.values()):
                 yield cls((j,), own)
+
+
+def springs(values: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Stiffness [N·m/rad] of joints' springs, and where they are relaxed [rad], (n,).
+
+    Args:
+        values: ``stiffness`` and ``preload``, shape (n,).
+    """
+    stiffness, preload = values["stiffness"], values["preload"]
+    stiffness = np.where((stiffness == 0) & (preload != 0), _SOFT, stiffness)
+    return stiffness, -preload / np.where(stiffness > 0, stiffness, 1.0)

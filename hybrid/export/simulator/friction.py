@@ -1,7 +1,7 @@
 """A friction curve that a simulator has no field for, as the nearest that it has.
 
 Friction is fitted as frictionloss·sgn v + damping·v + quadratic·v|v| + cubic·v³, and
-two levels of dry friction where a motor may pull by a constant, over the speeds of
+two levels of dry friction where a joint may have a preload, over the speeds of
 motions. It is a sum of parts that each take energy at every speed, none below zero:
 v(1 − |v|/w)² for some w is what makes the sum bend downwards.
 """
@@ -30,8 +30,8 @@ class StandIn:
     Attributes:
         joint: The joint, counted from 0.
         effects: Effects of which the friction is the sum, beside exact ones.
-        values: ``frictionloss``, ``damping``, ``quadratic``, ``cubic``, and the
-            ``offset`` of a motor, SI units.
+        values: ``frictionloss``, ``damping``, ``quadratic``, ``cubic``, and
+            ``preload``, SI units.
         missed: RMS of the torque that is left, [N·m].
         torque: RMS of the friction itself, [N·m].
     """
@@ -62,7 +62,7 @@ def stand_in(
         effects: Friction of one joint that the simulator has no field for.
         exact: Values of the fields that are exact, by field.
         moved: Motions, and the rigid body along each.
-        fields: Fields that the simulator has; ``offset`` is one.
+        fields: Fields that the simulator has, of ``FIELDS``.
     """
     (j,) = {effect.joints[0] for effect in effects}
     v = np.concatenate([m.v[m.mask, j] for m, _ in moved])
@@ -70,31 +70,32 @@ def stand_in(
         sum((e.torque(m, body)[m.mask, 0] for e in effects), np.zeros(m.mask.sum()))
         for m, body in moved
     ]
-    torque = np.concatenate(laws) + curve(exact, v)
+    pull = exact.get("preload", 0.0)  # of springs, which is no friction
+    torque = np.concatenate(laws) + curve(exact, v) - pull
     parts = list(_parts(float(np.abs(v).max()), fields))
     A = np.stack([curve(x, v) for x in parts], axis=1)  # (N, parts)
     size = np.linalg.norm(A, axis=0)
     size[size == 0.0] = 1.0
     R = np.linalg.qr(np.c_[A / size, torque], mode="r")
     share = nnls(R[:, :-1], R[:, -1])[0] / size
-    values = {
-        name: float(sum(w * x.get(name, 0.0) for w, x in zip(share, parts, strict=True)))
-        for name in fields
-    }  # fmt: skip
+    table = np.array([[x.get(name, 0.0) for name in fields] for x in parts])
+    values = dict(zip(fields, (share @ table).tolist(), strict=True))
     missed = torque - curve(values, v)
     rms = [float(np.sqrt(np.mean(x**2))) for x in (missed, torque)]
+    if "preload" in values:
+        values["preload"] += pull
     return StandIn(j, tuple(effects), values, *rms)
 
 
 def curve(values: Mapping[str, float], v: Array) -> Array:
-    """Torque at speeds of the fields of a joint, [N·m]; an offset pulls against it."""
-    level, linear, quadratic, cubic, offset = (
+    """Torque at speeds of the fields of a joint, [N·m]."""
+    level, linear, quadratic, cubic, preload = (
         values.get(x, 0.0)
-        for x in ("frictionloss", "damping", "quadratic", "cubic", "offset")
+        for x in ("frictionloss", "damping", "quadratic", "cubic", "preload")
     )
     speed = np.abs(v)
     bent = (linear + (quadratic + cubic * speed) * speed) * v
-    return np.asarray(level * np.sign(v) + bent - offset)
+    return np.asarray(level * np.sign(v) + bent + preload)
 
 
 def _parts(fastest: float, fields: Collection[str]) -> Iterator[dict[str, float]]:
@@ -102,8 +103,8 @@ def _parts(fastest: float, fields: Collection[str]) -> Iterator[dict[str, float]
     for name in FRICTION:
         if name in fields:
             yield {name: 1.0}
-    if "offset" in fields:
-        yield from ({"frictionloss": 1.0, "offset": x} for x in (-1.0, 1.0))
+    if "preload" in fields:
+        yield from ({"frictionloss": 1.0, "preload": x} for x in (-1.0, 1.0))
     if {"quadratic", "cubic"} <= set(fields) and fastest > 0:
         for w in fastest * _BENDS:
             yield {"damping": 1.0, "quadratic": -2.0 / w, "cubic": 1.0 / w**2}

@@ -17,15 +17,14 @@ import numpy as np
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.instant import FIELDS
-from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.errors import HybridError, RobotError
 from hybrid.export.simulator.friction import StandIn, is_friction, stand_in
+from hybrid.export.simulator.typical import typical_motion
 from hybrid.files import atomic_path
 from hybrid.model.declared import declared_effects
 from hybrid.names import xml_comment
 from hybrid.plant.arm import overrides
-from hybrid.plant.native import effects_of_fields, split_effects
-from hybrid.export.simulator.typical import typical_motion
+from hybrid.plant.native import effects_of_fields, split_effects, springs
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
 from hybrid.robot.edit.actuator import Actuator
@@ -38,7 +37,7 @@ from hybrid.signals import Motion
 # What a kind of file has for a joint.
 _JOINT = {"mjcf": FIELDS, "urdf": ("armature", "damping", "frictionloss")}
 _CURVE = {
-    "mjcf": ("frictionloss", "damping", "quadratic", "cubic", "offset"),
+    "mjcf": ("frictionloss", "damping", "quadratic", "cubic", "preload"),
     "urdf": ("frictionloss", "damping"),
 }
 _SAME = 1e-9  # of the largest value of a kind
@@ -171,9 +170,6 @@ def _sorted(
     drives = dict[int, Actuator]()
     structure = []
     if kind == "mjcf":
-        for x in fitted:
-            if x.values["offset"]:
-                drives[x.joint] = Actuator(offset=x.values["offset"])
         for effect in [e for e in rest if e.actuator]:
             (j,) = effect.joints
             drives[j] = drives.get(j, Actuator()).and_then(effect.actuator)
@@ -221,12 +217,11 @@ def _with_fields(
                 own[name][each.joint] = x
     armature, preload = own.pop("armature"), own.pop("preload", None)
     if preload is not None:
-        stiffness = own["stiffness"]
         before = -robot.stiffness * robot.springref
-        same = (stiffness == robot.stiffness) & (preload == before)
-        relaxed = -preload / np.where(stiffness > 0, stiffness, 1.0)
-        kept = same | (stiffness == 0)
-        own["springref"] = np.where(kept, robot.springref, relaxed)
+        kept = (own["stiffness"] == robot.stiffness) & (preload == before)
+        both = springs({"stiffness": own["stiffness"], "preload": preload})
+        own["stiffness"] = np.where(kept, robot.stiffness, both[0])
+        own["springref"] = np.where(kept, robot.springref, both[1])
     return replace(robot, chain=replace(robot.chain, armature=armature), **own)
 
 
@@ -242,8 +237,6 @@ def _missing(
     for each in fitted:
         for name in over.keys() & each.values.keys():
             over[name][each.joint] = values[name][each.joint] - each.values[name]
-        if offset := each.values.get("offset", 0.0):
-            yield TorqueOffset((each.joint,), {"level": offset})
     yield from effects_of_fields(over)
 
 

@@ -12,7 +12,6 @@ class Actuator:
     """Changes of an actuator, at the joint.
 
     Attributes:
-        offset: Torque that it adds, [N·m].
         gain: Factor of the torque that it is asked for.
         lag: Time constant with which its torque follows, [s].
         limit: Largest torque, [N·m].
@@ -21,7 +20,6 @@ class Actuator:
         damping: Factor of its damping.
     """
 
-    offset: float = 0.0
     gain: float = 1.0
     lag: float = 0.0
     limit: float = inf

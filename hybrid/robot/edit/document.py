@@ -129,6 +129,9 @@ class Document:
         for tag in self.tags:
             if tag.start in self._set:
                 edits.append((tag.start, tag.end, self._changed(tag)))
+            if tag.start in self._renamed and tag.close > tag.end:
+                closing = f"</{self._renamed[tag.start]}>"
+                edits.append((tag.close, tag.after, closing))
         content = self.content
         # What is put to one place stands there in the order in which it was put.
         for start, end, text in sorted(reversed(edits), key=lambda x: -x[0]):

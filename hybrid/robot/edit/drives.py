@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -46,9 +45,8 @@ def edit_drives(
         if len(own) != len(found) or not own:
             notes.append(f"drive of {joints[j]}, which has no actuator in the file")
             continue
-        share = replace(new, offset=new.offset / len(own))
         for (a, gear), tag in zip(own, found, strict=True):
-            missing = list(_edit(document, model, a, gear, tag, share))
+            missing = list(_edit(document, model, a, gear, tag, new))
             notes += [
                 f"{x} of {joints[j]}, whose actuator has no place" for x in missing
             ]
@@ -98,7 +96,6 @@ def _edit(
         yield "gains of a servo"
     gain[0] *= new.gain * (new.stiffness if bias[1] else new.damping if bias[2] else 1)
     bias[:3] *= new.gain * np.array([1.0, new.stiffness, new.damping])
-    bias[0] += new.offset / gear
     given: dict[str, Any] = {}
     if new.lag and model.actuator_dyntype[a] == mujoco.mjtDyn.mjDYN_NONE:
         given = {"dyntype": "filter", "dynprm": new.lag}

@@ -55,7 +55,7 @@ def read(document: Document, robot: Robot, kind: str) -> Robot:
 
 
 def _converted(robot: Robot) -> str:
-    """A URDF file as MJCF; nothing where MuJoCo cannot read it, or reads another arm."""
+    """A URDF file as MJCF; nothing where MuJoCo does not read this arm."""
     import mujoco
 
     try:
