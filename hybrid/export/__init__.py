@@ -5,9 +5,12 @@ from hybrid.export.export import FORMATS, export
 from hybrid.export.manifest import read_manifest
 from hybrid.export.program import Program, program_from_model
 from hybrid.export.simulator import (
+    Ranges,
     Simulator,
     missing_model,
     model_simulator,
+    ranges,
+    sample,
     simulator,
 )
 
@@ -15,11 +18,14 @@ __all__ = [
     "FORMATS",
     "CompiledModel",
     "Program",
+    "Ranges",
     "Simulator",
     "export",
     "missing_model",
     "model_simulator",
     "program_from_model",
+    "ranges",
     "read_manifest",
+    "sample",
     "simulator",
 ]

@@ -10,13 +10,15 @@ from hybrid.export.c_project import write_c
 from hybrid.export.manifest import build_manifest, model_digest, seal
 from hybrid.export.onnx_graph import import_onnx, onnx_model
 from hybrid.export.program import program_from_model
-from hybrid.export.simulator import model_simulator
+from hybrid.export.simulator import isaac_lab, model_simulator, write_ranges
 from hybrid.files import atomic_folder
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.names import file_stem
 from hybrid.signals import Motion
 
-FORMATS = ("onnx", "torchscript", "c", "mjcf", "urdf", "json")
+FORMATS = (
+    "onnx", "torchscript", "c", "mjcf", "urdf", "isaaclab", "ranges", "json",
+)  # fmt: skip
 
 
 def export(
@@ -34,7 +36,9 @@ def export(
     ``c`` is one C99 header with an example and a build file; ``onnx`` and
     ``torchscript`` the inverse dynamics with a free batch axis; ``mjcf`` and ``urdf``
     the arm's own file, ``model.robot.path``, with identified links, rotors and friction
-    and a ``.diff`` beside it; ``json`` the model itself.
+    and a ``.diff`` beside it; ``isaaclab`` its actuators for Isaac Lab; ``ranges`` what
+    the recordings leave open of each number, as YAML and for Isaac Lab and MJX;
+    ``json`` the model itself.
 
     Args:
         model: An identified model.
@@ -69,6 +73,11 @@ def export(
             made = model_simulator(model, kind=format, motions=motions, folder=folder)
             made.write(hidden / f"{stem}.{'xml' if format == 'mjcf' else 'urdf'}")
             left_out = made.notes
+        elif format == "isaaclab":
+            text, left_out = isaac_lab(model, motions)
+            (hidden / f"{stem}_isaaclab.py").write_text(text, encoding="utf-8")
+        elif format == "ranges":
+            write_ranges(model, hidden, stem)
         else:
             program = program_from_model(model)
             left_out, memory = program.left_out, program.memory_names

@@ -10,7 +10,7 @@ import numpy as np
 
 from hybrid.dynamics import stacked_base
 from hybrid.errors import HybridError
-from hybrid.export.simulator.simulator import Simulator, simulator
+from hybrid.export.simulator.simulator import Simulator, said, simulator
 from hybrid.export.simulator.typical import typical_motion
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
@@ -96,3 +96,15 @@ def _seen(model: DynamicModel) -> Robot:
     if "v_max" in seen:  # as fast as it was seen, however long it takes to be so
         seen["v_max"] = np.maximum(seen["v_max"], 1e-6)
     return replace(model.robot, **seen)
+
+
+def fields_of_model(model: DynamicModel, kind: str = "mjcf") -> Robot:
+    """The arm with all of a model that a kind of file has a place for.
+
+    Args:
+        model: A model with links that could be built.
+        kind: ``mjcf`` or ``urdf``.
+    """
+    assert model.inertial is not None
+    robot = _bare(model).with_inertial(model.inertial)
+    return said(robot, model.effects, kind, (typical_motion(_seen(model)),))

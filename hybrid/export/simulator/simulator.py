@@ -151,6 +151,13 @@ def simulator(
     )
 
 
+def said(
+    robot: Robot, effects: Sequence[Effect], kind: str, motions: Sequence[Motion]
+) -> Robot:
+    """The arm that a file would have; see :func:`simulator`."""
+    return _sorted(robot, effects, kind, motions).change.robot
+
+
 def _sorted(
     robot: Robot, effects: Sequence[Effect], kind: str, motions: Sequence[Motion]
 ) -> _Sorted:
