@@ -76,8 +76,8 @@ def stand_in(
     A = np.stack([curve(x, v) for x in parts], axis=1)  # (N, parts)
     size = np.linalg.norm(A, axis=0)
     size[size == 0.0] = 1.0
-    R = np.linalg.qr(np.c_[A / size, torque], mode="r")
-    share = nnls(R[:, :-1], R[:, -1])[0] / size
+    both = np.linalg.qr(np.c_[A / size, torque], mode="reduced").R
+    share = nnls(both[:, :-1], both[:, -1])[0] / size
     table = np.array([[x.get(name, 0.0) for name in fields] for x in parts])
     values = dict(zip(fields, (share @ table).tolist(), strict=True))
     missed = torque - curve(values, v)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -85,14 +86,14 @@ def _bare(model: DynamicModel) -> Robot:
     """The arm without what its file declares of its joints: effects have all of it."""
     robot, none = model.robot, np.zeros(model.robot.size)
     names = "damping", "frictionloss", "quadratic", "cubic", "stiffness"
-    chain = replace(robot.chain, armature=none)
-    return replace(robot, chain=chain, **dict.fromkeys(names, none))
+    own: dict[str, Any] = dict.fromkeys(names, none)
+    return replace(robot, chain=replace(robot.chain, armature=none), **own)
 
 
 def _seen(model: DynamicModel) -> Robot:
     """The arm with the range that was seen in fitting as its limits."""
-    seen = {name: model.range[name] for name in ("q_min", "q_max", "v_max")
-            if name in model.range}  # fmt: skip
+    names = {"q_min", "q_max", "v_max"} & model.range.keys()
+    seen: dict[str, Any] = {name: model.range[name] for name in names}
     if "v_max" in seen:  # as fast as it was seen, however long it takes to be so
         seen["v_max"] = np.maximum(seen["v_max"], 1e-6)
     return replace(model.robot, **seen)

@@ -69,7 +69,8 @@ def _physical(model: DynamicModel, inertial: Array) -> Array:
     values, vectors = np.linalg.eigh(X)
     X = (vectors * np.maximum(values, _THIN)[:, None]) @ vectors.transpose(0, 2, 1)
     found = inertial_from_pseudo(root @ X @ root.transpose(0, 2, 1))
-    return np.where(model.inertial.any(axis=1)[:, None], found, model.inertial)
+    there = np.any(model.inertial, axis=1, keepdims=True)
+    return np.where(there, found, model.inertial)
 
 
 def _moved(

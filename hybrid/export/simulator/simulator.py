@@ -11,6 +11,7 @@ import difflib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -131,7 +132,7 @@ def simulator(
     edit = edit_mjcf if kind == "mjcf" else edit_urdf
     said = list(edit(document, plan.change, old))
     found = read(document, old, kind)
-    _check(found, new, gravity=kind == "mjcf")
+    _check(found, new, _JOINT[kind])
     if own and folder is not None:
         move = move_assets if kind == "mjcf" else move_meshes
         move(document, Path(robot.path).parent, Path(folder))
@@ -164,11 +165,11 @@ def _sorted(
     n, inertial = robot.size, robot.chain.inertial.copy()
     gravity, acting = robot.chain.gravity.copy(), declared_effects(robot)
     for effect in effects:
-        change = effect.rigid_change(n, robot.chain.gravity)
-        if change is None:
+        rigid = effect.rigid_change(n, robot.chain.gravity)
+        if rigid is None:
             acting.append(effect)
         else:
-            inertial, gravity = inertial + change[0], gravity + change[1]
+            inertial, gravity = inertial + rigid[0], gravity + rigid[1]
     values, left = split_effects(acting, _JOINT[kind], n)
     chain = replace(robot.chain, inertial=inertial, gravity=gravity)
     rubbing = [effect for effect in left if is_friction(effect)]
@@ -217,7 +218,7 @@ def _with_fields(
     robot: Robot, values: dict[str, Array], fitted: Sequence[StandIn]
 ) -> Robot:
     """The arm with values of its joints' fields."""
-    own = {name: x.copy() for name, x in values.items()}
+    own: dict[str, Any] = {name: x.copy() for name, x in values.items()}
     for each in fitted:
         for name, x in each.values.items():
             if name in own:
@@ -247,20 +248,17 @@ def _missing(
     yield from effects_of_fields(over)
 
 
-def _check(found: Robot, wanted: Robot, *, gravity: bool) -> None:
+def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
     """Hold the file that was written against what it should say.
 
     Raises:
         RobotError: They differ.
     """
-    pairs = {
-        name: (getattr(found, name), getattr(wanted, name))
-        for name in ("damping", "quadratic", "cubic", "frictionloss", "stiffness")
-    }
-    pairs["armature"] = found.chain.armature, wanted.chain.armature
-    pairs["inertial"] = found.chain.inertial, wanted.chain.inertial
-    if gravity:
-        pairs["gravity"] = found.chain.gravity, wanted.chain.gravity
+    names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"}
+    pairs = {x: (getattr(found, x), getattr(wanted, x)) for x in names & {*fields}}
+    chains = ["armature", "inertial", *(["gravity"] if "preload" in fields else [])]
+    for x in chains:
+        pairs[x] = getattr(found.chain, x), getattr(wanted.chain, x)
     for name, (x, y) in pairs.items():
         if np.abs(x - y).max() > _SAME * max(np.abs(y).max(), 1e-3):
             raise RobotError(

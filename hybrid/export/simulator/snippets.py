@@ -31,7 +31,7 @@ ACTUATORS = {{
     ),
 }}
 '''
-_EVENTS = '''"""What recordings leave open of {name}: 95 % intervals, as events of Isaac Lab.
+_EVENTS = '''"""What recordings leave open of {name}, in 95 % intervals, for Isaac Lab.
 
 Isaac Lab draws each number by itself; their correlations are in the YAML file.
 """
@@ -124,7 +124,9 @@ def isaac_lab(
         "friction": robot.frictionloss, "dynamic_friction": robot.frictionloss,
         "viscous_friction": robot.damping,
     }  # fmt: skip
-    fields = {name: _by_joint(robot.joints, x) for name, x in table.items()}
+    fields: dict[str, Any] = {
+        name: _by_joint(robot.joints, x) for name, x in table.items()
+    }
     fields |= {"min_delay": math.floor(late), "max_delay": math.ceil(late)}
     said = {"latency", "limit", "stiffness", "damping"}
     notes = tuple(

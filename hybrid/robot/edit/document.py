@@ -141,15 +141,13 @@ class Document:
     def _changed(self, tag: Tag) -> str:
         text = self.content[tag.start : tag.end].decode()
         for key, value in self._set[tag.start].items():
-            pattern = re.compile(_VALUE.format(re.escape(key)))
-            if value is None:
-                text = pattern.sub("", text)
-            elif pattern.search(text):
-                word = f'"{value}"'
-                text = pattern.sub(lambda m, x=word: f"{m[1]}{x}", text, count=1)
-            else:
-                body, closing = re.fullmatch(r"(.*?)(\s*/?>)", text, re.S).groups()  # type: ignore[union-attr]
-                text = f'{body} {key}="{value}"{closing}'
+            found = re.search(_VALUE.format(re.escape(key)), text)
+            if found is not None:
+                word = "" if value is None else f'{found[1]}"{value}"'
+                text = text[: found.start()] + word + text[found.end() :]
+            elif value is not None:
+                body = text.removesuffix(">").removesuffix("/").rstrip()
+                text = f'{body} {key}="{value}"{text[len(body) :]}'
         old, new = tag.path[-1], self._renamed.get(tag.start, tag.path[-1])
         return f"<{new}{text.removeprefix(f'<{old}')}"
 

@@ -139,7 +139,7 @@ def _body(document: Document, model: Any, part: Part) -> Tag:
     if name and (found := [t for t in bodies if t.attributes.get("name") == name]):
         return found[0]
     if len(bodies) == model.nbody - 1:
-        return bodies[part.body - 1]
+        return bodies[int(part.body) - 1]
     first = int(model.body_jntadr[part.body])
     joint = model.joint(first).name if first >= 0 else ""
     for tag in document.find("joint", name=joint) if joint else ():

@@ -64,7 +64,7 @@ def mjcf_parts(robot: Robot, model: Any) -> list[Part]:
     moved = {
         int(model.jnt_bodyid[names.index(x)]): k for k, x in enumerate(robot.joints)
     }
-    link, parts = {0: -1}, []
+    link, parts = {0: -1}, list[Part]()
     for body in range(1, model.nbody):
         k = link[body] = moved.get(body, link[int(model.body_parentid[body])])
         if k < 0:
@@ -93,7 +93,7 @@ def urdf_parts(robot: Robot, text: str) -> list[Part]:
     pin.forwardKinematics(model, data, urdf_start(model, robot.held))
     pin.updateFramePlacements(model, data)
     index = {model.getJointId(name): k for k, name in enumerate(robot.joints)}
-    link, parts = {0: -1}, []
+    link, parts = {0: -1}, list[Part]()
     for j in range(1, model.njoints):
         link[j] = index.get(j, link[model.parents[j]])
     home = {k: data.oMi[j] for j, k in index.items()}
