@@ -16,7 +16,7 @@ from hybrid.effects.payload import Payload
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
-from hybrid.export import export
+from hybrid.export import CompiledModel, export, missing_model, model_simulator
 from hybrid.plant import install, load_truth
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.native import split_effects
@@ -84,6 +84,37 @@ def test_an_exported_simulator_moves_as_the_plant_and_the_callback_adds_the_rest
     assert completed < exported / 10
 
 
+def test_exported_c_beside_an_exported_simulator_moves_as_the_callback(tmp_path):
+    model, plant = true_model()
+    made = model_simulator(model, folder=tmp_path)
+    made.write(tmp_path / "arm.xml")
+    mj = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    mj.opt.timestep, mj.opt.integrator = plant.step, mujoco.mjtIntegrator.mjINT_EULER
+    code = CompiledModel(missing_model(model, made), step=plant.step)
+    index = [mj.joint(name).qposadr[0] for name in model.robot.joints]
+    rng = np.random.default_rng(1)
+    speed, size = rng.uniform(2, 6, 6), 0.3 * model.robot.tau_max
+
+    def roll(step, data):
+        for k in range(round(0.5 / plant.step)):
+            data.ctrl[:] = size * np.sin(speed * k * plant.step)
+            step(data)
+            mujoco.mj_step(mj, data)
+        return data.qpos[index].copy()
+
+    def by_code(data):
+        state = (x[index] for x in (data.qpos, data.qvel, data.qacc))
+        data.qfrc_applied[index] = -code.predict(*state)
+
+    alone = roll(lambda _: None, mujoco.MjData(mj))
+    beside = roll(by_code, mujoco.MjData(mj))
+    data = mujoco.MjData(mj)
+    added = install(mj, data, model)
+    called = roll(lambda _: None, data)
+    added.remove()
+    assert np.abs(beside - called).max() < 0.1 * np.abs(alone - called).max()
+
+
 def test_the_callback_is_gone_when_it_is_removed(tmp_path):
     model, _ = true_model()
     export(model, tmp_path, format="mjcf")
@@ -116,8 +147,9 @@ def test_a_learned_torque_is_felt_in_the_simulation(tmp_path):
 @pytest.mark.parametrize("kind, suffix", [("mjcf", "xml"), ("urdf", "urdf")])
 def test_a_robot_file_loads_back_with_the_identified_numbers(tmp_path, kind, suffix):
     model, plant = true_model()
-    export(model, tmp_path, format=kind)
-    # Our reader has no place for damping that grows with speed, which MJCF has.
+    exact = [e for e in model.effects if e.id in ("armature", "coulomb", "viscous")]
+    model = replace(model, effects=tuple(exact))
+    assert export(model, tmp_path, format=kind) == ()
     found, _ = quiet(Robot.load, tmp_path / f"coman_like.{suffix}")
     robot = plant.robot
     assert found.joints == robot.joints

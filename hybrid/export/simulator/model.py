@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.dynamics import stacked_base
+from hybrid.effects.payload import LinkInertia
 from hybrid.errors import HybridError
 from hybrid.export.simulator.simulator import Simulator, said, simulator
 from hybrid.export.simulator.typical import typical_motion
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
 from hybrid.signals import Motion
+
+_TEN = tuple(gain.name for gain in LinkInertia.gains)
 
 
 def model_simulator(
@@ -54,24 +56,21 @@ def model_simulator(
 
 
 def missing_model(model: DynamicModel, made: Simulator) -> DynamicModel:
-    """What has to be added to the torque of a simulator: a model without links.
+    """What has to be added to the torque of a simulator, as a model.
 
-    Exported as C it runs beside any simulator: its torque is taken off the joints.
+    Exported as C it runs beside any simulator: its torque is taken off the joints. The
+    links are there for effects that depend on their load, and taken out of the sum.
 
     Args:
         model: What was made a simulator of.
         made: The simulator.
     """
-    robot = _bare(model).with_inertial(np.zeros_like(model.robot.chain.inertial))
-    base = stacked_base(model.robot.chain, (), ())
-    return replace(
-        model,
-        robot=replace(robot, chain=replace(robot.chain, gravity=np.zeros(3))),
-        base=base.with_values(np.zeros(base.size)),
-        effects=made.rest,
-        inertial=robot.chain.inertial,
-        simpler={},
-    )
+    none = [
+        LinkInertia((k,), dict(zip(_TEN, (-x).tolist(), strict=True)))
+        for k, x in enumerate(model.link_parameters)
+        if x.any()
+    ]
+    return replace(model, effects=(*made.rest, *none), simpler={})
 
 
 def learned(model: DynamicModel) -> tuple[str, ...]:

@@ -113,7 +113,8 @@ def isaac_lab(
             (j,) = effect.joints
             drives[j] = drives.get(j, Actuator()).and_then(effect.actuator)
     new = [drives.get(j, Actuator()) for j in range(robot.size)]
-    step = robot.timestep if math.isfinite(robot.timestep) else _STEP
+    known = model.robot.timestep
+    step = known if math.isfinite(known) else _STEP
     late = max(x.latency for x in new) / step
     limit = np.minimum(robot.tau_max, [x.limit for x in new])
     kp = model.robot.kp * [x.stiffness for x in new]
