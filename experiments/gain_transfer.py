@@ -4,7 +4,7 @@ A table appears. A controller at 100 Hz tracks motions of the planar arm; its ga
 tuned (Nelder-Mead) in the nominal simulator, in one with plain least squares, in the
 exported one, and on the plant itself. What counts is the tracking error on the plant,
 along the motions of the task and along others, over that of gains tuned on the plant.
-It answers what a policy loses that was trained in each simulator, as in Tan et al. 2018,
+It answers what a policy loses that was trained in each simulator: Tan et al. 2018,
 doi 10.15607/RSS.2018.XIV.010.
 
     python experiments/gain_transfer.py --seeds 10

@@ -209,3 +209,24 @@ def test_a_simulation_of_another_arm_is_refused():
     mj = mujoco.MjModel.from_xml_path(str(MODELS / "planar.xml"))
     with pytest.raises(HybridError, match="the simulation has no joint base"):
         install(mj, mujoco.MjData(mj), full_model())
+
+
+def test_the_command_line_writes_the_file_it_is_given(tmp_path, monkeypatch):
+    from hybrid.cli.command import main
+
+    robot = Robot.load(MODELS / "planar.xml")
+    model = model_of(robot, [Coulomb((0,), {"level": 0.5})])
+    model.save(tmp_path / "model.json")
+    given = ["--model", str(tmp_path / "model.json"), "--format", "mjcf"]
+    monkeypatch.chdir(MODELS)  # a file of the model's name here is not the model's
+    main(["export", *given, "--out", str(tmp_path / "bare")])
+    main(["export", *given, "--robot", robot.path, "--out", str(tmp_path / "own")])
+    bare, own = (
+        mujoco.MjModel.from_xml_path(str(tmp_path / x / "planar.xml"))
+        for x in ("bare", "own")
+    )
+    assert bare.ngeom == 0 and own.ngeom > 5
+    np.testing.assert_array_equal(own.dof_frictionloss, [0.5, 0.0])
+    assert (tmp_path / "own" / "planar.diff").stat().st_size > 0
+    missing = [*given, "--robot", str(tmp_path / "no.xml")]
+    assert main(["export", *missing, "--out", str(tmp_path / "x")]) == 2
