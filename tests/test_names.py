@@ -1,5 +1,6 @@
 """Whatever a file calls an arm or a joint, it stays a name in every output."""
 
+import ast
 import html
 import json
 import re
@@ -58,11 +59,12 @@ NAMES = st.one_of(
 
 def named(arm: str, joint: str) -> Robot:
     chain = replace(PLANAR.chain, joints=(joint, f"{joint[: LONGEST - 2]}_2"))
-    return replace(PLANAR, name=arm, chain=chain)
+    return replace(PLANAR, name=arm, chain=chain, path="")
 
 
 def model(arm: str, joint: str) -> DynamicModel:
-    return model_of(named(arm, joint), [Viscous((0,), {"coefficient": 1.5})])
+    rubbing, sure = [Viscous((0,), {"coefficient": 1.5})], 1e-8 * np.eye(20)
+    return model_of(named(arm, joint), rubbing, covariance=sure)
 
 
 def exported(found: DynamicModel, kind: str):
@@ -85,6 +87,20 @@ def exported(found: DynamicModel, kind: str):
 def test_every_format_stays_in_its_folder(kind, arm, joint):
     for path in exported(model(arm, joint), kind):
         assert re.fullmatch(r"[\w.-]+", path.name) and len(path.name.encode()) < 255
+
+
+@settings(max_examples=25)
+@given(arm=NAMES, joint=NAMES)
+@example(arm='"""; evil()', joint="'] + evil() + ['")
+def test_python_for_other_simulators_has_no_code_of_a_name(arm, joint):
+    def calls(found):
+        for kind in ("isaaclab", "ranges"):
+            for path in exported(found, kind):
+                if path.suffix == ".py":
+                    tree = ast.parse(path.read_text("utf-8"))
+                    yield sum(isinstance(x, ast.Call) for x in ast.walk(tree))
+
+    assert list(calls(model(arm, joint))) == list(calls(model(PLAIN, "joint")))
 
 
 def skeleton(text: str) -> str:

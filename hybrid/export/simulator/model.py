@@ -44,7 +44,7 @@ def model_simulator(
             "a simulator needs links that could be built; identify with "
             "consistent=True, on the command line --consistent"
         )
-    motions = motions or (typical_motion(_seen(model)),)
+    motions = motions or (usual_motion(model),)
     return simulator(
         _bare(model).with_inertial(model.inertial),
         model.effects,
@@ -89,22 +89,25 @@ def _bare(model: DynamicModel) -> Robot:
     return replace(robot, chain=replace(robot.chain, armature=none), **own)
 
 
-def _seen(model: DynamicModel) -> Robot:
-    """The arm with the range that was seen in fitting as its limits."""
-    names = {"q_min", "q_max", "v_max"} & model.range.keys()
-    seen: dict[str, Any] = {name: model.range[name] for name in names}
-    if "v_max" in seen:  # as fast as it was seen, however long it takes to be so
-        seen["v_max"] = np.maximum(seen["v_max"], 1e-6)
-    return replace(model.robot, **seen)
-
-
-def fields_of_model(model: DynamicModel, kind: str = "mjcf") -> Robot:
+def fields_of_model(
+    model: DynamicModel, motions: Sequence[Motion], kind: str = "mjcf"
+) -> Robot:
     """The arm with all of a model that a kind of file has a place for.
 
     Args:
         model: A model with links that could be built.
+        motions: Motions with the speeds at which friction is fitted.
         kind: ``mjcf`` or ``urdf``.
     """
     assert model.inertial is not None
     robot = _bare(model).with_inertial(model.inertial)
-    return said(robot, model.effects, kind, (typical_motion(_seen(model)),))
+    return said(robot, model.effects, kind, motions)
+
+
+def usual_motion(model: DynamicModel) -> Motion:
+    """A motion within the range that was seen in fitting."""
+    names = {"q_min", "q_max", "v_max"} & model.range.keys()
+    seen: dict[str, Any] = {name: model.range[name] for name in names}
+    if "v_max" in seen:  # as fast as it was seen, however long it takes to be so
+        seen["v_max"] = np.maximum(seen["v_max"], 1e-6)
+    return typical_motion(replace(model.robot, **seen))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.export.simulator.model import fields_of_model
+from hybrid.export.simulator.model import fields_of_model, usual_motion
 from hybrid.export.simulator.posterior import sample
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
@@ -91,9 +91,10 @@ def ranges(
         HybridError: The model has no such links, or was saved without a covariance.
     """
     drawn = sample(model, draws, rng)
-    nominal = _numbers(fields_of_model(model, kind))
+    motions = (usual_motion(model),)
+    nominal = _numbers(fields_of_model(model, motions, kind))
     values = np.array(
-        [list(_numbers(fields_of_model(x, kind)).values()) for x in drawn]
+        [list(_numbers(fields_of_model(x, motions, kind)).values()) for x in drawn]
     )
     varies = np.ptp(values, axis=0) > 0
     keys = [key for key, own in zip(nominal, varies, strict=True) if own]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from hybrid.export.simulator.model import fields_of_model
+from hybrid.export.simulator.model import fields_of_model, usual_motion
 from hybrid.export.simulator.ranges import ranges
 from hybrid.export.simulator.snippets import isaac_events, mjx
 from hybrid.model.dynamic_model import DynamicModel
@@ -26,7 +26,10 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
     Raises:
         HybridError: The model has no such links, or was saved without a covariance.
     """
-    rng, nominal = np.random.default_rng(0), fields_of_model(model)
+    rng, nominal = (
+        np.random.default_rng(0),
+        fields_of_model(model, (usual_motion(model),)),
+    )
     found = ranges(model, rng)
     # Isaac Lab has one dry and one viscous friction, as URDF has.
     plain = ranges(model, np.random.default_rng(0), kind="urdf")

@@ -72,7 +72,10 @@ def check_mjcf(document: Document, robot: Robot) -> Robot:
     """The arm that the document has, where the arm's file stands."""
     spec = spec_of(document, robot)
     # What a tendon of the file adds is not in it, and is no fault here.
-    fields, _ = read_robot(spec, robot.joints, robot.held)
+    try:
+        fields, _ = read_robot(spec, robot.joints, robot.held)
+    except RobotError as error:
+        raise RobotError(str(error).replace("MjSpec", robot.path, 1)) from error
     return replace(Robot(**fields), name=robot.name, path=robot.path)
 
 
