@@ -64,9 +64,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     args = parser.parse_args()
     warnings.simplefilter("ignore")
-    runs = []
+    runs: list[dict[str, list[float]]] = []
     for seed in range(args.seeds):
         runs.append(transfer(seed))
+        write(args.out, runs)
+
+
+def write(out: Path, runs: list[dict[str, list[float]]]) -> None:
+    """Print the table of the seeds so far, and write the report."""
     names = list(runs[0])
     off = np.array([[run[name] for name in names] for run in runs])  # (seeds, names, 2)
     ratio = off / off[:, -1:]
@@ -75,13 +80,12 @@ def main() -> None:
         for k, name in enumerate(names)
     ]
     header = ("tuned in", "task, median", "worst", "other motions, median", "worst")
-    table = Table(header, tuple(rows))
-    print(text := markdown_table(table))
-    command = f"python experiments/gain_transfer.py --seeds {args.seeds}"
-    with atomic_path(args.out / "table.md") as path:
+    print(text := markdown_table(Table(header, tuple(rows))), flush=True)
+    command = f"python experiments/gain_transfer.py --seeds {len(runs)}"
+    with atomic_path(out / "table.md") as path:
         path.write_text(f"{text}\n    {command}\n", encoding="utf-8")
     content = {"provenance": provenance(command=command), "runs": runs}
-    write_results(args.out / "results.json", content)
+    write_results(out / "results.json", content)
 
 
 if __name__ == "__main__":

@@ -20,13 +20,15 @@ def of_file(text: str) -> Start:
     model.opt.timestep = STEP
 
     def start(q):
-        data = mujoco.MjData(model)
-        data.qpos[:] = q
+        datas = [mujoco.MjData(model) for _ in q]
+        for data, own in zip(datas, q, strict=True):
+            data.qpos[:] = own
 
         def step(tau):
-            data.ctrl[:] = tau
-            mujoco.mj_step(model, data, HELD)
-            return data.qpos, data.qvel
+            for data, own in zip(datas, tau, strict=True):
+                data.ctrl[:] = own
+                mujoco.mj_step(model, data, HELD)
+            return np.array([x.qpos for x in datas]), np.array([x.qvel for x in datas])
 
         return step
 
@@ -37,11 +39,11 @@ def of_plant(plant) -> Start:
     """The plant itself."""
 
     def start(q):
-        real = Lockstep(plant.arm, plant.effects, q[None])
+        real = Lockstep(plant.arm, plant.effects, q)
 
         def step(tau):
-            real.step(tau[None], HELD)
-            return real.q[0], real.v[0]
+            real.step(tau, HELD)
+            return real.q.copy(), real.v.copy()
 
         return step
 
@@ -50,16 +52,18 @@ def of_plant(plant) -> Start:
 
 def error(start: Start, gains, references, limit) -> float:
     """RMS tracking error, [rad]."""
-    kp, kd, off = *np.exp(gains).reshape(2, 2), []
-    for r in references:
-        step, q, v = start(r.q[0]), r.q[0], r.v[0]
-        for goal, speed in zip(r.q, r.v, strict=True):
-            tau = np.clip(kp * (goal - q) + kd * (speed - v), -limit, limit)
-            try:
-                q, v = step(tau)
-            except HybridError:
-                q = np.full(2, np.nan)
-            off.append(np.nan_to_num(goal - q, nan=LOST))
-            if np.abs(off[-1]).max() >= LOST:
-                break
+    kp, kd = np.exp(gains).reshape(2, 2)
+    goals, speeds = (
+        np.stack([getattr(r, x) for r in references], axis=1) for x in "qv"
+    )  # (N, B, n)
+    q, v, off = goals[0], speeds[0], []
+    step = start(q)
+    for goal, speed in zip(goals, speeds, strict=True):
+        try:
+            q, v = step(np.clip(kp * (goal - q) + kd * (speed - v), -limit, limit))
+        except HybridError:
+            return LOST
+        off.append(goal - q)
+        if not np.abs(off[-1]).max() < LOST:
+            return LOST
     return float(np.sqrt(np.mean(np.square(off))))
