@@ -48,7 +48,8 @@ def transfer(seed: int) -> dict[str, list[float]]:
     task, others = ([random_fourier(nominal, duration=2.0, rate=100.0, rng=rng)
                      for _ in range(2)] for _ in range(2))  # fmt: skip
     found, most = {}, nominal.tau_max
-    options = {"maxfev": 100, "xatol": 0.01, "fatol": 1e-5}
+    simplex = START + np.vstack([np.zeros(4), 0.7 * np.eye(4)])
+    options = {"maxfev": 100, "fatol": 1e-5, "initial_simplex": simplex}
     for name, start in where.items():
         best = minimize(lambda x, s=start: error(s, x, task, most), START,
                         method="Nelder-Mead", options=options)  # fmt: skip

@@ -8,6 +8,7 @@ import subprocess
 import tempfile
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib import import_module
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -65,6 +66,14 @@ def named(arm: str, joint: str) -> Robot:
 def model(arm: str, joint: str) -> DynamicModel:
     rubbing, sure = [Viscous((0,), {"coefficient": 1.5})], 1e-8 * np.eye(20)
     return model_of(named(arm, joint), rubbing, covariance=sure)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_draws():
+    """Ranges of few draws: what matters here is what they are called."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(import_module("hybrid.export.simulator.write"), "_DRAWS", 8)
+        yield
 
 
 def exported(found: DynamicModel, kind: str):

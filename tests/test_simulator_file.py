@@ -26,7 +26,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, RobotError
-from hybrid.export import simulator
+from hybrid.export import build_simulator
 from hybrid.model.declared import declared_effects
 from hybrid.robot import Robot
 
@@ -110,9 +110,9 @@ def torque(robot, motion):
 
 
 def test_nothing_found_leaves_every_byte_but_the_place_of_meshes(own, tmp_path):
-    here = simulator(own)
+    here = build_simulator(own)
     assert here.text == here.original and here.diff() == ""
-    there = simulator(own, folder=tmp_path / "out")
+    there = build_simulator(own, folder=tmp_path / "out")
     (new,) = [x for x in there.diff().splitlines() if x.startswith("+ ")]
     assert "<compiler" in new
 
@@ -124,7 +124,7 @@ def test_only_what_was_found_changes_and_the_scene_still_runs(own, tmp_path):
         Coulomb((1,), {"level": 0.7}),
         Viscous((0,), {"coefficient": 2}),
     ]
-    made = simulator(own, effects, folder=tmp_path)
+    made = build_simulator(own, effects, folder=tmp_path)
     changed = [x for x in made.diff().splitlines() if x[:1] == "+" and x[:3] != "+++"]
     assert len(changed) == 4, made.diff()  # meshes, joint a, and inertia and joint of b
     assert b"<!-- the elbow -->" in made.text and b"<!-- my scene -->" in made.text
@@ -141,7 +141,7 @@ def test_only_what_was_found_changes_and_the_scene_still_runs(own, tmp_path):
 def test_a_link_that_becomes_light_takes_from_all_of_its_bodies(own, tmp_path):
     inertial = own.chain.inertial.copy()
     inertial[1] *= 0.1  # less than the tool alone weighs
-    made = simulator(own.with_inertial(inertial), folder=tmp_path)
+    made = build_simulator(own.with_inertial(inertial), folder=tmp_path)
     _, again = read_again(tmp_path, made, own)
     np.testing.assert_allclose(again.chain.inertial, inertial, atol=1e-12)
 
@@ -166,7 +166,7 @@ def test_what_a_file_can_say_comes_back_to_the_last_digits(
             TorqueOffset((0,), {"level": -0.4}),
         ]
     new = robot.with_inertial(links)
-    made = simulator(new, effects, kind=kind, folder=tmp_path)
+    made = build_simulator(new, effects, kind=kind, folder=tmp_path)
     assert made.notes == () and made.rest == ()
     made.write(tmp_path / f"arm.{suffix}")
     again = Robot.load(tmp_path / f"arm.{suffix}")
@@ -186,7 +186,7 @@ def test_a_curve_of_friction_is_fitted_and_what_is_left_is_said():
         ),  # bends down: by itself not a field
     ]
     moved = motions(robot, count=2, seed=3)
-    made = simulator(robot, curve, motions=moved)
+    made = build_simulator(robot, curve, motions=moved)
     (fitted,), (note,) = made.friction, made.notes
     assert note.startswith("friction of elbow (stribeck")
     assert f"miss {fitted.missed:.3g} of" in note
@@ -199,7 +199,7 @@ def test_a_curve_of_friction_is_fitted_and_what_is_left_is_said():
         np.testing.assert_allclose(whole.predict(motion), truth, atol=1e-9)
     rms = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0))
     np.testing.assert_allclose(rms, [0.0, fitted.missed], rtol=1e-6, atol=1e-9)
-    plain = simulator(robot, [], motions=moved)
+    plain = build_simulator(robot, [], motions=moved)
     dropped = [
         model_of(robot, curve).predict(m) - torque(plain.robot, m) for m in moved
     ]
@@ -210,7 +210,7 @@ def test_friction_of_a_file_takes_energy_at_every_speed():
     robot = Robot.load(MODELS / "planar.xml")
     steep = [Viscous((1,), {"coefficient": 4.0}),
              NonlinearViscous((1,), {"quadratic": -3.0})]  # fmt: skip
-    found = simulator(robot, steep, motions=motions(robot, count=1)).robot
+    found = build_simulator(robot, steep, motions=motions(robot, count=1)).robot
     v = np.linspace(-30, 30, 999)[:, None] * np.ones(2)
     power = (found.joint_torque(0 * v, v, 0 * v) + found.frictionloss * np.sign(v)) * v
     assert power.min() >= -1e-9
@@ -222,7 +222,7 @@ def test_drives_change_where_the_file_has_them(own, tmp_path):
         ControllerGain((0,), {"stiffness": 0.2, "damping": -0.5}),
         ActuatorLag((1,), {"time": 0.03}), Saturation((1,), {"loss": 1, "limit": 4.0}),
     ]  # fmt: skip
-    made = simulator(own, effects, folder=tmp_path)
+    made = build_simulator(own, effects, folder=tmp_path)
     assert made.notes == ()
     model, again = read_again(tmp_path, made, own)
     assert model.actuator(0).name == "servo"
@@ -235,7 +235,7 @@ def test_drives_change_where_the_file_has_them(own, tmp_path):
 
 
 def test_gains_of_a_servo_that_is_none_are_said(own):
-    made = simulator(own, [ControllerGain((1,), {"stiffness": 0.2})])
+    made = build_simulator(own, [ControllerGain((1,), {"stiffness": 0.2})])
     assert made.notes == ("gains of a servo of b, whose actuator has no place",)
 
 
@@ -244,7 +244,7 @@ def test_a_gear_that_twists_is_a_joint_behind_the_motor(own, tmp_path):
         Armature((1,), {"inertia": 0.05}),
         Elasticity((1,), {"compliance": 0.01}),
     ]
-    made = simulator(own, effects, folder=tmp_path)
+    made = build_simulator(own, effects, folder=tmp_path)
     model, again = read_again(tmp_path, made, own)
     behind = model.joint("b/deflection")
     assert made.notes == () and behind.stiffness[0] == pytest.approx(100.0)
@@ -255,7 +255,7 @@ def test_a_gear_that_twists_is_a_joint_behind_the_motor(own, tmp_path):
 
 def test_a_coupled_rotor_is_a_tendon(own, tmp_path):
     values = {"inertia": 0.01, "viscous": 0.2, "coulomb": 0.1}
-    made = simulator(own, [TransmissionCoupling((0, 1), values)], folder=tmp_path)
+    made = build_simulator(own, [TransmissionCoupling((0, 1), values)], folder=tmp_path)
     made.write(tmp_path / "sim.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "sim.xml"))
     assert model.ntendon == 1 and model.tendon_armature[0] == 0.01
@@ -263,23 +263,23 @@ def test_a_coupled_rotor_is_a_tendon(own, tmp_path):
 
 def test_a_twisting_gear_without_rotor_is_refused(own):
     with pytest.raises(EffectError, match="needs a rotor"):
-        simulator(own, [Elasticity((1,), {"compliance": 0.01})])
+        build_simulator(own, [Elasticity((1,), {"compliance": 0.01})])
 
 
 def test_a_file_of_another_arm_is_refused(own):
     other = replace(own, path=str(MODELS / "planar.xml"))
     with pytest.raises(RobotError):
-        simulator(other)
+        build_simulator(other)
 
 
 def test_an_unknown_kind_is_refused(own):
     with pytest.raises(HybridError, match="valid are mjcf, urdf"):
-        simulator(own, kind="sdf")
+        build_simulator(own, kind="sdf")
 
 
 def test_a_urdf_becomes_an_mjcf_with_its_shapes(tmp_path):
     robot = Robot.load(MODELS / "planar.urdf")
-    made = simulator(robot, [Coulomb((0,), {"level": 0.5})], folder=tmp_path)
+    made = build_simulator(robot, [Coulomb((0,), {"level": 0.5})], folder=tmp_path)
     model, again = read_again(tmp_path, made, robot)
     assert model.ngeom > 0 and model.nu == 2
     (motion,) = motions(robot, count=1, duration=5.0)

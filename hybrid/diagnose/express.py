@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hybrid.diagnose.gap import Gap
 from hybrid.effects import Effect
-from hybrid.export.simulator import simulator
+from hybrid.export.simulator import build_simulator
 from hybrid.robot import Robot
 from hybrid.robot.edit.document import Document
 from hybrid.robot.edit.mjcf import spec_of
@@ -30,5 +30,5 @@ def express(
     Returns:
         The spec, and what it has only nearly or not at all.
     """
-    made = simulator(robot, effects, motions=gap.motions)
+    made = build_simulator(robot, effects, motions=gap.motions)
     return spec_of(Document(made.text, robot.path), robot), made.notes

@@ -15,7 +15,7 @@ from hybrid.diagnose.refit import solve_all
 from hybrid.diagnose.simulator import corrected
 from hybrid.dynamics import stacked_base
 from hybrid.effects import Effect
-from hybrid.export.simulator import simulator
+from hybrid.export.simulator import build_simulator
 from hybrid.identify import DynamicModel
 from hybrid.model.declared import declared_effects
 from hybrid.robot import Robot
@@ -59,7 +59,7 @@ def write_fixed(result: Result, directory: str | Path) -> Fixed:
     """
     robot, effects = fixed_simulator(result)
     folder = Path(directory)
-    made = simulator(
+    made = build_simulator(
         robot,
         effects,
         motions=result.gap.motions,

@@ -7,11 +7,11 @@ from hybrid.export.program import Program, program_from_model
 from hybrid.export.simulator import (
     Ranges,
     Simulator,
+    build_simulator,
     missing_model,
     model_simulator,
     ranges,
     sample,
-    simulator,
 )
 
 __all__ = [
@@ -27,5 +27,5 @@ __all__ = [
     "ranges",
     "read_manifest",
     "sample",
-    "simulator",
+    "build_simulator",
 ]

@@ -3,7 +3,7 @@
 from hybrid.export.simulator.model import missing_model, model_simulator
 from hybrid.export.simulator.posterior import sample
 from hybrid.export.simulator.ranges import Ranges, ranges
-from hybrid.export.simulator.simulator import Simulator, simulator
+from hybrid.export.simulator.simulator import Simulator, build_simulator
 from hybrid.export.simulator.snippets import isaac_lab
 from hybrid.export.simulator.write import write_ranges
 
@@ -15,6 +15,6 @@ __all__ = [
     "model_simulator",
     "ranges",
     "sample",
-    "simulator",
+    "build_simulator",
     "write_ranges",
 ]

@@ -11,7 +11,7 @@ import numpy as np
 
 from hybrid.effects.payload import LinkInertia
 from hybrid.errors import HybridError
-from hybrid.export.simulator.simulator import Simulator, said, simulator
+from hybrid.export.simulator.simulator import Simulator, build_simulator, said
 from hybrid.export.simulator.typical import typical_motion
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
@@ -45,7 +45,7 @@ def model_simulator(
             "consistent=True, on the command line --consistent"
         )
     motions = motions or (usual_motion(model),)
-    return simulator(
+    return build_simulator(
         _bare(model).with_inertial(model.inertial),
         model.effects,
         kind=kind,

@@ -13,7 +13,6 @@ from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
 from hybrid.robot.chain import INERTIAL_NAMES, INERTIAL_UNITS, Array
 
-_DRAWS = 400
 _LEVEL = 0.95
 _UNITS = {
     "armature": "kg·m²", "damping": "N·m·s/rad", "quadratic": "N·m·s²/rad²",
@@ -77,7 +76,7 @@ def ranges(
     rng: np.random.Generator,
     *,
     kind: str = "mjcf",
-    draws: int = _DRAWS,
+    draws: int = 400,
 ) -> Ranges:
     """Intervals and correlations of a simulator's numbers, from draws of the posterior.
 

@@ -92,7 +92,7 @@ class _Sorted:
     unsaid: tuple[Effect, ...]
 
 
-def simulator(
+def build_simulator(
     robot: Robot,
     effects: Sequence[Effect] = (),
     *,
@@ -155,7 +155,7 @@ def simulator(
 def said(
     robot: Robot, effects: Sequence[Effect], kind: str, motions: Sequence[Motion]
 ) -> Robot:
-    """The arm that a file would have; see :func:`simulator`."""
+    """The arm that a file would have; see :func:`build_simulator`."""
     return _sorted(robot, effects, kind, motions).change.robot
 
 

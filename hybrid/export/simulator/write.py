@@ -12,6 +12,8 @@ from hybrid.export.simulator.ranges import ranges
 from hybrid.export.simulator.snippets import isaac_events, mjx
 from hybrid.model.dynamic_model import DynamicModel
 
+_DRAWS = 400
+
 
 def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
     """Write intervals and correlations as YAML, and Python for Isaac Lab and MJX.
@@ -32,7 +34,7 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
     )
     found = ranges(model, rng)
     # Isaac Lab has one dry and one viscous friction, as URDF has.
-    plain = ranges(model, np.random.default_rng(0), kind="urdf")
+    plain = ranges(model, np.random.default_rng(0), kind="urdf", draws=_DRAWS)
     names = "damping", "quadratic", "cubic", "frictionloss"
     values = {x: getattr(nominal, x) for x in names}
     values["armature"] = nominal.chain.armature
