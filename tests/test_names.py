@@ -98,7 +98,7 @@ def test_every_format_stays_in_its_folder(kind, arm, joint):
         assert re.fullmatch(r"[\w.-]+", path.name) and len(path.name.encode()) < 255
 
 
-@settings(max_examples=25)
+@settings(max_examples=4)
 @given(arm=NAMES, joint=NAMES)
 @example(arm='"""; evil()', joint="'] + evil() + ['")
 def test_python_for_other_simulators_has_no_code_of_a_name(arm, joint):
