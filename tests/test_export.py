@@ -100,7 +100,10 @@ def full_model():
     )
     seen = {"q_min": np.full(6, -1.0), "q_max": np.full(6, 1.0), "v_max": np.ones(6)}
     robot = replace(plant.robot, path=nominal.path)
-    return model_of(robot, plant.effects, remainder=remainder, range=seen)
+    sure = 1e-8 * np.eye(60)  # of all link parameters
+    return model_of(
+        robot, plant.effects, remainder=remainder, range=seen, covariance=sure
+    )
 
 
 def motion_of(robot, samples, seed=0):

@@ -136,7 +136,7 @@ def test_a_number_is_written_to_the_last_bit(x):
 def springy(tmp_path_factory):
     """A spring and bent friction at one joint of the planar arm, as MuJoCo reads it."""
     folder = tmp_path_factory.mktemp("springy")
-    robot = planar()
+    robot = replace(planar(), path="")
     effects = [
         Spring((1,), {"stiffness": 7.5, "preload": 0.25}),
         NonlinearViscous((1,), {"quadratic": 0.5, "cubic": 0.125}),
@@ -190,7 +190,8 @@ def test_a_motor_of_unit_gear_moves_each_joint(springy):
 
 def unlimited(robot):
     free = np.full(robot.size, np.inf)
-    return replace(robot, q_min=-free, q_max=free, v_max=free, a_max=free, tau_max=free)
+    limits = dict.fromkeys(("q_max", "v_max", "a_max", "tau_max"), free)
+    return replace(robot, q_min=-free, path="", **limits)
 
 
 @pytest.mark.parametrize("kind, suffix", [("mjcf", "xml"), ("urdf", "urdf")])
@@ -204,7 +205,7 @@ def test_an_arm_without_limits_gets_none(tmp_path, kind, suffix):
 
 def test_a_limit_on_one_side_is_no_limit(tmp_path):
     robot = planar()
-    robot = replace(robot, q_max=np.array([np.inf, 1.5]))
+    robot = replace(robot, q_max=np.array([np.inf, 1.5]), path="")
     export(model_of(robot), tmp_path / "m", format="mjcf")
     mj = mujoco.MjModel.from_xml_path(str(tmp_path / "m" / "planar.xml"))
     assert mj.jnt_limited.tolist() == [0, 1]
@@ -230,7 +231,7 @@ def joint_rotors(root):
 
 
 def test_a_urdf_holds_every_number_to_the_last_bit(tmp_path):
-    robot = public_arm("panda")
+    robot = replace(public_arm("panda"), path="")
     effects = [
         kind((k,), {name: share * (k + 1)})
         for k in range(robot.size)

@@ -16,7 +16,7 @@ from hybrid.effects.payload import Payload
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
-from hybrid.export import export
+from hybrid.export import CompiledModel, export, missing_model, model_simulator
 from hybrid.plant import install, load_truth
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.native import split_effects
@@ -73,7 +73,7 @@ def test_an_exported_simulator_moves_as_the_plant_and_the_callback_adds_the_rest
 ):
     model, plant = true_model()
     left_out = export(model, tmp_path, format="mjcf")
-    assert any(text.startswith("stribeck of base (level 3 N·m") for text in left_out)
+    assert any(text.startswith("friction of base (stribeck") for text in left_out)
     exported = rollout(tmp_path, model, plant, complete=False)
     completed = rollout(tmp_path, model, plant, complete=True)
     nominal = Robot.load(MODELS / "coman_like.xml")
@@ -82,6 +82,37 @@ def test_an_exported_simulator_moves_as_the_plant_and_the_callback_adds_the_rest
     assert exported < 0.9 * before
     assert completed < 0.01
     assert completed < exported / 10
+
+
+def test_exported_c_beside_an_exported_simulator_moves_as_the_callback(tmp_path):
+    model, plant = true_model()
+    made = model_simulator(model, folder=tmp_path)
+    made.write(tmp_path / "arm.xml")
+    mj = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    mj.opt.timestep, mj.opt.integrator = plant.step, mujoco.mjtIntegrator.mjINT_EULER
+    code = CompiledModel(missing_model(model, made), step=plant.step)
+    index = [mj.joint(name).qposadr[0] for name in model.robot.joints]
+    rng = np.random.default_rng(1)
+    speed, size = rng.uniform(2, 6, 6), 0.3 * model.robot.tau_max
+
+    def roll(step, data):
+        for k in range(round(0.5 / plant.step)):
+            data.ctrl[:] = size * np.sin(speed * k * plant.step)
+            step(data)
+            mujoco.mj_step(mj, data)
+        return data.qpos[index].copy()
+
+    def by_code(data):
+        state = (x[index] for x in (data.qpos, data.qvel, data.qacc))
+        data.qfrc_applied[index] = -code.predict(*state)
+
+    alone = roll(lambda _: None, mujoco.MjData(mj))
+    beside = roll(by_code, mujoco.MjData(mj))
+    data = mujoco.MjData(mj)
+    added = install(mj, data, model)
+    called = roll(lambda _: None, data)
+    added.remove()
+    assert np.abs(beside - called).max() < 0.1 * np.abs(alone - called).max()
 
 
 def test_the_callback_is_gone_when_it_is_removed(tmp_path):
@@ -116,8 +147,9 @@ def test_a_learned_torque_is_felt_in_the_simulation(tmp_path):
 @pytest.mark.parametrize("kind, suffix", [("mjcf", "xml"), ("urdf", "urdf")])
 def test_a_robot_file_loads_back_with_the_identified_numbers(tmp_path, kind, suffix):
     model, plant = true_model()
-    export(model, tmp_path, format=kind)
-    # Our reader has no place for damping that grows with speed, which MJCF has.
+    exact = [e for e in model.effects if e.id in ("armature", "coulomb", "viscous")]
+    model = replace(model, effects=tuple(exact))
+    assert export(model, tmp_path, format=kind) == ()
     found, _ = quiet(Robot.load, tmp_path / f"coman_like.{suffix}")
     robot = plant.robot
     assert found.joints == robot.joints
@@ -161,7 +193,7 @@ def test_friction_is_split_into_what_a_joint_has_fields_for_and_the_rest():
 def test_what_a_urdf_has_no_place_for_is_in_its_manifest(tmp_path):
     model, _ = true_model()
     left_out = export(model, tmp_path, format="urdf")
-    assert any(x.startswith("nonlinear_viscous of base") for x in left_out)
+    assert any(x.startswith("friction of base (") for x in left_out)
     manifest = json.loads((tmp_path / "manifest.json").read_text())
     assert tuple(manifest["left_out"]) == left_out
 
@@ -177,3 +209,24 @@ def test_a_simulation_of_another_arm_is_refused():
     mj = mujoco.MjModel.from_xml_path(str(MODELS / "planar.xml"))
     with pytest.raises(HybridError, match="the simulation has no joint base"):
         install(mj, mujoco.MjData(mj), full_model())
+
+
+def test_the_command_line_writes_the_file_it_is_given(tmp_path, monkeypatch):
+    from hybrid.cli.command import main
+
+    robot = Robot.load(MODELS / "planar.xml")
+    model = model_of(robot, [Coulomb((0,), {"level": 0.5})])
+    model.save(tmp_path / "model.json")
+    given = ["--model", str(tmp_path / "model.json"), "--format", "mjcf"]
+    monkeypatch.chdir(MODELS)  # a file of the model's name here is not the model's
+    main(["export", *given, "--out", str(tmp_path / "bare")])
+    main(["export", *given, "--robot", robot.path, "--out", str(tmp_path / "own")])
+    bare, own = (
+        mujoco.MjModel.from_xml_path(str(tmp_path / x / "planar.xml"))
+        for x in ("bare", "own")
+    )
+    assert bare.ngeom == 0 and own.ngeom > 5
+    np.testing.assert_array_equal(own.dof_frictionloss, [0.5, 0.0])
+    assert (tmp_path / "own" / "planar.diff").stat().st_size > 0
+    missing = [*given, "--robot", str(tmp_path / "no.xml")]
+    assert main(["export", *missing, "--out", str(tmp_path / "x")]) == 2

@@ -1,5 +1,6 @@
 """Whatever a file calls an arm or a joint, it stays a name in every output."""
 
+import ast
 import html
 import json
 import re
@@ -7,6 +8,7 @@ import subprocess
 import tempfile
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib import import_module
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -58,11 +60,20 @@ NAMES = st.one_of(
 
 def named(arm: str, joint: str) -> Robot:
     chain = replace(PLANAR.chain, joints=(joint, f"{joint[: LONGEST - 2]}_2"))
-    return replace(PLANAR, name=arm, chain=chain)
+    return replace(PLANAR, name=arm, chain=chain, path="")
 
 
 def model(arm: str, joint: str) -> DynamicModel:
-    return model_of(named(arm, joint), [Viscous((0,), {"coefficient": 1.5})])
+    rubbing, sure = [Viscous((0,), {"coefficient": 1.5})], 1e-8 * np.eye(20)
+    return model_of(named(arm, joint), rubbing, covariance=sure)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_draws():
+    """Ranges of few draws: what matters here is what they are called."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(import_module("hybrid.export.simulator.write"), "_DRAWS", 8)
+        yield
 
 
 def exported(found: DynamicModel, kind: str):
@@ -85,6 +96,20 @@ def exported(found: DynamicModel, kind: str):
 def test_every_format_stays_in_its_folder(kind, arm, joint):
     for path in exported(model(arm, joint), kind):
         assert re.fullmatch(r"[\w.-]+", path.name) and len(path.name.encode()) < 255
+
+
+@settings(max_examples=4)
+@given(arm=NAMES, joint=NAMES)
+@example(arm='"""; evil()', joint="'] + evil() + ['")
+def test_python_for_other_simulators_has_no_code_of_a_name(arm, joint):
+    def calls(found):
+        for kind in ("isaaclab", "ranges"):
+            for path in exported(found, kind):
+                if path.suffix == ".py":
+                    tree = ast.parse(path.read_text("utf-8"))
+                    yield sum(isinstance(x, ast.Call) for x in ast.walk(tree))
+
+    assert list(calls(model(arm, joint))) == list(calls(model(PLAIN, "joint")))
 
 
 def skeleton(text: str) -> str:

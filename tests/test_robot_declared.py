@@ -13,7 +13,7 @@ from simulated import arm
 
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import HybridWarning, RobotError
-from hybrid.export.simulator import mjcf_text, urdf_text
+from hybrid.export import model_simulator
 from hybrid.identify import identify
 from hybrid.plant import Plant, simulate
 from hybrid.robot import Robot
@@ -494,12 +494,13 @@ def test_springs_and_curves_of_a_file_are_identified_and_exported(tmp_path):
     file = replace(real, stiffness=np.array([9.0, 5.0]))
     logs = simulate(Plant(real, [], nominal=real), trajectories=4, duration=6.0, seed=1)
     fit = identify(file, logs, stages=("rigid",), consistent=True)
-    text, left = mjcf_text(fit.model)
-    assert not left
-    again = Robot.load(saved(tmp_path, text))
+    made = model_simulator(fit.model)
+    assert not made.notes
+    again = Robot.load(saved(tmp_path, made.text.decode()))
     np.testing.assert_allclose(again.stiffness, real.stiffness, rtol=0.02)
     np.testing.assert_allclose(again.springref, real.springref, atol=0.01)
     friction = again.joint_torque(again.springref, np.array([0.0, 1.0]), np.zeros(2))
     declared = real.joint_torque(real.springref, np.array([0.0, 1.0]), np.zeros(2))
     np.testing.assert_allclose(friction, declared, atol=0.1)
-    assert [x.split()[0] for x in urdf_text(fit.model)[1]].count("spring") == 2
+    left = model_simulator(fit.model, kind="urdf").notes
+    assert [x.split()[0] for x in left].count("spring") == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,16 +12,23 @@ from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
+    from hybrid.identify import DynamicModel
 
-_FORMATS = ("onnx", "torchscript", "c", "mjcf", "urdf", "json")
+_FORMATS = (
+    "onnx", "torchscript", "c", "mjcf", "urdf", "isaaclab", "ranges", "json",
+)  # fmt: skip
 
-HELP = """export a model to C, ONNX, TorchScript, MJCF, URDF or JSON
+HELP = """export a model to C, ONNX, TorchScript, MJCF, URDF, Isaac Lab or JSON
 c            one C99 header with an example and CMakeLists.txt; torque from q, v and a,
              limited to the rated one, with a status (see the header's own comments)
 onnx         the same with a free batch axis, in double precision
 torchscript  the same for libtorch; read it with torch.jit.load, never torch.load
-mjcf         the simulator with identified links, rotors and friction
+mjcf         the arm's own file with identified links, rotors and friction, and a .diff;
+             --robot is the file; without one, links, joints and motors
 urdf         the same without what URDF has no place for
+isaaclab     actuators for Isaac Lab
+ranges       what the recordings leave open of each number: YAML with 95 % intervals and
+             correlations, event terms for Isaac Lab, a function for MuJoCo Playground
 json         the model itself
 Every folder holds a manifest.json: model hash, joint order, units, limits, training
 range, version, and what the format cannot express. Several formats may share a folder.
@@ -35,6 +43,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
     parser.add_argument("--format", required=True, choices=_FORMATS)
+    parser.add_argument(
+        "--robot",
+        type=Path,
+        metavar="FILE",
+        help="robot file to write again (default: the model's, if it is beside it)",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     add_common(parser)
 
@@ -47,7 +61,9 @@ def run(args: Namespace, screen: Screen) -> None:
     if args.out.exists() and not args.out.is_dir():
         raise HybridError(f"{args.out}: is a file; valid is the name of a folder")
     model = DynamicModel.load(args.model)
-    inputs = [args.model]
+    model, inputs = _with_file(model, args), [args.model]
+    if args.robot:
+        inputs.append(args.robot)
     check_outputs([args.out / "manifest.json", args.json], inputs)
     how = record(args, inputs)
     with screen.working("exporting"):
@@ -59,3 +75,16 @@ def run(args: Namespace, screen: Screen) -> None:
     screen.say(f"{robot.name} as {args.format} in {args.out}: {files}")
     for text in left_out:
         screen.say(f"  not in it: {text}")
+
+
+def _with_file(model: DynamicModel, args: Namespace) -> DynamicModel:
+    """The model with its robot's file, as given or beside the model.
+
+    Raises:
+        HybridError: The file that was given is not there.
+    """
+    if args.robot and not args.robot.is_file():
+        raise HybridError(f"{args.robot}: no such robot file")
+    beside = args.model.parent / model.robot.path
+    path = args.robot or (beside if model.robot.path and beside.is_file() else "")
+    return replace(model, robot=replace(model.robot, path=str(path)))

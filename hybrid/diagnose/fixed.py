@@ -10,18 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybrid.diagnose.explanation import Explanation
-from hybrid.diagnose.express import express
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.refit import solve_all
 from hybrid.diagnose.simulator import corrected
 from hybrid.dynamics import stacked_base
 from hybrid.effects import Effect
-from hybrid.files import atomic_path
+from hybrid.export.simulator import build_simulator
 from hybrid.identify import DynamicModel
 from hybrid.model.declared import declared_effects
-from hybrid.names import xml_comment
 from hybrid.robot import Robot
-from hybrid.robot.build import spec_text
 
 if TYPE_CHECKING:
     from hybrid.diagnose.result import Result
@@ -48,10 +45,10 @@ class Fixed:
 def write_fixed(result: Result, directory: str | Path) -> Fixed:
     """Write ``sim_fixed.xml`` and ``model.json``.
 
-    The XML file has the arm without geometry, joints named as before, and a motor at
-    each that takes the torque that the drive would report. What MJCF cannot express is
-    listed in a comment at its top; ``model.json`` has all of it. Where nothing was
-    found, both are the simulator as it stands.
+    The XML file is the simulator's own with what was found, and ``sim_fixed.diff`` is
+    the difference. What MJCF cannot express is listed in a comment at its top;
+    ``model.json`` has all of it. Where nothing was found, both are the simulator as it
+    stands.
 
     Args:
         result: A diagnosis with what led to it.
@@ -61,16 +58,18 @@ def write_fixed(result: Result, directory: str | Path) -> Fixed:
         EffectError: An effect cannot be simulated.
     """
     robot, effects = fixed_simulator(result)
-    spec, notes = express(result.gap, robot, effects)
-    notes = (*notes, *_of_servos(result))
-    spec.compile()
     folder = Path(directory)
-    with atomic_path(folder / SIMULATOR) as temporary:
-        text = _comment(result.gap, notes) + spec_text(spec)
-        temporary.write_text(text, encoding="utf-8")
+    made = build_simulator(
+        robot,
+        effects,
+        motions=result.gap.motions,
+        folder=folder,
+        notes=_of_servos(result),
+    )
+    made.write(folder / SIMULATOR)
     effects = (*effects, *result.command)
     fixed_model(result.gap, robot, effects).save(folder / MODEL)
-    return Fixed(folder / SIMULATOR, folder / MODEL, notes)
+    return Fixed(folder / SIMULATOR, folder / MODEL, made.notes)
 
 
 def _of_servos(result: Result) -> list[str]:
@@ -126,13 +125,3 @@ def _visited(gap: Gap) -> dict[str, np.ndarray]:
     q, v = (getattr(gap.sampled, name)[gap.sampled.mask] for name in "qv")
     fastest = np.abs(v).max(axis=0)
     return {"q_min": q.min(axis=0), "q_max": q.max(axis=0), "v_max": fastest}
-
-
-def _comment(gap: Gap, notes: Sequence[str]) -> str:
-    lines = [
-        f"{gap.robot.name} with what a diagnosis of its sim-to-real gap found.",
-        "Motors take the torque that the drives would report.",
-        *(f"Not in this file, or only nearly: {note}." for note in notes),
-    ]
-    text = "\n     ".join(map(xml_comment, lines))
-    return f"<!-- {text} -->\n"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -65,6 +65,11 @@ class ActuatorLag(Effect):
     def lag(self) -> float:
         """The time constant, unless it is the log's."""
         return max(self.values["time"], 0.0)
+
+    @property
+    def actuator(self) -> Mapping[str, float]:
+        """See :attr:`Instant.actuator`."""
+        return {"lag": self.lag} if self.lag else {}
 
     def follow(self, torque: Array, before: Array, step: float) -> Array:
         """One implicit Euler step of the lag: its delay is the time, at any step."""

@@ -14,6 +14,7 @@ class AsymmetricFriction(JointEffect):
 
     id = "asymmetric_friction"
     port = Port.DRIVE
+    fields = {"level": "friction"}
     dry = True
     gains = (Quantity("level", "N·m", 0.015, -0.2, 0.2, per=(1, 0)),)
     equation = "τ = ΔF_c · |sgn v|"

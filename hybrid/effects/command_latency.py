@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
@@ -27,6 +29,11 @@ class CommandLatency(Effect):
     def columns(self, motion: Motion, body: Body) -> Array:
         """Nothing: motion and torque still agree."""
         return np.zeros((len(motion.t), 1, 1))
+
+    @property
+    def actuator(self) -> Mapping[str, float]:
+        """See :attr:`Instant.actuator`."""
+        return {"latency": self.values["time"]} if self.values["time"] > 0 else {}
 
     def command(self, t: Array, signal: Array) -> Array:
         """The signal of an earlier time; before the first sample it is held."""

@@ -36,6 +36,11 @@ class ControllerGain(Effect):
         """Nothing: motion and torque still agree."""
         return np.zeros((len(motion.t), 1, 2))
 
+    @property
+    def actuator(self) -> Mapping[str, float]:
+        """See :attr:`Instant.actuator`."""
+        return {name: 1.0 + self.values[name] for name in ("stiffness", "damping")}
+
     def tune(self, kp: Array, kd: Array) -> tuple[Array, Array]:
         """Gains as they really are."""
         return kp * (1.0 + self.values["stiffness"]), kd * (

@@ -21,6 +21,9 @@ Memory = tuple[Scalar, ...]
 FIELDS = (
     "armature", "damping", "quadratic", "cubic", "stiffness", "preload", "frictionloss",
 )  # fmt: skip
+# Of these, what makes a curve over speed; and ``friction``, a curve for which a
+# simulator has no field, and the others stand in.
+FRICTION = ("damping", "quadratic", "cubic", "frictionloss", "friction")
 
 
 class Instant:
@@ -29,13 +32,19 @@ class Instant:
     Attributes:
         memory: Names of what it remembers.
         not_in_loop: Why a model in a control loop leaves it out; empty if it does not.
-        fields: Gains that a simulator's joint has a field for, as ``FIELDS``.
+        fields: Gains that a simulator's joint has a field for, as ``FIELDS``, and those
+            that are ``friction``.
     """
 
     id: ClassVar[str]
     memory: ClassVar[tuple[str, ...]] = ()
     not_in_loop: ClassVar[str] = ""
     fields: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    def actuator(self) -> Mapping[str, float]:
+        """What a simulator's actuator has for it, by the names of ``Actuator``."""
+        return {}
 
     def rigid_change(self, size: int, gravity: Array) -> tuple[Array, Array] | None:
         """Change of the rigid body that has the effect's torque, or None.

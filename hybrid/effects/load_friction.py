@@ -14,6 +14,7 @@ class LoadFriction(JointEffect):
 
     id = "load_friction"
     port = Port.DRIVE
+    fields = {"coefficient": "friction"}
     dry = True
     gains = (Quantity("coefficient", "", 0.1, 0.0, 0.6),)
     equation = "τ = μ · |τ_load| · sgn v"

@@ -23,6 +23,7 @@ class Presliding(Effect):
 
     id = "presliding"
     port = Port.DRIVE
+    fields = {"level": "friction"}
     memory = ("q", "h")
     gains = (Quantity("level", "N·m", 0.04, 0.0, 0.3, per=(1, 0)),)
     shapes = (Quantity("distance", "rad", 0.005, 1e-5, 0.2),)

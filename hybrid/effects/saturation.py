@@ -100,6 +100,12 @@ class Saturation(Effect):
             return self.at({"loss": gain, "total": 0.0})
         return self.at({"loss": gain / (1.0 + gain)})
 
+    @property
+    def actuator(self) -> Mapping[str, float]:
+        """See :attr:`Instant.actuator`."""
+        clips = self.values["loss"] > _CLIPS
+        return {"limit": self.values["limit"]} if clips else {}
+
     def deliver(self, torque: Array) -> Array:
         """Torque delivered for one asked for."""
         return torque - self.values["loss"] * self._beyond(torque)

@@ -19,6 +19,7 @@ class Stribeck(JointEffect):
 
     id = "stribeck"
     port = Port.DRIVE
+    fields = {"level": "friction"}
     dry = True
     gains = (Quantity("level", "N·m", 0.03, 0.0, 0.3, per=(1, 0)),)
     shapes = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
 from hybrid.effects.instant import Memory, Scalar
@@ -33,6 +33,11 @@ class TorqueGain(Effect):
     ) -> tuple[Sequence[Scalar], Memory]:
         """See :meth:`Instant.report_at_instant`."""
         return [(1.0 + self.values["gain"]) * torque[0]], ()
+
+    @property
+    def actuator(self) -> Mapping[str, float]:
+        """See :attr:`Instant.actuator`."""
+        return {"gain": 1.0 / (1.0 + self.values["gain"])}
 
     def deliver(self, torque: Array) -> Array:
         """Torque delivered for a believed one."""

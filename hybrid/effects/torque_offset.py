@@ -14,6 +14,7 @@ class TorqueOffset(JointEffect):
 
     id = "torque_offset"
     port = Port.DRIVE
+    fields = {"level": "preload"}
     gains = (Quantity("level", "N·m", 0.02, -0.3, 0.3, per=(1, 0)),)
     equation = "τ = c"
     source = "Swevers et al. 1997, doi 10.1109/70.631234"

@@ -4,12 +4,28 @@ from hybrid.export.compiled import CompiledModel
 from hybrid.export.export import FORMATS, export
 from hybrid.export.manifest import read_manifest
 from hybrid.export.program import Program, program_from_model
+from hybrid.export.simulator import (
+    Ranges,
+    Simulator,
+    build_simulator,
+    missing_model,
+    model_simulator,
+    ranges,
+    sample,
+)
 
 __all__ = [
     "FORMATS",
     "CompiledModel",
     "Program",
+    "Ranges",
+    "Simulator",
     "export",
+    "missing_model",
+    "model_simulator",
     "program_from_model",
+    "ranges",
     "read_manifest",
+    "sample",
+    "build_simulator",
 ]

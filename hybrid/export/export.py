@@ -10,16 +10,25 @@ from hybrid.export.c_project import write_c
 from hybrid.export.manifest import build_manifest, model_digest, seal
 from hybrid.export.onnx_graph import import_onnx, onnx_model
 from hybrid.export.program import program_from_model
-from hybrid.export.simulator import mjcf_text, urdf_text
+from hybrid.export.simulator import isaac_lab, model_simulator, write_ranges
 from hybrid.extras import check_extra
 from hybrid.files import atomic_folder
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.names import file_stem
+from hybrid.signals import Motion
 
-FORMATS = ("onnx", "torchscript", "c", "mjcf", "urdf", "json")
+FORMATS = (
+    "onnx", "torchscript", "c", "mjcf", "urdf", "isaaclab", "ranges", "json",
+)  # fmt: skip
 
 
-def export(model: DynamicModel, folder: str | Path, *, format: str) -> tuple[str, ...]:
+def export(
+    model: DynamicModel,
+    folder: str | Path,
+    *,
+    format: str,
+    motions: Sequence[Motion] = (),
+) -> tuple[str, ...]:
     """Write a model for other programs, with a manifest that says what it is.
 
     Files are named after the arm. What the folder holds in another format stays, and
@@ -27,12 +36,17 @@ def export(model: DynamicModel, folder: str | Path, *, format: str) -> tuple[str
 
     ``c`` is one C99 header with an example and a build file; ``onnx`` and
     ``torchscript`` the inverse dynamics with a free batch axis; ``mjcf`` and ``urdf``
-    the simulator with identified links, rotors and friction; ``json`` the model itself.
+    the arm's own file, ``model.robot.path``, with identified links, rotors and friction
+    and a ``.diff`` beside it; ``isaaclab`` its actuators for Isaac Lab; ``ranges`` what
+    the recordings leave open of each number, as YAML and for Isaac Lab and MJX;
+    ``json`` the model itself.
 
     Args:
         model: An identified model.
         folder: Where the files shall be.
         format: One of ``FORMATS``.
+        motions: Motions at whose speeds friction is fitted that a robot file has no
+            place for.
 
     Returns:
         What the format cannot express; it is in the manifest, too.
@@ -59,9 +73,14 @@ def export(model: DynamicModel, folder: str | Path, *, format: str) -> tuple[str
         if format == "json":
             model.save(hidden / "model.json")
         elif format in ("mjcf", "urdf"):
-            text, left_out = (mjcf_text if format == "mjcf" else urdf_text)(model)
-            suffix = "xml" if format == "mjcf" else "urdf"
-            (hidden / f"{stem}.{suffix}").write_text(text, encoding="utf-8")
+            made = model_simulator(model, kind=format, motions=motions, folder=folder)
+            made.write(hidden / f"{stem}.{'xml' if format == 'mjcf' else 'urdf'}")
+            left_out = made.notes
+        elif format == "isaaclab":
+            text, left_out = isaac_lab(model, motions)
+            (hidden / f"{stem}_isaaclab.py").write_text(text, encoding="utf-8")
+        elif format == "ranges":
+            write_ranges(model, hidden, stem)
         else:
             program = program_from_model(model)
             left_out, memory = program.left_out, program.memory_names

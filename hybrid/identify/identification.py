@@ -227,7 +227,11 @@ class Identification:
         if not converged:
             self.warnings.append("the iteration did not settle; see Fit.converged")
         return Fit(
-            model=replace(model, simpler=simpler | self.stages),
+            model=replace(
+                model,
+                simpler=simpler | self.stages,
+                covariance=estimate.covariance,
+            ),
             names=problem.base.names,
             labels=problem.base.kept_labels,
             units=tuple(problem.base.units[k] for k in problem.base.kept),

@@ -35,6 +35,7 @@ class DynamicModel:
             (``q_min``, ``q_max``, ``v_max``), each of shape (n,).
         inertial: Physically consistent link parameters that have these base values,
             shape (n, 10), or None.
+        covariance: Covariance of the base values, shape (b, b), or (0, 0) if unknown.
         simpler: Models of the earlier stages and plainer estimators, by name, for
             comparison.
     """
@@ -47,6 +48,7 @@ class DynamicModel:
     standing: Array = field(default_factory=lambda: np.zeros(0))
     range: Mapping[str, Array] = field(default_factory=dict)
     inertial: Array | None = None
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     simpler: Mapping[str, DynamicModel] = field(default_factory=dict)
 
     @property

@@ -120,6 +120,7 @@ def _content(model: DynamicModel) -> dict[str, Any]:
         "range": {name: x.tolist() for name, x in model.range.items()},
         "inertial": None if model.inertial is None else model.inertial.tolist(),
         "remainder": learned,
+        **(_packed({"covariance": model.covariance}) if model.covariance.size else {}),
     }
 
 
@@ -155,16 +156,31 @@ def _model(kind: type[DynamicModel], robot: Robot, content: Any) -> DynamicModel
     if cutoff is not None and not 0 < _real(cutoff) < np.inf:
         raise ModelFileError(f"cutoff is {cutoff}, valid is a number above 0 or none")
     links, standing = content["inertial"], content["standing"]
+    base = _base(robot, content["base"])
     return kind(
         robot=robot,
-        base=_base(robot, content["base"]),
+        base=base,
         effects=tuple(_effect(e, robot) for e in content["effects"]),
         remainder=remainder,
         cutoff=np.inf if cutoff is None else cutoff,
         standing=_array("standing", standing, (n,) if standing else (0,), lowest=0.0),
         range=_range(content["range"], n),
         inertial=None if links is None else _array("inertial", links, (n, 10)),
+        covariance=_covariance(content, base.size),
     )
+
+
+def _covariance(content: Mapping[str, Any], size: int) -> Array:
+    """Covariance of the base values, which older files do not have."""
+    if "covariance" not in content:
+        return np.zeros((0, 0))
+    found = _unpacked("covariance", content["covariance"])
+    if found.shape != (size, size) or (np.diag(found) < 0).any():
+        raise ModelFileError(
+            f"covariance has shape {found.shape}, or a variance below 0; valid is "
+            f"{(size, size)}"
+        )
+    return found
 
 
 def _range(content: Mapping[str, Any], n: int) -> dict[str, Array]:

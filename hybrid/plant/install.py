@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -12,12 +12,18 @@ from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
 from hybrid.plant.arm import has_hook, overrides
 from hybrid.plant.laws import Laws, part
-from hybrid.plant.native import split_effects
+from hybrid.plant.native import split_effects, springs
 from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 if TYPE_CHECKING:
     import mujoco
+
+
+_OWN = (
+    "dof_damping", "dof_dampingpoly", "dof_frictionloss", "jnt_stiffness",
+    "qpos_spring",
+)  # fmt: skip
 
 
 class _Remainder(Protocol):
@@ -51,7 +57,10 @@ class Installed:
             for e in dynamic_model.effects
             if e.rigid_change(robot.size, robot.chain.gravity) is None
         ]
-        _, rest = split_effects(effects, FIELDS, robot.size)
+        values, rest = split_effects(effects, FIELDS, robot.size)
+        self._model = model
+        self._before = {name: getattr(model, name).copy() for name in _OWN}
+        self._set_fields(values)
         rest = [e for e in rest if not overrides(e, "edit_spec")]
         self._laws = Laws(rest, 1, robot.size)
         self._resisting = [e for e in rest if overrides(e, "resist")]
@@ -59,10 +68,24 @@ class Installed:
         self._declared = model.dof_frictionloss.copy()
         self._time = -np.inf
         hooked = [e for e in rest if has_hook(e) and e not in self._resisting]
-        self.left_out = tuple(e.id for e in hooked)
+        # What a simulator's actuator has is in the file.
+        self.left_out = tuple(e.id for e in hooked if not e.actuator)
+
+    def _set_fields(self, values: Mapping[str, Array]) -> None:
+        """Set friction to the model's own, where the file has what stands in for it."""
+        model, dof = self._model, self._dof
+        joints = model.dof_jntid[dof]
+        stiffness, relaxed = springs(values)
+        model.jnt_stiffness[joints] = stiffness
+        model.qpos_spring[model.jnt_qposadr[joints]] = relaxed
+        model.dof_damping[dof] = values["damping"]
+        model.dof_dampingpoly[dof] = np.c_[values["quadratic"], values["cubic"]]
+        model.dof_frictionloss[dof] = values["frictionloss"]
 
     def remove(self) -> None:
         """Leave the simulation as it was."""
+        for name, x in self._before.items():
+            getattr(self._model, name)[:] = x
         _INSTALLED.pop(id(self._data), None)
         if not _INSTALLED:
             import mujoco
@@ -114,9 +137,10 @@ def install(
     """Let a simulation feel what its MJCF file cannot say.
 
     MuJoCo knows links, rotors, viscous and dry friction of a joint; an exported MJCF
-    file holds them. This adds the rest of the model's effects, and its learned torque,
-    by MuJoCo's passive-force callback, of which a process has one: other code that sets
-    it takes this out.
+    file holds them, and of a curve over speed what comes nearest to it. This puts the
+    curve itself in its place, and adds the rest of the model's effects, and its learned
+    torque, by MuJoCo's passive-force callback, of which a process has one: other code
+    that sets it takes this out.
 
     Args:
         model: The exported MJCF file, compiled; it may hold other things, too.

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from hybrid.effects import Effect
+from hybrid.effects.armature import Armature
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.nonlinear_viscous import NonlinearViscous
+from hybrid.effects.spring import Spring
+from hybrid.effects.viscous import Viscous
 from hybrid.robot.chain import Array
+
+# Of a joint with a preload and no spring, [N·m/rad]: the spring that has the preload
+# pulls no differently wherever the joint is.
+_SOFT = 1e-9
 
 
 def split_effects(
@@ -22,21 +31,64 @@ def split_effects(
 
     Returns:
         Each field's values, shape (n,), and the effects with what is left of them.
+        Where the sum of a field is below zero, it is an effect again.
     """
     values, rest = {name: np.zeros(size) for name in fields}, []
     for effect in effects:
-        gains: dict[str, list[str]] = {}
-        for gain, field in effect.fields.items():
-            sprung = field == "preload" and "stiffness" in gains
-            if field in values and (effect.values[gain] > 0 or sprung):
-                gains.setdefault(field, []).append(gain)
         left = dict(effect.values)
-        for field, names in gains.items():
-            # Several gains for one field are those of several directions.
-            if len(names) == sum(f == field for f in effect.fields.values()):
-                share = min(left[name] for name in names)
-                values[field][effect.joints[0]] += share
-                left |= {name: left[name] - share for name in names}
+        for field in values.keys() & set(effect.fields.values()):
+            names = [gain for gain, to in effect.fields.items() if to == field]
+            share = min(left[name] for name in names)
+            if len(names) > 1:  # levels of several directions, of which one is common
+                share = max(share, 0.0)
+            values[field][effect.joints[0]] += share
+            left |= {name: left[name] - share for name in names}
         if any(left[g.name] for g in effect.gains):
             rest.append(effect if left == effect.values else effect.at(left))
-    return values, rest
+    senseless = _without_sense(values)
+    for field, x in senseless.items():
+        values[field] -= x
+    return values, rest + list(effects_of_fields(senseless))
+
+
+def _without_sense(values: Mapping[str, Array]) -> dict[str, Array]:
+    """The part of fields that no joint may have, which would drive it."""
+    out = {name: np.minimum(x, 0.0) for name, x in values.items()}
+    out.pop("preload", None)  # it has any sign
+    if "quadratic" in out:
+        # damping + quadratic·|v| + cubic·v² is nowhere below zero.
+        linear, cubic = (np.maximum(values[x], 0.0) for x in ("damping", "cubic"))
+        least = -2.0 * np.sqrt(linear * cubic)
+        out["quadratic"] = np.minimum(values["quadratic"] - least, 0.0)
+    return out
+
+
+def effects_of_fields(values: Mapping[str, Array]) -> Iterator[Effect]:
+    """Values of joints' fields as effects, joint by joint.
+
+    Args:
+        values: Values by field, shape (n,); fields that are not there are zero.
+    """
+    kinds: tuple[type[Effect], ...] = (
+        Armature, Viscous, Coulomb, NonlinearViscous, Spring,
+    )  # fmt: skip
+    for j in range(max((len(x) for x in values.values()), default=0)):
+        for cls in kinds:
+            own = {
+                gain: float(values[field][j])
+                for gain, field in cls.fields.items()
+                if field in values
+            }
+            if any(own.values()):
+                yield cls((j,), own)
+
+
+def springs(values: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Stiffness [N·m/rad] of joints' springs, and where they are relaxed [rad], (n,).
+
+    Args:
+        values: ``stiffness`` and ``preload``, shape (n,).
+    """
+    stiffness, preload = values["stiffness"], values["preload"]
+    stiffness = np.where((stiffness == 0) & (preload != 0), _SOFT, stiffness)
+    return stiffness, -preload / np.where(stiffness > 0, stiffness, 1.0)

@@ -99,19 +99,25 @@ def spec_text(spec: mujoco.MjSpec) -> str:
         library._mjPRIVATE__set_xml_precision(digits)
 
 
+def simulable(
+    mass: float, center: np.ndarray, inertia: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, centre and inertia about it as MuJoCo takes them: both above zero."""
+    _, _, c = moments = np.linalg.eigvalsh(inertia)
+    excess = 2 * c - moments.sum()
+    if 0 < excess <= ROUNDED * c:  # by rounding no body: MuJoCo minds
+        inertia = inertia + 2 * excess * np.eye(3)
+    lifted = np.where(np.eye(3), np.maximum(inertia, _SMALLEST_INERTIA), inertia)
+    return max(mass, _SMALLEST_MASS), center, lifted
+
+
 def _set_inertia(body: mujoco.MjsBody, inertial: np.ndarray, name: str) -> None:
     mass, center, inertia = central_inertia(inertial)
-    a, b, c = np.linalg.eigvalsh(inertia)
-    if 0 < c - a - b <= ROUNDED * c:  # by rounding no body: MuJoCo minds
-        inertia = inertia + 2 * (c - a - b) * np.eye(3)
-    if mass < 0 or a < -1e-6 * max(1.0, mass):
+    if mass < 0 or np.linalg.eigvalsh(inertia)[0] < -1e-6 * max(1.0, mass):
         raise RobotError(
             f"link {name!r} has no physical inertia (mass {mass:g} kg); "
             "MuJoCo cannot simulate it"
         )
-    xx, xy, xz, yy, yz, zz = inertia[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     body.explicitinertial = True
-    body.mass = max(mass, _SMALLEST_MASS)
-    body.ipos = center
-    floor = _SMALLEST_INERTIA
-    body.fullinertia = [max(xx, floor), max(yy, floor), max(zz, floor), xy, xz, yz]
+    body.mass, body.ipos, inertia = simulable(mass, center, inertia)
+    body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]

@@ -58,7 +58,7 @@ def fields_of_mujoco(
     index = [names.index(name) for name in keep]
     low, high = model.jnt_range[index].T
     limited = model.jnt_limited[index].astype(bool)
-    drives = list(_drives(model))
+    drives = list(drives_of(model))
     kp, kd = _servo_gains(model, drives)
     return {
         "chain": _chain(model, index, names, held, wanting, drives),
@@ -255,7 +255,7 @@ def _numeric(model: Any, name: str, index: list[int], where: str) -> np.ndarray:
     return np.array(values)[index]
 
 
-def _drives(model: Any) -> Iterator[tuple[int, int, float]]:
+def drives_of(model: Any) -> Iterator[tuple[int, int, float]]:
     """Number, joint and gear of each actuator that works on a joint."""
     import mujoco
 

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-from xml.parsers import expat
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,26 +12,14 @@ from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot.chain import Array, Chain
 from hybrid.robot.compiled import compiled_without_files
+from hybrid.robot.edit.document import Document, element
 from hybrid.robot.spatial import rotation_from_axis_angle
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
 
-_TAG = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")
-_ATTRIBUTE = r"""\s+{}\s*=\s*("[^"]*"|'[^']*')"""
-_TURNS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
+_TURNS = ("axisangle", "euler", "xyaxes", "zaxis")
 _UNMOVED = 1e-12  # m or rad: a joint whose text is left alone
-
-
-@dataclass(frozen=True)
-class Tag:
-    """An element's start tag: where it stands, under which tags, its attributes."""
-
-    path: tuple[str, ...]
-    parents: tuple[int, ...]  # where the enclosing tags start
-    start: int
-    end: int
-    attributes: dict[str, str]
 
 
 def write_placements(robot: Robot, chain: Chain, path: str | Path) -> None:
@@ -49,19 +33,12 @@ def write_placements(robot: Robot, chain: Chain, path: str | Path) -> None:
     Raises:
         RobotError: The file is gone, or a joint's placement has no place in it.
     """
-    source = Path(robot.path)
-    try:
-        content = source.read_bytes()
-    except OSError as error:
-        raise RobotError(f"{source}: cannot be read ({error.strerror})") from error
+    document = Document.load(robot.path)
     changes = _changes(robot.chain, chain)
-    found = list(tags(content, source))
-    replace = _urdf if source.suffix.lower() == ".urdf" else _mjcf
-    edits = replace(content, found, robot, changes)
-    for start, end, text in sorted(edits, reverse=True):
-        content = content[:start] + text.encode() + content[end:]
+    edit = _urdf if Path(robot.path).suffix.lower() == ".urdf" else _mjcf
+    edit(document, robot, changes)
     with atomic_path(path) as temporary:
-        temporary.write_bytes(content)
+        temporary.write_bytes(document.written())
 
 
 def _changes(old: Chain, new: Chain) -> dict[str, tuple[Array, Array]]:
@@ -76,50 +53,32 @@ def _changes(old: Chain, new: Chain) -> dict[str, tuple[Array, Array]]:
 
 
 def _urdf(
-    content: bytes,
-    tags: list[Tag],
-    robot: Robot,
-    changes: dict[str, tuple[Array, Array]],
-) -> Iterator[tuple[int, int, str]]:
-    for tag in tags:
+    document: Document, robot: Robot, changes: dict[str, tuple[Array, Array]]
+) -> None:
+    for tag in document.find("robot", "joint"):
         joint = tag.attributes.get("name", "")
-        if tag.path != ("robot", "joint") or joint not in changes:
+        if joint not in changes:
             continue
-        origin = [
-            t for t in tags if t.path[2:] == ("origin",) and t.parents[-1] == tag.start
-        ]
-        xyz, rpy = np.zeros(3), np.zeros(3)
-        if origin:
-            xyz = _numbers(origin[0].attributes.get("xyz", "0 0 0"))
-            rpy = _numbers(origin[0].attributes.get("rpy", "0 0 0"))
+        origin = document.within(tag, "origin")
+        own = origin[0].attributes if origin else {}
+        xyz, rpy = (_numbers(own.get(name, "0 0 0")) for name in ("xyz", "rpy"))
         turn, shift = changes[joint]
         R = Rotation.from_euler("xyz", rpy).as_matrix()
-        angles = _roll_pitch_yaw(R @ turn)
-        text = f'<origin xyz="{_text(xyz + R @ shift)}" rpy="{_text(angles)}"'
+        given = {"xyz": xyz + R @ shift, "rpy": _roll_pitch_yaw(R @ turn)}
         if origin:
-            closing = "/>" if content[: origin[0].end].endswith(b"/>") else ">"
-            yield origin[0].start, origin[0].end, text + closing
+            document.set(origin[0], given)
         else:
-            yield tag.end, tag.end, text + "/>"
+            document.put_in(tag, element("origin", given))
 
 
 def _mjcf(
-    content: bytes,
-    tags: list[Tag],
-    robot: Robot,
-    changes: dict[str, tuple[Array, Array]],
-) -> Iterator[tuple[int, int, str]]:
+    document: Document, robot: Robot, changes: dict[str, tuple[Array, Array]]
+) -> None:
     import mujoco
 
     model, _ = compiled_without_files(robot.path)
     for joint, (turn, shift) in changes.items():
-        found = [
-            tag
-            for tag in tags
-            if tag.path[-1] == "joint"
-            and tag.path[-2] == "body"
-            and tag.attributes.get("name") == joint
-        ]
+        found = document.find("body", "joint", name=joint)
         j = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
         body = int(model.jnt_bodyid[j]) if j >= 0 else 0
         if len(found) != 1 or model.body_jntnum[body] != 1 or "frame" in found[0].path:
@@ -137,41 +96,8 @@ def _mjcf(
         turned = own @ turn @ own.T
         position = model.body_pos[body] + B @ (at + own @ shift - turned @ at)
         quaternion = Rotation.from_matrix(B @ turned).as_quat(scalar_first=True)
-        tag = next(tag for tag in tags if tag.start == found[0].parents[-1])
-        text = content[tag.start : tag.end].decode()
-        for name in ("pos", *_TURNS):
-            text = re.sub(_ATTRIBUTE.format(name), "", text)
-        given = f'<body pos="{_text(position)}" quat="{_text(quaternion)}"'
-        yield tag.start, tag.end, text.replace("<body", given, 1)
-
-
-def tags(content: bytes, path: Path) -> Iterator[Tag]:
-    """Start tags in the order of the file; undeclared prefixes do not matter."""
-    found: list[Tag] = []
-    names: list[str] = []
-    starts: list[int] = []
-    parser = expat.ParserCreate()
-
-    def open_tag(name: str, attributes: dict[str, str]) -> None:
-        start = parser.CurrentByteIndex
-        match = _TAG.match(content, start)
-        assert match is not None  # expat has just read it
-        names.append(name)
-        found.append(
-            Tag(tuple(names), tuple(starts), start, match.end(), dict(attributes))
-        )
-        starts.append(start)
-
-    def close_tag(_: str) -> None:
-        names.pop()
-        starts.pop()
-
-    parser.StartElementHandler, parser.EndElementHandler = open_tag, close_tag
-    try:
-        parser.Parse(content, True)
-    except expat.ExpatError as error:
-        raise RobotError(f"{path}: not readable XML ({error})") from error
-    yield from found
+        tag = next(x for x in document.tags if x.start == found[0].parents[-1])
+        document.set(tag, {"pos": position, "quat": quaternion}, drop=_TURNS)
 
 
 def _roll_pitch_yaw(R: Array) -> Array:
@@ -185,7 +111,3 @@ def _roll_pitch_yaw(R: Array) -> Array:
 
 def _numbers(text: str) -> Array:
     return np.array([float(x) for x in text.split()])
-
-
-def _text(values: Array) -> str:
-    return " ".join(repr(float(x)) for x in values)

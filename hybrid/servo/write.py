@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import html
 import math
-import re
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +12,9 @@ from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot import Robot
 from hybrid.robot.build import spec_text
-from hybrid.robot.rewrite import Tag, tags
+from hybrid.robot.edit.document import Document, element
+from hybrid.robot.edit.drives import actuator_tags
+from hybrid.robot.edit.mjcf import joint_tag, turn_unit
 from hybrid.servo.drive import Drive
 from hybrid.servo.simulator import (
     CONSTANT,
@@ -25,11 +24,7 @@ from hybrid.servo.simulator import (
     springs,
 )
 
-_ACTUATORS = (
-    "general", "motor", "position", "velocity", "intvelocity", "damper", "dcmotor",
-    "pid",
-)  # fmt: skip
-_KEPT = ("name", "ctrlrange", "ctrllimited", "group")
+_KEPT = ("name", "joint", "jointinparent", "ctrlrange", "ctrllimited", "group")
 
 
 def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
@@ -55,31 +50,13 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
 
 
 def _edited(robot: Robot, drive: Drive) -> bytes:
-    source = Path(robot.path)
-    try:
-        content = source.read_bytes()
-    except OSError as error:
-        raise RobotError(f"{source}: cannot be read ({error.strerror})") from error
-    found = list(tags(content, source))
-    for start, end, text in sorted(_edits(content, found, robot, drive), reverse=True):
-        content = content[:start] + text.encode() + content[end:]
-    return content
-
-
-def _edits(
-    content: bytes, found: list[Tag], robot: Robot, drive: Drive
-) -> Iterator[tuple[int, int, str]]:
-    """Start tags of joints and actuators, and what stands there instead."""
-    radians = any(
-        x.path[-1] == "compiler" and x.attributes.get("angle") == "radian"
-        for x in found
-    )
+    """The file with other attributes of joints and actuators."""
+    document = Document.load(robot.path)
     step = file_step(robot)
     stiffness, relaxed = springs(robot, drive)
-    sections = [x for x in found if x.path == ("mujoco", "actuator")]
     for j, name in enumerate(robot.joints):
-        joint = _joint(found, name, robot)
-        turn = 1.0 if radians or not robot.chain.revolute[j] else 180.0 / math.pi
+        joint = joint_tag(document, name)
+        turn = turn_unit(document, not robot.chain.revolute[j])
         # A spring counts from its angle, and the angle at which the file draws the arm
         # is where the log has zero.
         reference = float(joint.attributes.get("ref", "0"))
@@ -91,36 +68,19 @@ def _edits(
             "springref": relaxed[j] * turn,
             "ref": reference - drive["zero"][j] * turn,
         }
-        yield _changed(content, joint, joint.path[-1], given)
-        own = [
-            x for x in found if x.path[-2:-1] == ("actuator",)
-            and x.path[-1] in _ACTUATORS and x.attributes.get("joint") == name
-        ]  # fmt: skip
+        document.set(joint, given)
         motor = actuator_attributes(drive, j, step)
+        own = actuator_tags(document, name)
+        sections = document.find("mujoco", "actuator")
         if own:
-            kept = {k: x for k, x in own[0].attributes.items() if k in _KEPT}
-            text = _element("general", {"joint": name, **kept, **motor})
-            closing = "/>" if content[: own[0].end].endswith(b"/>") else ">"
-            if closing == ">":
-                raise RobotError(f"{robot.path}: actuator of {name!r} has content")
-            yield own[0].start, own[0].end, text
+            drop = own[0].attributes.keys() - set(_KEPT) - motor.keys()
+            document.set(own[0], motor, drop=drop, name="general")
         elif sections:
-            text = _element("general", {"name": name, "joint": name, **motor})
-            yield sections[0].end, sections[0].end, f"\n    {text}"
+            text = element("general", {"name": name, "joint": name, **motor})
+            document.put_in(sections[0], text)
         else:
             raise RobotError(f"{robot.path}: no <actuator> section to put a servo into")
-
-
-def _joint(found: list[Tag], name: str, robot: Robot) -> Tag:
-    """The start tag of a joint."""
-    for tag in found:
-        if tag.path[-1] == "joint" and "body" in tag.path:
-            if tag.attributes.get("name") == name:
-                return tag
-    raise RobotError(
-        f"{robot.path}: joint {name!r} is not in this very file; valid are files "
-        "without include, with named joints"
-    )
+    return document.written()
 
 
 def actuator_attributes(drive: Drive, j: int, step: float) -> dict[str, Any]:
@@ -179,27 +139,3 @@ def _skeleton(robot: Robot, drive: Drive) -> str:
         actuator.interp = int("interp" in given)
     spec.compile()
     return spec_text(spec)
-
-
-def _changed(
-    content: bytes, tag: Tag, name: str, given: Mapping[str, Any]
-) -> tuple[int, int, str]:
-    """A start tag with some attributes set, the others as they were."""
-    text = content[tag.start : tag.end].decode()
-    for key in given:
-        text = re.sub(rf"""\s+{key}\s*=\s*("[^"]*"|'[^']*')""", "", text)
-    added = " ".join(f'{key}="{_number(x)}"' for key, x in given.items())
-    return tag.start, tag.end, text.replace(f"<{name}", f"<{name} {added}", 1)
-
-
-def _element(name: str, given: Mapping[str, Any]) -> str:
-    words = " ".join(f'{key}="{_number(x)}"' for key, x in given.items())
-    return f"<{name} {words}/>"
-
-
-def _number(value: Any) -> str:
-    if isinstance(value, str):
-        return html.escape(value)
-    if isinstance(value, int):
-        return str(value)
-    return " ".join(repr(float(x)) for x in np.atleast_1d(value))

@@ -1,0 +1,1 @@
+"""Robot files in which single numbers change: MJCF and URDF."""

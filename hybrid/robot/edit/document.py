@@ -1,0 +1,236 @@
+"""XML of a robot file in which single start tags change, and no other byte does."""
+
+from __future__ import annotations
+
+import html
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+
+from hybrid.errors import RobotError
+
+_TAG = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")
+_VALUE = r"""(\s+{}\s*=\s*)("[^"]*"|'[^']*')"""
+
+
+@dataclass(frozen=True)
+class Tag:
+    """An element: where it stands, under which ones, and its attributes.
+
+    Attributes:
+        path: Names of the elements around it, outermost first, and its own.
+        parents: Where the start tags of those around it start.
+        start: Where its start tag starts, in bytes.
+        end: Where its start tag ends.
+        close: Where its end tag starts; ``end`` if it has none.
+        after: Where the element ends.
+        attributes: Its attributes as text.
+    """
+
+    path: tuple[str, ...]
+    parents: tuple[int, ...]
+    start: int
+    end: int
+    close: int
+    after: int
+    attributes: dict[str, str]
+
+
+class Document:
+    """A robot file that is edited.
+
+    Args:
+        content: What the file holds.
+        where: The file, for messages.
+
+    Raises:
+        RobotError: It is not XML.
+    """
+
+    def __init__(self, content: bytes, where: str | Path) -> None:
+        self.content, self.where = content, where
+        self.tags = list(tags(content, where))
+        self._renamed: dict[int, str] = {}
+        self._set: dict[int, dict[str, str | None]] = {}
+        self._put: list[tuple[int, int, str]] = []
+
+    @classmethod
+    def load(cls, path: str | Path) -> Document:
+        """A file, with what it includes in the places where it does.
+
+        Raises:
+            RobotError: A file cannot be read, or is not XML.
+        """
+        path = Path(path)
+        return cls(_with_included(path, path.parent, ()), path)
+
+    def find(self, *path: str, **attributes: str) -> list[Tag]:
+        """Elements whose path ends like this and whose attributes are these."""
+        return [
+            tag
+            for tag in self.tags
+            if tag.path[-len(path) :] == path
+            and attributes.items() <= tag.attributes.items()
+        ]
+
+    def within(self, outer: Tag, name: str) -> list[Tag]:
+        """Elements of a name directly in another."""
+        return [
+            t for t in self.tags if t.parents[-1:] == (outer.start,)
+            and t.path[-1] == name
+        ]  # fmt: skip
+
+    def set(
+        self,
+        tag: Tag,
+        given: Mapping[str, Any],
+        *,
+        drop: Iterable[str] = (),
+        name: str = "",
+    ) -> None:
+        """Give an element attributes, take some away, and perhaps another name."""
+        own = self._set.setdefault(tag.start, {})
+        own |= dict.fromkeys(drop) | {key: text_of(x) for key, x in given.items()}
+        if name:
+            self._renamed[tag.start] = name
+
+    def put(self, at: int, text: str) -> None:
+        """Put text before the byte ``at``."""
+        self._put.append((at, at, text))
+
+    def replace(self, tag: Tag, text: str) -> None:
+        """Put another element in the place of one, with what is in it."""
+        self._put.append((tag.start, tag.after, text))
+
+    def put_in(self, tag: Tag, text: str) -> None:
+        """Put an element into another, as its first."""
+        first = [t for t in self.tags if t.parents[-1:] == (tag.start,)]
+        if first:
+            gap = self.content[tag.end : first[0].start].decode(errors="replace")
+            indent = re.findall(r"\n[ \t]*", gap)
+            text = (indent[0] if indent else "") + text
+        self.put(tag.end, text)
+
+    def put_after(self, tag: Tag, text: str) -> None:
+        """Put an element after another."""
+        line = self.content[: tag.start].rpartition(b"\n")[2]
+        indent = line[: len(line) - len(line.lstrip())].decode()
+        self.put(tag.after, f"\n{indent}{text}")
+
+    def written(self) -> bytes:
+        """The file with all that was changed in it."""
+        edits = list(self._put)
+        for tag in self.tags:
+            if tag.start in self._set:
+                edits.append((tag.start, tag.end, self._changed(tag)))
+            if tag.start in self._renamed and tag.close > tag.end:
+                closing = f"</{self._renamed[tag.start]}>"
+                edits.append((tag.close, tag.after, closing))
+        content = self.content
+        # What is put to one place stands there in the order in which it was put.
+        for start, end, text in sorted(reversed(edits), key=lambda x: -x[0]):
+            content = content[:start] + text.encode() + content[end:]
+        return content
+
+    def _changed(self, tag: Tag) -> str:
+        text = self.content[tag.start : tag.end].decode()
+        for key, value in self._set[tag.start].items():
+            found = re.search(_VALUE.format(re.escape(key)), text)
+            if found is not None:
+                word = "" if value is None else f'{found[1]}"{value}"'
+                text = text[: found.start()] + word + text[found.end() :]
+            elif value is not None:
+                body = text.removesuffix(">").removesuffix("/").rstrip()
+                text = f'{body} {key}="{value}"{text[len(body) :]}'
+        old, new = tag.path[-1], self._renamed.get(tag.start, tag.path[-1])
+        return f"<{new}{text.removeprefix(f'<{old}')}"
+
+
+def text_of(value: Any) -> str:
+    """An attribute's text; numbers read back to the last bit."""
+    if isinstance(value, str):
+        return html.escape(value)
+    if isinstance(value, int):
+        return str(value)
+    return " ".join(repr(float(x)) for x in np.atleast_1d(value))
+
+
+def element(name: str, given: Mapping[str, Any]) -> str:
+    """An element without content."""
+    words = "".join(f' {key}="{text_of(x)}"' for key, x in given.items())
+    return f"<{name}{words}/>"
+
+
+def moved_path(file: str, home: Path, folder: Path) -> str:
+    """A file that is named relative to one folder, named relative to another."""
+    if not file or os.path.isabs(file) or "://" in file:
+        return file
+    return Path(os.path.relpath(home / file, folder)).as_posix()
+
+
+def tags(content: bytes, path: str | Path) -> Iterator[Tag]:
+    """Elements in the order of the file; undeclared prefixes do not matter.
+
+    Raises:
+        RobotError: It is not XML.
+    """
+    opened: list[tuple[tuple[str, ...], tuple[int, ...], int, int, dict[str, str]]] = []
+    closed: dict[int, tuple[int, int]] = {}
+    names: list[str] = []
+    starts: list[int] = []
+    parser = expat.ParserCreate()
+
+    def end_of(start: int) -> int:
+        match = _TAG.match(content, start)
+        assert match is not None  # expat has just read it
+        return match.end()
+
+    def open_tag(name: str, attributes: dict[str, str]) -> None:
+        start = parser.CurrentByteIndex
+        names.append(name)
+        end = end_of(start)
+        opened.append((tuple(names), tuple(starts), start, end, dict(attributes)))
+        starts.append(start)
+
+    def close_tag(_: str) -> None:
+        names.pop()
+        start, at = starts.pop(), parser.CurrentByteIndex
+        if content[at : at + 2] == b"</":
+            closed[start] = at, end_of(at)
+        else:
+            closed[start] = (end_of(start),) * 2
+
+    parser.StartElementHandler, parser.EndElementHandler = open_tag, close_tag
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        raise RobotError(f"{path}: not readable XML ({error})") from error
+    for own, parents, start, end, attributes in opened:
+        yield Tag(own, parents, start, end, *closed[start], attributes)
+
+
+def _with_included(path: Path, home: Path, around: tuple[Path, ...]) -> bytes:
+    """A file's content, with that of the files it includes; paths are of ``home``."""
+    if path in around:
+        raise RobotError(f"{path}: includes itself")
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read ({error.strerror})") from error
+    if b"<include" not in content:
+        return content
+    for tag in reversed(list(tags(content, path))):
+        if tag.path[-1] != "include" or "file" not in tag.attributes:
+            continue
+        file = home / tag.attributes["file"]
+        inner = _with_included(file, home, (*around, path))
+        root = next(tags(inner, file))
+        inside = inner[root.end : root.close].strip()
+        content = content[: tag.start] + inside + content[tag.after :]
+    return content

@@ -1,0 +1,297 @@
+"""An arm's MJCF file with other numbers, and every other byte as it was."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from hybrid.errors import RobotError
+from hybrid.robot.build import simulable, spec_text
+from hybrid.robot.chain import Array
+from hybrid.robot.compiled import compiled_spec
+from hybrid.robot.edit.change import Change, Structure
+from hybrid.robot.edit.document import Document, Tag, element, moved_path
+from hybrid.robot.edit.drives import edit_drives
+from hybrid.robot.edit.part import Part, changed_parts, mjcf_parts
+from hybrid.robot.mjcf import drives_of, joint_names
+from hybrid.robot.read import read_robot
+from hybrid.robot.robot import Robot
+
+# By default MuJoCo's dry friction is so soft that it is viscous at low speed.
+_DRY = {"solimpfriction": (0.9999, 0.9999, 0.001, 0.5, 2.0)}
+_TURNS = ("quat", "diaginertia", "axisangle", "euler", "xyaxes", "zaxis")
+_LIMITS = ("velocity_limit", "acceleration_limit")
+_USUAL = {
+    "damping": 0.0, "armature": 0.0, "frictionloss": 0.0, "stiffness": 0.0,
+    "limited": "false",
+}  # fmt: skip  # what a default class of the file may have otherwise
+
+
+def edit_mjcf(document: Document, change: Change, old: Robot) -> tuple[str, ...]:
+    """Change an MJCF file.
+
+    Args:
+        document: The file.
+        change: What shall be different.
+        old: The arm as the file has it.
+
+    Returns:
+        What the file has no place for, in words.
+
+    Raises:
+        RobotError: A joint or a body cannot be found in the file.
+    """
+    model = model_of(document, old)
+    new = change.robot
+    _gravity(document, model, new.chain.gravity - old.chain.gravity)
+    for part in changed_parts(mjcf_parts(old, model), old, new):
+        _inertial(document, _body(document, model, part), part)
+    for j in range(new.size):
+        _joint(document, model, old, new, j)
+    notes = edit_drives(document, model, new.joints, change.drives)
+    if change.structure:
+        _structure(document, model, new, change.structure)
+    return notes
+
+
+def model_of(document: Document, robot: Robot) -> Any:
+    """MuJoCo's model of a document that stands where the arm's file does.
+
+    Raises:
+        RobotError: It does not compile.
+    """
+    return compiled_spec(spec_of(document, robot), robot.path)[0]
+
+
+def check_mjcf(document: Document, robot: Robot) -> Robot:
+    """The arm that the document has, where the arm's file stands."""
+    spec = spec_of(document, robot)
+    # What a tendon of the file adds is not in it, and is no fault here.
+    try:
+        fields, _ = read_robot(spec, robot.joints, robot.held)
+    except RobotError as error:
+        raise RobotError(str(error).replace("MjSpec", robot.path, 1)) from error
+    return replace(Robot(**fields), name=robot.name, path=robot.path)
+
+
+def spec_of(document: Document, robot: Robot) -> Any:
+    """A document as a spec that stands where the arm's file does."""
+    import mujoco
+
+    try:
+        spec = mujoco.MjSpec.from_string(document.written().decode())
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise RobotError(f"{robot.path}: cannot be edited ({reason})") from error
+    spec.modelfiledir = str(Path(robot.path).parent)
+    return spec
+
+
+def move_assets(document: Document, home: Path, folder: Path) -> None:
+    """Let a file that moves to another folder find its meshes and pictures."""
+    assets = ("mesh", "hfield", "skin", "texture", "flexcomp", "model")
+    if home.resolve() == folder.resolve() or not any(
+        "file" in t.attributes for t in document.tags if t.path[-1] in assets
+    ):
+        return
+    home, folder = home.resolve(), folder.resolve()
+    given: dict[str, str] = {}
+    for tag in document.find("mujoco", "compiler"):
+        given |= {
+            name: x for name, x in tag.attributes.items()
+            if name in ("meshdir", "texturedir", "assetdir")
+        }  # fmt: skip
+    both = given.get("assetdir", "")
+    new = {
+        name: moved_path(given.get(name, both) or ".", home, folder)
+        for name in ("meshdir", "texturedir")
+    }
+    own = document.find("mujoco", "compiler")
+    if own:
+        document.set(own[-1], new)
+        for tag in own:
+            document.set(tag, {}, drop=("assetdir",))
+    else:
+        document.put_in(document.tags[0], element("compiler", new))
+    for tag in document.tags:
+        if tag.path[-1] == "model" and "file" in tag.attributes:
+            file = moved_path(tag.attributes["file"], home, folder)
+            document.set(tag, {"file": file})
+
+
+def _gravity(document: Document, model: Any, change: Array) -> None:
+    if not change.any():
+        return
+    given = {"gravity": model.opt.gravity + change}
+    own = document.find("mujoco", "option")
+    if own:
+        document.set(own[-1], given)
+    else:
+        document.put_in(document.tags[0], element("option", given))
+
+
+def _body(document: Document, model: Any, part: Part) -> Tag:
+    """The element of a body: by its name, by its joint, or by its number."""
+    name = model.body(part.body).name
+    bodies = [t for t in document.find("body") if t.path[1] == "worldbody"]
+    if name and (found := [t for t in bodies if t.attributes.get("name") == name]):
+        return found[0]
+    if len(bodies) == model.nbody - 1:
+        return bodies[int(part.body) - 1]
+    first = int(model.body_jntadr[part.body])
+    joint = model.joint(first).name if first >= 0 else ""
+    for tag in document.find("joint", name=joint) if joint else ():
+        return next(t for t in bodies if t.start in tag.parents[::-1])
+    raise RobotError(
+        f"{document.where}: body {name or part.body} cannot be found; valid are bodies "
+        "with names, outside of replicate and attach"
+    )
+
+
+def _inertial(document: Document, body: Tag, part: Part) -> None:
+    mass, center, inertia = simulable(*part.central)
+    six = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    given = {"pos": center, "mass": mass, "fullinertia": six}
+    own = document.within(body, "inertial")
+    if own:
+        document.set(own[0], given, drop=_TURNS)
+    else:
+        document.put_in(body, element("inertial", given))
+    for tag in document.find("mujoco", "compiler", inertiafromgeom="true"):
+        document.set(tag, {"inertiafromgeom": "auto"})
+
+
+def joint_tag(document: Document, name: str) -> Tag:
+    """The element of a joint.
+
+    Raises:
+        RobotError: No joint of the file has the name.
+    """
+    for kind in ("joint", "freejoint"):
+        for tag in document.find(kind, name=name):
+            if "worldbody" in tag.path:
+                return tag
+    raise RobotError(
+        f"{document.where}: joint {name!r} is not in the file; valid are joints with "
+        "names, outside of replicate and attach"
+    )
+
+
+def turn_unit(document: Document, slides: bool) -> float:
+    """The file's units of angle in a radian; 1 of a joint that slides."""
+    angle = "degree"
+    for tag in document.find("mujoco", "compiler"):
+        angle = tag.attributes.get("angle", angle)
+    return 1.0 if slides or angle == "radian" else 180.0 / np.pi
+
+
+def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> None:
+    """Rotor, friction and spring of a joint, where they are not the file's."""
+    changed = {
+        name
+        for name in ("damping", "quadratic", "cubic", "frictionloss", "stiffness")
+        if getattr(new, name)[j] != getattr(old, name)[j]
+    }
+    if new.stiffness[j] and new.springref[j] != old.springref[j]:
+        changed.add("stiffness")
+    if new.chain.armature[j] != old.chain.armature[j]:
+        changed.add("armature")
+    if not changed:
+        return
+    tag, given = joint_tag(document, new.joints[j]), {}
+    number = joint_names(model).index(new.joints[j])
+    of_drives = {
+        name: sum(
+            gear**2 * getattr(model, f"actuator_{name}")[a]
+            for a, joint, gear in drives_of(model) if joint == number
+        )
+        for name in ("armature", "damping")
+    }  # fmt: skip
+    if "armature" in changed:
+        given["armature"] = new.chain.armature[j] - of_drives["armature"]
+    if changed & {"damping", "quadratic", "cubic"}:
+        friction = [
+            new.damping[j] - of_drives["damping"],
+            new.quadratic[j],
+            new.cubic[j],
+        ]
+        bent = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
+        given["damping"] = friction if bent else friction[0]
+    if "frictionloss" in changed:
+        given["frictionloss"] = new.frictionloss[j]
+        given |= {"solreffriction": (2 * model.opt.timestep, 1.0), **_DRY}
+    if "stiffness" in changed:
+        given["stiffness"] = new.stiffness[j]
+        unit = turn_unit(document, not new.chain.revolute[j])
+        given["springref"] = new.springref[j] * unit
+    for name in ("armature", "damping"):
+        if np.min(given.get(name, 0.0)) < 0 and of_drives[name]:
+            raise RobotError(
+                f"{document.where}: {name} of joint {new.joints[j]!r} is that of its "
+                f"actuator, which is more than was found; valid is {name} at the joint"
+            )
+    document.set(tag, given)
+
+
+def _structure(
+    document: Document, model: Any, robot: Robot, structure: Sequence[Structure]
+) -> None:
+    """Put in joints behind motors, tendons and constraints."""
+    spec = robot.mujoco_spec()
+    before = ElementTree.fromstring(spec_text(spec))
+    for put in structure:
+        put(spec, robot.joints)
+    after = ElementTree.fromstring(spec_text(spec))
+    names, added = joint_names(model), []
+    for name, own in _new_joints(before, after):
+        tag, j = joint_tag(document, name), names.index(name)
+        unit = turn_unit(document, own.get("type") == "slide")
+        given = {**_USUAL, **own.attrib, "pos": model.jnt_pos[j]}
+        for key in ("range", "ref", "springref"):
+            if key in own.attrib:
+                given[key] = unit * np.array(own.attrib[key].split(), dtype=float)
+        document.put_after(tag, element("joint", given))
+        added.append(j)
+    known = {child.tag for child in before}
+    for section in after:
+        if section.tag not in known and section.tag != "default":
+            text = ElementTree.tostring(section, encoding="unicode").strip()
+            document.put(document.tags[0].close, f"  {text}\n")
+    _room(document, model, sorted(added, reverse=True))
+
+
+def _new_joints(
+    before: ElementTree.Element, after: ElementTree.Element
+) -> Iterator[tuple[str, ElementTree.Element]]:
+    """New joints, each with the name of the joint in front of it."""
+    known = {joint.get("name") for joint in before.iter("joint")}
+    for body in after.iter("body"):
+        first = body.find("joint")
+        for joint in body.findall("joint"):
+            if first is not None and joint.get("name") not in known:
+                yield str(first.get("name")), joint
+
+
+def _room(document: Document, model: Any, added: Sequence[int]) -> None:
+    """Give keyframes and limits a value for each joint that is new."""
+    places = {"qpos": model.jnt_qposadr, "qvel": model.jnt_dofadr}
+    for tag in document.find("keyframe", "key"):
+        given = {}
+        for name in places.keys() & tag.attributes.keys():
+            words = tag.attributes[name].split()
+            for j in added:
+                words.insert(int(places[name][j]) + 1, "0")
+            given[name] = " ".join(words)
+        document.set(tag, given)
+    for tag in document.find("custom", "numeric"):
+        if tag.attributes.get("name") in _LIMITS:
+            words = tag.attributes.get("data", "").split()
+            for j in added:
+                words.insert(j + 1, "0")
+            size = {"size": len(words)} if "size" in tag.attributes else {}
+            document.set(tag, {"data": " ".join(words), **size})

@@ -1,0 +1,146 @@
+"""An arm's URDF file with other numbers, and every other byte as it was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from hybrid.robot.chain import Array
+from hybrid.robot.edit.change import Change
+from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
+from hybrid.robot.edit.part import Part, changed_parts, urdf_parts
+from hybrid.robot.robot import Robot
+
+_DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
+
+
+def edit_urdf(document: Document, change: Change, old: Robot) -> tuple[str, ...]:
+    """Change a URDF file.
+
+    Args:
+        document: The file.
+        change: What shall be different.
+        old: The arm as the file has it.
+
+    Returns:
+        What the file has no place for, in words.
+
+    Raises:
+        RobotError: A link cannot be found in the file.
+    """
+    new = change.robot
+    for part in changed_parts(urdf_parts(old, document.content.decode()), old, new):
+        (link,) = document.find("robot", "link", name=part.body)
+        _inertial(document, link, part)
+    for j, name in enumerate(new.joints):
+        (joint,) = document.find("robot", "joint", name=name)
+        _friction(document, joint, old, new, j)
+        if new.chain.armature[j] != old.chain.armature[j]:
+            _rotor(document, name, float(new.chain.armature[j]))
+    if np.abs(new.chain.gravity - old.chain.gravity).max() > 1e-6:
+        return (f"gravity {text_of(new.chain.gravity)} m/s²",)
+    return ()
+
+
+def check_urdf(document: Document, robot: Robot) -> Robot:
+    """The arm that the document has."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder, "robot.urdf")
+        file.write_bytes(document.written())
+        found = Robot.load(file, joints=robot.joints, held=dict(robot.held))
+    return replace(found, path=robot.path)
+
+
+def move_meshes(document: Document, home: Path, folder: Path) -> None:
+    """Let a file that moves to another folder find its meshes and pictures."""
+    home, folder = home.resolve(), folder.resolve()
+    for tag in document.tags:
+        file = tag.attributes.get("filename", "")
+        if home != folder and tag.path[-1] in ("mesh", "texture"):
+            document.set(tag, {"filename": moved_path(file, home, folder)})
+
+
+def inertial_text(mass: float, center: Array, about: Array) -> str:
+    """An ``inertial`` element, in the frame of its link."""
+    parts = _inertial_parts(mass, center, about)
+    inner = "".join(element(name, x) for name, x in parts.items())
+    return f"<inertial>{inner}</inertial>"
+
+
+def _inertial_parts(
+    mass: float, center: Array, about: Array
+) -> dict[str, dict[str, object]]:
+    six = {f"i{'xyz'[r]}{'xyz'[c]}": about[r, c] for r in range(3) for c in range(r, 3)}
+    origin = {"xyz": center, "rpy": "0 0 0"}
+    return {"origin": origin, "mass": {"value": mass}, "inertia": six}
+
+
+def rotor_text(joint: str, inertia: float) -> str:
+    """A ``transmission`` element with a rotor, as Drake reads it."""
+    name, own = text_of(joint), element("drake:rotor_inertia", {"value": inertia})
+    return (
+        f'<transmission name="{name}_drive"><type>SimpleTransmission</type>'
+        f'<joint name="{name}"/><actuator name="{name}_motor">{own}</actuator>'
+        "</transmission>"
+    )
+
+
+def _inertial(document: Document, link: Tag, part: Part) -> None:
+    own = document.within(link, "inertial")
+    for inertial in own:
+        for name, given in _inertial_parts(*part.central).items():
+            there = document.within(inertial, name)
+            if there:
+                document.set(there[0], given)
+            else:
+                document.put_in(inertial, element(name, given))
+    if own:
+        return
+    text = inertial_text(*part.central)
+    if link.end == link.after:
+        name = text_of(link.attributes["name"])
+        document.replace(link, f'<link name="{name}">{text}</link>')
+    else:
+        document.put_in(link, text)
+
+
+def _friction(document: Document, joint: Tag, old: Robot, new: Robot, j: int) -> None:
+    given = {
+        word: getattr(new, name)[j]
+        for word, name in (("damping", "damping"), ("friction", "frictionloss"))
+        if getattr(new, name)[j] != getattr(old, name)[j]
+    }
+    own = document.within(joint, "dynamics")
+    if given and own:
+        document.set(own[0], given)
+    elif given:
+        document.put_in(joint, element("dynamics", given))
+
+
+def _rotor(document: Document, joint: str, inertia: float) -> None:
+    for drive in document.find("transmission"):
+        if not any(
+            x.attributes.get("name") == joint for x in document.within(drive, "joint")
+        ):
+            continue
+        for motor in document.within(drive, "actuator"):
+            gear = document.within(motor, "drake:gear_ratio")
+            ratio = float(gear[0].attributes["value"]) if gear else 1.0
+            own = document.within(motor, "drake:rotor_inertia")
+            value = {"value": inertia / ratio**2}
+            if own:
+                document.set(own[0], value)
+            else:
+                _declare(document)
+                document.put_in(motor, element("drake:rotor_inertia", value))
+            return
+    _declare(document)
+    document.put(document.tags[0].close, f"  {rotor_text(joint, inertia)}\n")
+
+
+def _declare(document: Document) -> None:
+    if not _DRAKE.keys() <= document.tags[0].attributes.keys():
+        document.set(document.tags[0], _DRAKE)

@@ -1,0 +1,290 @@
+"""The user's own robot file with what was found: only that changes, and it runs."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from arms import MODELS
+from simulated import motions, quiet
+from test_export import model_of
+
+from hybrid.dynamics import RigidBody
+from hybrid.effects.actuator_lag import ActuatorLag
+from hybrid.effects.armature import Armature
+from hybrid.effects.command_latency import CommandLatency
+from hybrid.effects.controller_gain import ControllerGain
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.elasticity import Elasticity
+from hybrid.effects.nonlinear_viscous import NonlinearViscous
+from hybrid.effects.payload import LinkInertia
+from hybrid.effects.saturation import Saturation
+from hybrid.effects.spring import Spring
+from hybrid.effects.stribeck import Stribeck
+from hybrid.effects.torque_gain import TorqueGain
+from hybrid.effects.torque_offset import TorqueOffset
+from hybrid.effects.transmission_coupling import TransmissionCoupling
+from hybrid.effects.viscous import Viscous
+from hybrid.errors import EffectError, HybridError, RobotError
+from hybrid.export import build_simulator
+from hybrid.model.declared import declared_effects
+from hybrid.robot import Robot
+
+CUBE = """v 0 0 0
+v .1 0 0
+v 0 .1 0
+v 0 0 .1
+f 1 3 2
+f 1 2 4
+f 1 4 3
+f 2 3 4
+"""
+ARM = """<mujocoinclude>
+  <worldbody>
+    <body name="base">
+      <geom type="box" size=".1 .1 .1"/>
+      <body name="upper" pos="0 0 .2" euler="0 90 0">
+        <joint name="a" class="stiff" axis="0 1 0" range="-90 90" ref="10"/>
+        <geom type="mesh" mesh="cube" rgba="1 0 0 1"/>
+        <body name="lower" pos=".3 0 0">
+          <inertial pos=".1 0 0" mass="1.5" diaginertia=".01 .02 .02" quat="1 .1 0 0"/>
+          <joint name="b" axis="0 1 0" damping=".3"/>  <!-- the elbow -->
+          <geom name="shin" type="capsule" size=".02 .1"/>
+          <body name="tool" pos=".2 0 0"><geom type="sphere" size=".03" mass=".2"/>
+            <body name="finger"><joint name="grip" type="slide" axis="0 0 1"/>
+              <geom type="box" size=".01 .01 .02"/></body>
+          </body>
+          <site name="tip" pos=".2 0 0"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujocoinclude>
+"""
+SCENE = """<!-- my scene -->
+<mujoco model="mine">
+  <compiler angle="degree" meshdir="meshes"/>
+  <option timestep=".002"/>
+  <default><default class="stiff"><joint armature=".02" frictionloss=".1"/></default>
+  </default>
+  <asset><mesh name="cube" file="cube.obj"/></asset>
+  <include file="arm.xml"/>
+  <contact><exclude body1="base" body2="upper"/></contact>
+  <actuator>
+    <position name="servo" joint="a" kp="50" kv="2" gear="2" ctrlrange="-1 1"/>
+    <motor name="motor" joint="b"/>
+  </actuator>
+  <sensor><jointpos joint="a"/></sensor>
+  <keyframe><key name="home" qpos=".1 .2 0" qvel="0 .3 0"/></keyframe>
+</mujoco>
+"""
+KEPT = (
+    "nbody", "ngeom", "nmesh", "nsite", "nsensor", "nkey", "nexclude", "nu",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """An arm in a scene with a mesh, an include, a gripper and a keyframe."""
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "meshes").mkdir()
+    (folder / "meshes" / "cube.obj").write_text(CUBE)
+    (folder / "arm.xml").write_text(ARM)
+    (folder / "scene.xml").write_text(SCENE)
+    robot, _ = quiet(Robot.load, folder / "scene.xml", joints=("a", "b"))
+    return robot
+
+
+def read_again(folder, made, robot):
+    """MuJoCo's model and the arm of what was written into a folder."""
+    file = folder / "sim.xml"
+    made.write(file)
+    again, _ = quiet(Robot.load, file, joints=robot.joints)
+    return mujoco.MjModel.from_xml_path(str(file)), again
+
+
+def torque(robot, motion):
+    """Torque that an arm's own numbers ask for, shape (N, n)."""
+    model = model_of(robot, declared_effects(robot))
+    return model.predict(motion)
+
+
+def test_nothing_found_leaves_every_byte_but_the_place_of_meshes(own, tmp_path):
+    here = build_simulator(own)
+    assert here.text == here.original and here.diff() == ""
+    there = build_simulator(own, folder=tmp_path / "out")
+    (new,) = [x for x in there.diff().splitlines() if x.startswith("+ ")]
+    assert "<compiler" in new
+
+
+def test_only_what_was_found_changes_and_the_scene_still_runs(own, tmp_path):
+    heavier = LinkInertia((0, 1), {"mass": 0.4, "mx": 0.05, "Iyy": 0.01, "Izz": 0.01})
+    effects = [
+        heavier,
+        Coulomb((1,), {"level": 0.7}),
+        Viscous((0,), {"coefficient": 2}),
+    ]
+    made = build_simulator(own, effects, folder=tmp_path)
+    changed = [x for x in made.diff().splitlines() if x[:1] == "+" and x[:3] != "+++"]
+    assert len(changed) == 4, made.diff()  # meshes, joint a, and inertia and joint of b
+    assert b"<!-- the elbow -->" in made.text and b"<!-- my scene -->" in made.text
+    model, again = read_again(tmp_path, made, own)
+    before = mujoco.MjModel.from_xml_path(own.path)
+    assert [getattr(model, x) for x in KEPT] == [getattr(before, x) for x in KEPT]
+    mujoco.mj_step(model, mujoco.MjData(model))
+    expected = own.chain.inertial[1] + heavier.gain_values
+    np.testing.assert_allclose(again.chain.inertial[1], expected, atol=1e-12)
+    assert again.frictionloss[1] == 0.7 and again.damping[0] == 2.0
+    assert (tmp_path / "sim.diff").read_text().startswith("--- a/sim.xml")
+
+
+def test_a_link_that_becomes_light_takes_from_all_of_its_bodies(own, tmp_path):
+    inertial = own.chain.inertial.copy()
+    inertial[1] *= 0.1  # less than the tool alone weighs
+    made = build_simulator(own.with_inertial(inertial), folder=tmp_path)
+    _, again = read_again(tmp_path, made, own)
+    np.testing.assert_allclose(again.chain.inertial, inertial, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["planar", "scara", "coman_like"])
+@pytest.mark.parametrize("kind, suffix", [("mjcf", "xml"), ("urdf", "urdf")])
+def test_what_a_file_can_say_comes_back_to_the_last_digits(
+    tmp_path, name, kind, suffix
+):
+    robot = Robot.load(MODELS / f"{name}.{suffix}")
+    n, links = robot.size, 1.07 * robot.chain.inertial
+    effects = [
+        cls((j,), {gain: 0.1 + 0.01 * j})
+        for j in range(n)
+        for cls, gain in ((Armature, "inertia"), (Viscous, "coefficient"),
+                          (Coulomb, "level"))
+    ]  # fmt: skip
+    if kind == "mjcf":
+        effects += [
+            NonlinearViscous((0,), {"quadratic": -0.05, "cubic": 0.02}),
+            Spring((1,), {"stiffness": 3.0, "preload": 0.5}),
+            TorqueOffset((0,), {"level": -0.4}),
+        ]
+    new = robot.with_inertial(links)
+    made = build_simulator(new, effects, kind=kind, folder=tmp_path)
+    assert made.notes == () and made.rest == ()
+    made.write(tmp_path / f"arm.{suffix}")
+    again = Robot.load(tmp_path / f"arm.{suffix}")
+    (motion,) = motions(robot, count=1, duration=5.0)
+    wanted = model_of(new, [*declared_effects(robot), *effects]).predict(motion)
+    off = np.abs(torque(again, motion) - wanted).max(axis=0)
+    assert (off < 1e-6 * np.abs(wanted).max(axis=0)).all(), off
+
+
+def test_a_curve_of_friction_is_fitted_and_what_is_left_is_said():
+    robot = Robot.load(MODELS / "planar.xml")
+    curve = [
+        Stribeck((1,), {"level": 0.8, "velocity": 0.3}),
+        Viscous((1,), {"coefficient": 0.6}),
+        NonlinearViscous(
+            (1,), {"quadratic": -0.2}
+        ),  # bends down: by itself not a field
+    ]
+    moved = motions(robot, count=2, seed=3)
+    made = build_simulator(robot, curve, motions=moved)
+    (fitted,), (note,) = made.friction, made.notes
+    assert note.startswith("friction of elbow (stribeck")
+    assert f"miss {fitted.missed:.3g} of" in note
+    wanted = [*declared_effects(robot), *curve]
+    left = []
+    for motion in moved:
+        truth = model_of(robot, wanted).predict(motion)
+        left.append(truth - torque(made.robot, motion))
+        whole = model_of(made.robot, [*declared_effects(made.robot), *made.rest])
+        np.testing.assert_allclose(whole.predict(motion), truth, atol=1e-9)
+    rms = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0))
+    np.testing.assert_allclose(rms, [0.0, fitted.missed], rtol=1e-6, atol=1e-9)
+    plain = build_simulator(robot, [], motions=moved)
+    dropped = [
+        model_of(robot, curve).predict(m) - torque(plain.robot, m) for m in moved
+    ]
+    assert rms[1] < 0.3 * np.sqrt(np.mean(np.concatenate(dropped)[:, 1] ** 2))
+
+
+def test_friction_of_a_file_takes_energy_at_every_speed():
+    robot = Robot.load(MODELS / "planar.xml")
+    steep = [Viscous((1,), {"coefficient": 4.0}),
+             NonlinearViscous((1,), {"quadratic": -3.0})]  # fmt: skip
+    found = build_simulator(robot, steep, motions=motions(robot, count=1)).robot
+    v = np.linspace(-30, 30, 999)[:, None] * np.ones(2)
+    power = (found.joint_torque(0 * v, v, 0 * v) + found.frictionloss * np.sign(v)) * v
+    assert power.min() >= -1e-9
+
+
+def test_drives_change_where_the_file_has_them(own, tmp_path):
+    effects = [
+        TorqueGain((0,), {"gain": 0.25}), CommandLatency((0,), {"time": 0.013}),
+        ControllerGain((0,), {"stiffness": 0.2, "damping": -0.5}),
+        ActuatorLag((1,), {"time": 0.03}), Saturation((1,), {"loss": 1, "limit": 4.0}),
+    ]  # fmt: skip
+    made = build_simulator(own, effects, folder=tmp_path)
+    assert made.notes == ()
+    model, again = read_again(tmp_path, made, own)
+    assert model.actuator(0).name == "servo"
+    np.testing.assert_allclose(again.kp[0], 1.2 / 1.25 * own.kp[0])
+    np.testing.assert_allclose(again.kd[0], 0.5 / 1.25 * own.kd[0])
+    np.testing.assert_allclose(model.actuator_ctrlrange[0], [-1, 1])
+    assert model.actuator_delay[0] == pytest.approx(0.013)
+    assert model.actuator_dynprm[1, 0] == 0.03
+    np.testing.assert_allclose(model.actuator_forcerange[1], [-4, 4])
+
+
+def test_gains_of_a_servo_that_is_none_are_said(own):
+    made = build_simulator(own, [ControllerGain((1,), {"stiffness": 0.2})])
+    assert made.notes == ("gains of a servo of b, whose actuator has no place",)
+
+
+def test_a_gear_that_twists_is_a_joint_behind_the_motor(own, tmp_path):
+    effects = [
+        Armature((1,), {"inertia": 0.05}),
+        Elasticity((1,), {"compliance": 0.01}),
+    ]
+    made = build_simulator(own, effects, folder=tmp_path)
+    model, again = read_again(tmp_path, made, own)
+    behind = model.joint("b/deflection")
+    assert made.notes == () and behind.stiffness[0] == pytest.approx(100.0)
+    np.testing.assert_allclose(model.key_qpos[0], [0.1, 0.2, 0, 0])
+    np.testing.assert_allclose(model.key_qvel[0], [0, 0.3, 0, 0])
+    np.testing.assert_allclose(again.chain.inertial, own.chain.inertial, atol=1e-12)
+
+
+def test_a_coupled_rotor_is_a_tendon(own, tmp_path):
+    values = {"inertia": 0.01, "viscous": 0.2, "coulomb": 0.1}
+    made = build_simulator(own, [TransmissionCoupling((0, 1), values)], folder=tmp_path)
+    made.write(tmp_path / "sim.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "sim.xml"))
+    assert model.ntendon == 1 and model.tendon_armature[0] == 0.01
+
+
+def test_a_twisting_gear_without_rotor_is_refused(own):
+    with pytest.raises(EffectError, match="needs a rotor"):
+        build_simulator(own, [Elasticity((1,), {"compliance": 0.01})])
+
+
+def test_a_file_of_another_arm_is_refused(own):
+    other = replace(own, path=str(MODELS / "planar.xml"))
+    with pytest.raises(RobotError):
+        build_simulator(other)
+
+
+def test_an_unknown_kind_is_refused(own):
+    with pytest.raises(HybridError, match="valid are mjcf, urdf"):
+        build_simulator(own, kind="sdf")
+
+
+def test_a_urdf_becomes_an_mjcf_with_its_shapes(tmp_path):
+    robot = Robot.load(MODELS / "planar.urdf")
+    made = build_simulator(robot, [Coulomb((0,), {"level": 0.5})], folder=tmp_path)
+    model, again = read_again(tmp_path, made, robot)
+    assert model.ngeom > 0 and model.nu == 2
+    (motion,) = motions(robot, count=1, duration=5.0)
+    np.testing.assert_allclose(
+        RigidBody(again.chain, motion).load, RigidBody(robot.chain, motion).load,
+        atol=1e-9,
+    )  # fmt: skip
+    assert again.frictionloss[0] == robot.frictionloss[0] + 0.5

@@ -1,0 +1,156 @@
+"""What recordings leave open: draws, intervals, and Python for other simulators."""
+
+import sys
+import types
+import warnings
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from simulated import arm
+
+from hybrid.dynamics.pseudo_inertia import is_consistent
+from hybrid.effects.command_latency import CommandLatency
+from hybrid.errors import HybridError
+from hybrid.export import export, ranges, sample
+from hybrid.files import read_yaml
+from hybrid.identify import identify
+from hybrid.model import DynamicModel
+from hybrid.plant import Plant, simulate
+
+NAMES = ("armature", "damping", "frictionloss")
+
+
+@cache
+def fitted():
+    """The planar arm, identified from simulated logs of itself."""
+    robot = arm("planar")
+    plant = Plant(robot, [], nominal=robot)
+    logs = simulate(plant, trajectories=4, duration=6.0, seed=3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return identify(robot, logs, stages=("rigid",), consistent=True)
+
+
+def test_draws_spread_as_the_covariance_says():
+    fit = fitted()
+    drawn = sample(fit.model, 300, np.random.default_rng(0))
+    for effect in fit.model.effects:
+        for gain in effect.gains:
+            own = [
+                e.values[gain.name] for model in drawn for e in model.effects
+                if (e.id, e.joints) == (effect.id, effect.joints)
+            ]  # fmt: skip
+            label = f"{effect.id}.{gain.name}[{arm('planar').joints[effect.joints[0]]}]"
+            if label in fit.labels and effect.values[gain.name]:
+                std = np.sqrt(fit.covariance[(k := fit.labels.index(label)), k])
+                assert np.std(own) == pytest.approx(std, rel=0.2), label
+    assert all(is_consistent(model.inertial).all() for model in drawn)
+
+
+def test_intervals_hold_the_truth_and_the_model():
+    found, robot = ranges(fitted().model, np.random.default_rng(1)), arm("planar")
+    truth = dict(zip(NAMES, (robot.chain.armature, robot.damping, robot.frictionloss),
+                     strict=True))  # fmt: skip
+    held = []
+    for name in NAMES[1:]:
+        low, high = found.of(name)
+        held += [*((low <= truth[name]) & (truth[name] <= high))]
+    assert np.mean(held) >= 0.5  # of four; their intervals are for 95 %
+    assert np.diag(found.correlation) == pytest.approx(1.0)
+    assert (found.low < found.high).all()
+
+
+def test_the_same_model_has_the_same_ranges_in_yaml(tmp_path):
+    model = fitted().model
+    model.save(tmp_path / "model.json")
+    loaded = DynamicModel.load(tmp_path / "model.json")
+    np.testing.assert_array_equal(loaded.covariance, model.covariance)
+    texts = []
+    for k, each in enumerate((model, loaded)):
+        export(each, tmp_path / str(k), format="ranges")
+        texts.append((tmp_path / str(k) / "planar_ranges.yaml").read_text())
+    assert texts[0] == texts[1]
+    content = read_yaml(tmp_path / "0" / "planar_ranges.yaml")
+    first = content["parameters"][0]
+    assert set(first) == {"joint", "name", "unit", "nominal", "interval"}
+    assert len(content["correlation"]) == len(content["parameters"])
+
+
+def test_a_model_without_covariance_is_refused(tmp_path):
+    bare = replace(fitted().model, covariance=np.zeros((0, 0)))
+    with pytest.raises(HybridError, match="identify again"):
+        export(bare, tmp_path / "new", format="ranges")
+    assert not (tmp_path / "new").exists()
+
+
+class Stub(dict):
+    """Keeps what it is made with."""
+
+    def __init__(self, **given):
+        super().__init__(given)
+
+
+def run(text, monkeypatch):
+    """The names of a snippet, in a world with Isaac Lab's names in it."""
+    for name in (
+        "isaaclab",
+        "isaaclab.actuators",
+        "isaaclab.envs",
+        "isaaclab.managers",
+    ):
+        module = types.ModuleType(name)
+        for own in ("DelayedPDActuatorCfg", "EventTermCfg"):
+            setattr(module, own, Stub)
+        module.SceneEntityCfg = lambda name, **given: (name, given)
+        module.mdp = types.SimpleNamespace(randomize_joint_parameters="randomise")
+        monkeypatch.setitem(sys.modules, name, module)
+    names = {}
+    exec(compile(text, "snippet", "exec"), names)
+    return names
+
+
+def test_isaac_lab_gets_friction_rotors_limits_and_delay(tmp_path, monkeypatch):
+    model = fitted().model
+    late = CommandLatency((0,), {"time": 0.0025})
+    model = replace(model, effects=(*model.effects, late))
+    notes = export(model, tmp_path, format="isaaclab")
+    assert all(note.startswith("torque_offset") for note in notes)
+    found = run((tmp_path / "planar_isaaclab.py").read_text(), monkeypatch)
+    own, robot = found["ACTUATORS"]["arm"], arm("planar")
+    assert own["joint_names_expr"] == list(robot.joints)
+    assert own["effort_limit"] == dict(zip(robot.joints, robot.tau_max, strict=True))
+    assert (own["min_delay"], own["max_delay"]) == (2, 3)  # steps of a millisecond
+    for j, name in enumerate(robot.joints):
+        assert own["friction"][name] == pytest.approx(robot.frictionloss[j], rel=0.2)
+        assert own["viscous_friction"][name] == pytest.approx(robot.damping[j], rel=0.2)
+
+
+def test_events_of_isaac_lab_are_the_intervals(tmp_path, monkeypatch):
+    export(fitted().model, tmp_path, format="ranges")
+    found = run((tmp_path / "planar_isaaclab_events.py").read_text(), monkeypatch)
+    low, high = ranges(fitted().model, np.random.default_rng(0), kind="urdf").of(
+        "frictionloss"
+    )
+    for j, term in enumerate(found["EVENTS"].values()):
+        both = term["params"]["friction_distribution_params"]
+        assert both == pytest.approx((max(low[j], 0.0), high[j]))
+
+
+def test_the_function_for_mjx_draws_the_models_numbers(tmp_path):
+    export(fitted().model, tmp_path, format="ranges")
+    text = (tmp_path / "planar_mjx.py").read_text()
+    names = {}
+    exec(
+        compile(
+            text.split("def domain")[0].replace("import jax", "pass #"), "x", "exec"
+        ),
+        names,
+    )
+    factor = np.array(names["_FACTOR"])
+    draws = ranges(fitted().model, np.random.default_rng(0))
+    std = np.sqrt((factor**2).sum(axis=1)).reshape(len(names["_FIELDS"]), -1)
+    fields = [field for field, _, _ in names["_FIELDS"]]
+    own = draws.draws[:, draws.keys.index(("elbow", "damping"))]
+    assert std[fields.index("dof_damping"), 1] == pytest.approx(own.std(), rel=0.05)
