@@ -113,7 +113,7 @@ def test_it_names_the_cause_in_ten_lines_and_in_a_folder(answered):
     assert any(line.startswith("1. Stribeck at elbow") for line in verdict)
     assert report == f"Report: {tmp_path}/deep/new/report.html"
     assert f"{tmp_path}/deep/new/sim_fixed.xml" in simulator
-    assert "stribeck of elbow" in simulator
+    assert "friction of elbow (stribeck)" in simulator
     found = tree(tmp_path)
     names = ("report.html", "diagnosis.json", "sim_fixed.xml", "model.json")
     assert {*(f"deep/new/{name}" for name in names), "result.json"} <= set(found)

@@ -78,9 +78,7 @@ class TestPage:
         assert "Cannot be told from spring or torque offset by these" in words
 
     def test_what_stays_unexplained_is_said_openly(self):
-        found = replace(
-            planar().account, missed=planar().account.before, depends=("time", "load")
-        )
+        found = replace(planar().account, ceiling=np.zeros(2), depends=("time", "load"))
         result = told(planar(), unexplained=0.5, verdict="partly_explained")
         words = plain(render_diagnosis(replace(result, account=found)))
         assert "unexplained 50%" in words
@@ -214,9 +212,9 @@ class TestEvidence:
 
     def test_an_imitation_has_evidence_alone_and_none_beside_the_cause(self):
         rows = dict(evidence_matrix(planar()).rows)
-        dry = rows["coulomb"][1]
-        assert dry.joints == "elbow" and dry.alone > 2
-        assert dry.beside < 0.1 * dry.alone
+        like = rows["nonlinear_viscous"][1]
+        assert like.joints == "elbow" and like.alone > 2
+        assert like.beside < 0.1 * like.alone
 
     def test_every_row_is_as_wide_as_the_arm(self):
         for _, cells in evidence_matrix(planar()).rows:

@@ -542,7 +542,7 @@ def test_an_unknown_format_is_refused_with_the_valid_ones(tmp_path):
 def test_the_command_exports_and_says_what_is_missing(folders, tmp_path, capsys):
     given = ["--model", str(folders / "json" / "model.json"), "--format", "urdf"]
     assert main(["export", *given, "--out", str(tmp_path / "arm")]) == 0
-    assert "not in it: stribeck of base" in capsys.readouterr().out
+    assert "not in it: torque_ripple of wrist_3" in capsys.readouterr().out
     assert read_manifest(tmp_path / "arm")["format"] == "urdf"
 
 

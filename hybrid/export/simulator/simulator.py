@@ -73,12 +73,17 @@ class Simulator:
         return "".join(difflib.unified_diff(old, new, f"a/{name}", f"b/{name}", n=1))
 
     def write(self, path: str | Path) -> None:
-        """Write the file, and a ``.diff`` beside it."""
+        """Write the file, and a ``.diff`` beside it.
+
+        A URDF and an MJCF of one name may lie in the same folder.
+        """
         path = Path(path)
+        plain = path.suffix == ".xml"
+        beside = path.with_suffix(".diff" if plain else f"{path.suffix}.diff")
         difference = self.diff(path.name)
         with atomic_path(path) as temporary:
             temporary.write_bytes(self.text)
-        with atomic_path(path.with_suffix(".diff")) as temporary:
+        with atomic_path(beside) as temporary:
             temporary.write_text(difference, encoding="utf-8")
 
 
