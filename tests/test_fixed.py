@@ -11,12 +11,12 @@ import pytest
 from scipy.interpolate import CubicSpline
 from simulated import arm
 
-from hybrid.diagnose.express import express
 from hybrid.diagnose.fixed import fixed_model, fixed_simulator, write_fixed
 from hybrid.diagnose.measure import measure_gap
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
 from hybrid.errors import HybridWarning
+from hybrid.export import build_simulator
 from hybrid.identify import DynamicModel
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.plant.scale import joint_scales
@@ -57,16 +57,15 @@ def motion_of(effect_id):
 
 
 def written(gap, robot, effects):
-    spec, notes = express(gap, robot, effects)
-    spec.compile()
-    model = mujoco.MjModel.from_xml_string(spec.to_xml())
+    made = build_simulator(robot, effects, motions=gap.motions)
+    model = mujoco.MjModel.from_xml_string(made.text.decode())
     # Dry friction as hard as the plant's, also where the file's own is softer.
     for solref, solimp in (
         (model.dof_solref, model.dof_solimp),
         (model.tendon_solref_fri, model.tendon_solimp_fri),
     ):
         solref[:], solimp[:, :2] = (2 * model.opt.timestep, 1.0), 0.9999
-    return model, notes
+    return model, made.notes
 
 
 def left_behind(model, log, start=1.0, seconds=0.5):

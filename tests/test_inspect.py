@@ -19,6 +19,7 @@ from hybrid.effects.deadzone import Deadzone
 from hybrid.effects.delay import Delay
 from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.payload import Payload
+from hybrid.effects.spring import Spring
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.errors import HybridWarning, RecordingError
@@ -121,6 +122,16 @@ HEALTHY = {
     "3 s": lambda arm, x: (arm, gapless(x, slice(0, 1500))),
     "without speed": lambda arm, x: (arm, replace(x, v=None, command=None)),
 }
+
+
+@pytest.mark.parametrize("part", [0.08, 0.15])
+def test_a_spring_that_the_file_lacks_is_no_other_unit(part):
+    """No masses pull like a cable; that is no reason to read torque otherwise."""
+    arm, joint = robot("coman_like"), 3
+    stiffness = part * joint_scales(arm)[joint].torque
+    cable = Spring((joint,), {"stiffness": stiffness, "preload": -0.2 * stiffness})
+    x = healthy(real("coman_like"), effects=[cable], nominal=arm, seed=3)
+    assert check_recordings([x], arm) == [x]
 
 
 @pytest.mark.parametrize("kind", HEALTHY)

@@ -65,7 +65,7 @@ def explained(effects, terms, noisy=False, trajectories=4, fundamental=None):
     search = Search(gap, learn, without=list(effect_classes()))
     search.evidence.spread(search.background, 0.003)
     search.causes = [search.cause(candidate(gap, effect_of(name))) for name in terms]
-    return explain(gap, search, learn)
+    return explain(search)
 
 
 def as_it_stands(scored):

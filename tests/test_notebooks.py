@@ -26,4 +26,5 @@ def test_a_notebook_runs_to_its_end(name, tmp_path, monkeypatch):
     client = nbclient.NotebookClient(
         notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}
     )
-    client.execute()
+    cells = [x for x in client.execute().cells if x.cell_type == "code"]
+    assert all(cell.execution_count for cell in cells) and cells

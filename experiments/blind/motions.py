@@ -11,7 +11,6 @@ from hybrid.diagnose.candidates import Candidate, candidate
 from hybrid.diagnose.explanation import explain
 from hybrid.diagnose.replay import Replay
 from hybrid.diagnose.result import Result
-from hybrid.diagnose.split import split
 from hybrid.effects import Effect
 from hybrid.errors import EffectError
 
@@ -59,7 +58,7 @@ def motion_error(result: Result, truth: Sequence[Effect]) -> MotionError | None:
     found = [term.candidate for term in search.terms]
 
     def error(chosen: Sequence[Candidate]) -> float:
-        replay = Replay(explain(gap, search.having(chosen), split(gap)))
+        replay = Replay(explain(search.having(chosen)))
         if not replay.has(_HORIZON):
             return np.nan
         squares = replay.squares(replay.all_terms)

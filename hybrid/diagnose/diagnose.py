@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid.diagnose.account import Account, account, left_unseen, unseen
+from hybrid.diagnose.account import Account, account
 from hybrid.diagnose.advise import advise
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.clocks import clocks_apart
@@ -28,6 +28,7 @@ from hybrid.diagnose.result import Result
 from hybrid.diagnose.split import split
 from hybrid.diagnose.term import Term
 from hybrid.diagnose.units import units
+from hybrid.diagnose.unseen import left_unseen, unseen
 from hybrid.diagnose.visited import not_excited
 from hybrid.effects.delay import Delay
 from hybrid.identify.data import taken
@@ -49,7 +50,6 @@ _FAR = (
     "small errors of single links are not told from it"
 )
 _WHERE = "{} at {} may as well be {} at {}: these motions do not tell"
-_OPEN = "{} of {} {} has no known cause"
 
 
 def diagnose(
@@ -120,7 +120,7 @@ def examine(
     search.stand_in()
     kinds = [named.get(c, ()) for c in search.known]
     tell("scoring on motions that no step has seen")
-    scored = explain(gap, search, search.learn)
+    scored = explain(search)
     effects, shown = refit(gap, search), unseen(search, found)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
@@ -162,7 +162,7 @@ def _believed(
         What each cannot be told from, itself first; and of causes that are as probable
         at another joint, what is there.
     """
-    beliefs = [b for b in search.beliefs() if b.probability > _HALF]
+    beliefs = [b for b in search.beliefs if b.probability > _HALF]
     beliefs = [b for b in beliefs if b.worth > search.unknown_worth(b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]

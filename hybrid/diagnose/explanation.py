@@ -14,7 +14,6 @@ from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.products import Index
-from hybrid.diagnose.split import between
 from hybrid.diagnose.term import Term
 from hybrid.robot.chain import Array
 
@@ -125,26 +124,21 @@ class Explanation:
         return rows // length
 
 
-def explain(gap: Gap, search: Search, learn: NDArray[np.bool_]) -> Explanation:
+def explain(search: Search) -> Explanation:
     """Score what a search found on the samples it has not seen.
 
     Args:
-        gap: The gap.
         search: A search that has run on the samples to learn from.
-        learn: Those samples, shape (M,).
     """
-    found = search.evidence.solve(search.base())
-    evidence, rigid, of = search.rebuilt(~learn & between(gap, learn))
-    own = tuple(of[c] for c in search.known)
-    index = np.concatenate([rigid, *own])
-    seen = np.concatenate([search.rigid, *(c.index for c in search.known)])
-    gains = found.of(seen)
-    terms = tuple(search.terms)
+    gap, terms, test = search.gap, tuple(search.terms), search.test
+    test.evidence.spread(test.numbers, search.off)  # as it is by now
+    seen, unseen = search.columns(search.known), test.columns(search.known)
+    gains = search.evidence.solve(search.base()).of(seen)
     learnt = Explanation(
-        gap, terms, search.evidence, seen, gains,
-        tuple(t.index for t in terms),
-    )  # fmt: skip
-    return Explanation(gap, terms, evidence, index, gains, own, learnt)
+        gap, terms, search.evidence, seen, gains, tuple(t.index for t in terms)
+    )
+    own = tuple(map(test.own, search.known))
+    return Explanation(gap, terms, test.evidence, unseen, gains, own, learnt)
 
 
 def shares(search: Search, rng: np.random.Generator) -> Array:

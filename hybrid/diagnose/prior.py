@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Prior:
-    """All numbers that the diagnosis rests on, none of them set by a case.
+    """What the search for an explanation believes, on every arm and in every log.
 
     Attributes:
         cause: Odds against one effect at one place, [nat]: an arm has some hundred

@@ -9,6 +9,7 @@ from scipy.stats import chi2, qmc
 
 from hybrid.diagnose.candidates import Candidate, with_gains
 from hybrid.diagnose.evidence import Evidence, Solution
+from hybrid.diagnose.explanations.elsewhere import Elsewhere
 from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.pool import REPEATED
@@ -30,9 +31,9 @@ def solve_all(gap: Gap, search: Search) -> tuple[Evidence, Solution, tuple[Index
     Returns:
         The evidence, the gains of all columns, and the columns of each term.
     """
-    evidence, rigid, of = search.rebuilt(np.ones(len(gap.fold), dtype=bool))
-    index = np.concatenate([rigid, *of.values()])
-    return evidence, evidence.solve(index), tuple(of[c] for c in search.known)
+    every = Elsewhere(search, np.ones(len(gap.fold), dtype=bool))
+    solution = every.evidence.solve(every.columns(search.causes))
+    return every.evidence, solution, tuple(map(every.own, search.known))
 
 
 def refit(gap: Gap, search: Search) -> tuple[Effect, ...]:

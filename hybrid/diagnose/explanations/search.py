@@ -15,10 +15,9 @@ Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam facto
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +26,12 @@ from hybrid.diagnose.background import background, clocks, rest
 from hybrid.diagnose.bayes import memory
 from hybrid.diagnose.candidates import Candidate, Place, same
 from hybrid.diagnose.evidence import Evidence
+from hybrid.diagnose.explanations.belief import Belief
 from hybrid.diagnose.explanations.cause import Cause
+from hybrid.diagnose.explanations.elsewhere import Elsewhere
+from hybrid.diagnose.explanations.proposal import Proposal
 from hybrid.diagnose.explanations.unknown import WAVES, unknown_laws, waves
-from hybrid.diagnose.gap import Gap
+from hybrid.diagnose.gap import Columns, Gap
 from hybrid.diagnose.pool import Pool
 from hybrid.diagnose.prior import Prior
 from hybrid.diagnose.products import Index
@@ -40,91 +42,9 @@ from hybrid.diagnose.term import Term
 from hybrid.robot.chain import Array
 
 _RIPPLES = 9  # orders at each joint, of which noise is estimated
-_ROUNDS, _MOST = 4, 30
-_BETTER = 0.5  # nat
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """What may be added to an explanation.
-
-    Attributes:
-        place: What it is, and of which joints.
-        worth: By how much it raises the score, [nat].
-        make: Gives the cause.
-        candidate: The effect with its shapes; nothing for an unknown law.
-    """
-
-    place: Place
-    worth: float
-    make: Callable[[], Cause]
-    candidate: Candidate | None = None
-
-    @property
-    def parameters(self) -> float:
-        """How many numbers it has."""
-        if self.candidate is None:
-            return np.inf
-        effect = self.candidate.effect
-        return len(effect.gains) + len(effect.shapes)
-
-
-@dataclass(frozen=True, eq=False)
-class Belief:
-    """How probable a cause is, beside all others of an explanation.
-
-    Attributes:
-        cause: The cause.
-        worth: By how much it raises the score, [nat].
-        alike: What may stand in its place, itself first, and how probable each is.
-        probability: That it, or a known effect alike, is there; the rest is that of
-            no cause or an unknown law.
-    """
-
-    cause: Cause
-    worth: float
-    alike: tuple[tuple[Proposal, float], ...]
-    probability: float
-
-    @classmethod
-    def of(
-        cls,
-        cause: Cause,
-        worth: float,
-        options: Mapping[Place, Proposal],
-        twins: Collection[Place],
-        least: float,
-    ) -> Belief:
-        """Normalised over what may stand in its place, and over nothing there.
-
-        Args:
-            cause: The cause.
-            worth: By how much it raises the score, [nat].
-            options: What may stand in its place.
-            twins: What has the same torque; only its prior is another.
-            least: Probability from which on something counts.
-        """
-        known = list(options.values())
-        nat = np.array([0.0, *(x.worth for x in known)])
-        part = np.exp(nat - nat.max())
-        part /= part.sum()
-        ranked = sorted(zip(known, part[1:], strict=True), key=lambda x: -x[1])
-        own = [x for x in ranked if x[0].place == cause.place]
-        others = [
-            x for x in ranked
-            if x[0].place != cause.place and (x[1] >= least or x[0].place in twins)
-        ]  # fmt: skip
-        likely = sum(p for x, p in ranked if x.candidate is not None)
-        return cls(cause, worth, (*own, *others), float(likely))
-
-    def plainest(self, slack: float) -> Proposal | None:
-        """A plainer effect that is as probable to within some nat; nothing without."""
-        (own, best), *rest = self.alike
-        near = [
-            x for x, p in rest if x.candidate is not None and p > best * np.exp(-slack)
-        ]
-        plain = min(near, key=lambda x: x.parameters, default=own)
-        return plain if plain.parameters < own.parameters else None
+_ROUNDS = 4  # of adding, exchanging and widening
+_MOST = 30  # causes, and times that some are refused
+_BETTER = 0.5  # nat, for a change to be worth it
 
 
 class Search:
@@ -163,7 +83,8 @@ class Search:
         self.laws += [law for j in range(gap.robot.size) for law in self._laws(j)]
         self.causes: list[Cause] = []
         self.refused: set[Place] = set()
-        self.whole: list[Cause] = []
+        self.beliefs: list[Belief] = []  # of the known causes, once it has run
+        self.whole: list[Cause] = []  # all causes, once it has run
         self.library_only = False
 
     def _add_inexactness(self) -> None:
@@ -179,8 +100,11 @@ class Search:
             back = np.argsort(rows)
             left = evidence.residual(i, rigid.index, rigid.gains)[back]
             torque = self.gap.measured[rows[back], i]
-            for x, part in ((left, self.prior.inexact), (torque, self.prior.solver)):
-                x = x - x.mean() * (x is torque)
+            parts = (
+                (left, self.prior.inexact),
+                (torque - torque.mean(), self.prior.solver),
+            )
+            for x, part in parts:
                 evidence.noise[i] += part**2 * np.mean(x**2) * memory(x, rows[back])
 
     def _wavy_laws(self, joint: int) -> Iterator[Cause]:
@@ -281,7 +205,9 @@ class Search:
     def run(self) -> list[Cause]:
         """The most probable explanation whose causes hold on unseen recordings."""
         self._settle()
-        self.simplify()
+        self.beliefs = self._believe()
+        if self._simplify():
+            self.beliefs = self._believe()
         self.whole = list(self.causes)
         return self.causes
 
@@ -389,8 +315,7 @@ class Search:
             own: A cause that is not among them, whose shapes are fitted anew.
         """
         base, found = self.columns(causes), list[Proposal]()
-        taken = {c.place for c in causes} | self.refused
-        ranked = [c for c, _ in self.pool.ranked(base, taken)]
+        ranked = [c for c, _ in self.pool.ranked(base, {c.place for c in causes})]
         ranked = [c for c in ranked if c.place not in self.refused]
         short = ranked[: self.prior.shortlist]
         if own is not None and own.candidate is not None:
@@ -417,7 +342,7 @@ class Search:
         ]
         return [x for x in self.laws if x not in causes and not full[x.place[1][0]]]
 
-    def beliefs(self) -> list[Belief]:
+    def _believe(self) -> list[Belief]:
         """How probable each known cause is, and what might stand in its place."""
         now, found = self.score(self.causes), []
         for cause in self.known:
@@ -446,13 +371,14 @@ class Search:
         rest = [c for c in causes if c.candidate is not None or c.place[1] != (joint,)]
         return self.score(causes) - self.score(rest)
 
-    def simplify(self) -> None:
-        """Exchange causes for plainer ones that are as probable."""
-        for belief in self.beliefs():
+    def _simplify(self) -> bool:
+        """Exchange causes for plainer ones that are as probable; whether there are."""
+        before = list(self.causes)
+        for belief in self.beliefs:
             plain = belief.plainest(_BETTER)
             if plain is not None:
-                at = self.causes.index(belief.cause)
-                self.causes[at] = plain.make()
+                self.causes[self.causes.index(belief.cause)] = plain.make()
+        return self.causes != before
 
     def unseen(self) -> dict[Cause, float]:
         """By how much each known cause lowers the squares on unseen samples, [nat].
@@ -462,53 +388,31 @@ class Search:
         """
         if not self.known:
             return {}
-        gap = self.gap
-        test = self.rebuilt(~self.learn & between(gap, self.learn))
-        whole = self._squares(test, self.causes)
+        whole = self._lost(self.causes)
         return {
-            c: self._squares(test, [x for x in self.causes if x is not c]) - whole
+            c: self._lost([x for x in self.causes if x is not c]) - whole
             for c in self.known
         }
 
-    def rebuilt(
-        self, use: NDArray[np.bool_], causes: Sequence[Cause] | None = None
-    ) -> tuple[Evidence, Index, dict[Cause, Index]]:
-        """The background and causes, all by default, on other samples, shape (M,).
+    @cached_property
+    def test(self) -> Elsewhere:
+        """The samples kept for scoring."""
+        return Elsewhere(self, ~self.learn & between(self.gap, self.learn))
 
-        Returns:
-            Their evidence, and the columns of the background and of each cause.
-        """
-        gap = self.gap
-        other = Evidence(gap, use)
-        other.noise = self.evidence.noise
-        numbers, *more = (
-            other.add(*x) for x in (background(gap), rest(gap), clocks(gap))
-        )
-        other.spread(np.concatenate(numbers), self.off)
-        rigid = np.concatenate([x for part in (numbers, *more) for x in part])
-        own: dict[Cause, Index] = {}
-        for c in dict.fromkeys(self.causes if causes is None else causes):
-            if c.candidate is not None:
-                columns, std = gap.columns(c.candidate.effect), c.candidate.std
-            else:
-                (j,) = c.place[1]
-                if (x := self._waves.get(c.place)) is None:
-                    x = dict(unknown_laws(gap, j))[c.place[0]]
-                columns = {j: x}
-                std = self.evidence.precision[c.index] ** -0.5
-            (own[c],) = other.add([columns], [std])
-        return other, rigid, own
+    def columns_of(self, cause: Cause) -> Columns:
+        """Torque per unit of each gain of a cause at every sample, by joint."""
+        if cause.candidate is not None:
+            return self.gap.columns(cause.candidate.effect)
+        (joint,) = cause.place[1]
+        if (x := self._waves.get(cause.place)) is None:
+            x = dict(unknown_laws(self.gap, joint))[cause.place[0]]
+        return {joint: x}
 
-    def _squares(
-        self,
-        test: tuple[Evidence, Index, dict[Cause, Index]],
-        causes: Sequence[Cause],
-    ) -> float:
-        evidence, rigid, own = test
-        solution = self.evidence.solve(self.columns(causes))
-        index = np.concatenate([rigid, *(own[c] for c in causes)])
-        left = evidence.squares(index, solution.gains).sum(axis=1)
-        lost = float((left / self.evidence.noise).sum())
+    def _lost(self, causes: Sequence[Cause]) -> float:
+        """What some causes lose on unseen samples, less what a fit says, [nat]."""
+        seen, unseen = self.evidence, self.test.evidence
+        lost = float((self.test.squares(causes) / seen.noise).sum())
         # As if as much were unseen as was learnt from.
-        lost *= self.evidence.count.sum() / max(evidence.count.sum(), 1)
-        return float(lost + self.evidence.strain(solution, self.rigid)) / 2
+        lost *= seen.count.sum() / max(unseen.count.sum(), 1)
+        strain = seen.strain(seen.solve(self.columns(causes)), self.rigid)
+        return float(lost + strain) / 2

@@ -1,0 +1,147 @@
+"""The most probable explanation: its score, its classes, and what is unknown."""
+
+from functools import cache
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+from diagnosed import RIPPLE, STRIBECK
+from simulated import arm
+
+from hybrid.diagnose.explanations.belief import Belief
+from hybrid.diagnose.explanations.cause import Cause
+from hybrid.diagnose.explanations.proposal import Proposal
+from hybrid.diagnose.explanations.search import Search
+from hybrid.diagnose.explanations.unknown import unknown_laws, waves
+from hybrid.diagnose.measure import measure_gap
+from hybrid.diagnose.split import split
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.presliding import Presliding
+from hybrid.plant import Plant, simulate
+
+TRUTH = {"ripple": RIPPLE, "stribeck": STRIBECK}
+
+
+def logs(*names):
+    plant = Plant(arm("planar"), [TRUTH[name] for name in names])
+    return simulate(plant, trajectories=4, duration=4.0, seed=5)
+
+
+@cache
+def gap_of(*names):
+    return measure_gap(arm("planar"), logs(*names))
+
+
+@cache
+def searched(*names, without=()):
+    gap = gap_of(*names)
+    search = Search(gap, split(gap), without)
+    search.run()
+    return search
+
+
+def proposed(effect, worth):
+    place = effect.id, effect.joints
+    return Proposal(place, worth, Mock(), Mock(effect=effect))
+
+
+UNKNOWN = Proposal(("speed", (0,)), 0.0, Mock())
+SHARP, SOFT = Coulomb((0,)), Presliding((0,))
+
+
+def belief(*options, twins=()):
+    """Of Coulomb friction at the first joint, beside something unknown."""
+    cause = Cause(("coulomb", (0,)), np.zeros(1, dtype=int), 10.0)
+    places = {x.place: x for x in options}
+    return Belief.of(cause, 5.0, places, twins, 0.01)
+
+
+def test_what_is_as_probable_as_something_unknown_is_there_by_half():
+    found = belief(proposed(SHARP, 20.0), Proposal(UNKNOWN.place, 20.0, Mock()))
+    assert found.probability == pytest.approx(0.5)
+
+
+def test_what_is_e_times_less_probable_counts_by_that():
+    found = belief(proposed(SHARP, 20.0), proposed(SOFT, 19.0))
+    (_, own), (_, other) = found.alike
+    assert other / own == pytest.approx(np.exp(-1.0))
+    assert found.probability == pytest.approx(1.0)
+
+
+def test_what_is_hardly_probable_is_not_alike_but_for_a_twin():
+    far = proposed(SOFT, 12.0)
+    assert len(belief(proposed(SHARP, 20.0), far).alike) == 1
+    assert len(belief(proposed(SHARP, 20.0), far, twins={far.place}).alike) == 2
+
+
+def test_the_plainer_of_two_that_are_as_probable_is_named():
+    cause = Cause(("presliding", (0,)), np.zeros(1, dtype=int), 10.0)
+    for gain, plainer in ((19.8, True), (19.0, False)):
+        both = {x.place: x for x in (proposed(SOFT, 20.0), proposed(SHARP, gain))}
+        found = Belief.of(cause, 5.0, both, (), 0.01).plainest(0.5)
+        assert (found is not None) == plainer
+
+
+def test_an_explanation_is_at_its_best_and_no_cause_is_worth_less_than_its_odds():
+    search = searched("ripple", "stribeck")
+    places = {c.place for c in search.causes}
+    assert places == {("torque_ripple", (0,)), ("stribeck", (1,))}
+    now = search.score(search.causes)
+    assert all(x.worth < 0.5 for x in search.proposals(search.causes))
+    for cause in search.causes:
+        assert search.score([c for c in search.causes if c is not cause]) < now
+
+
+def test_a_law_out_of_the_library_is_an_unknown_one_of_its_joint():
+    search = searched("ripple", without=("torque_ripple",))
+    assert search.causes
+    assert {c.candidate for c in search.causes} == {None}
+    assert {c.place[1] for c in search.causes} == {(0,)}
+
+
+def test_a_cause_has_to_help_on_recordings_that_were_not_learnt_from():
+    """Friction of the first three recordings, which the fourth does not have."""
+    recordings = [*logs("stribeck")[:3], logs()[3]]
+    gap = measure_gap(arm("planar"), recordings)
+    search = Search(gap, split(gap))
+    search.run()
+    assert ("stribeck", (1,)) in search.refused
+    assert ("stribeck", (1,)) not in {c.place for c in search.causes}
+    (fall,) = searched("stribeck").unseen().values()
+    assert fall > 0
+
+
+def test_the_squares_elsewhere_are_those_of_the_residual():
+    search = searched("ripple", "stribeck")
+    test, gains = search.test, search.evidence.solve(search.columns(search.causes))
+    squares = test.squares(search.causes)
+    for i in range(2):
+        left = test.evidence.residual(i, test.columns(search.causes), gains.gains)
+        assert squares[i] == pytest.approx(left @ left, rel=1e-6)
+
+
+def test_no_law_is_held_to_be_exact():
+    """A gap that is larger asks for more evidence at its joint, and only there."""
+    small, large = searched("stribeck"), searched("ripple", "stribeck")
+    more = [x.evidence.noise - x.noise for x in (small, large)]
+    assert np.all(more[0] > 0.0)
+    ripple = 0.5 * np.hypot(*RIPPLE.gain_values) ** 2  # its mean square
+    least = small.prior.inexact**2 * ripple  # of one sample that is like no other
+    assert more[1][0] - more[0][0] > least
+
+
+def test_unknown_laws_are_of_every_sample_and_finite():
+    gap = gap_of("stribeck")
+    laws = dict(unknown_laws(gap, 1))
+    assert {"position", "speed", "load", "time", "past of speed"} <= set(laws)
+    for x in laws.values():
+        assert x.shape[0] == len(gap.left) and np.isfinite(x).all()
+
+
+def test_waves_are_those_of_a_ripple():
+    gap = gap_of("ripple")
+    rows = np.flatnonzero(gap.moving[:, 0])
+    x = dict(waves(gap, 0, gap.left[rows, 0], rows))["waves of position"][rows]
+    y = gap.left[rows, 0]
+    left = y - x @ np.linalg.lstsq(x, y)[0]
+    assert left @ left < 0.1 * (y @ y)
