@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from hybrid.diagnose.background import background
+from hybrid.diagnose.background import background, rest
 from hybrid.diagnose.candidates import Candidate, candidate
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.gap import Columns, Gap
@@ -187,8 +187,9 @@ def _carries(gap: Gap, joints: Sequence[int]) -> bool:
 def _beside(gap: Gap, joints: Sequence[int]) -> tuple[Evidence, Index, list[Candidate]]:
     """Evidence with the background in it, and effects that may be there as well."""
     evidence = Evidence(gap)
-    rigid = np.concatenate(evidence.add(*background(gap)))
-    evidence.spread(rigid, _OFF)
+    numbers = np.concatenate(evidence.add(*background(gap)))
+    evidence.spread(numbers, _OFF)
+    rigid = np.concatenate([numbers, *evidence.add(*rest(gap))])
     found = [candidate(gap, kind((j,))) for kind in _BESIDE for j in joints]
     return evidence, rigid, found
 

@@ -205,11 +205,26 @@ class Search:
     def run(self) -> list[Cause]:
         """The most probable explanation whose causes hold on unseen recordings."""
         self._settle()
+        if len(self.known) < len(self.causes):
+            self._start_again()
         self.beliefs = self._believe()
         if self._simplify():
             self.beliefs = self._believe()
         self.whole = list(self.causes)
         return self.causes
+
+    def _start_again(self) -> None:
+        """Start from effects of the library, and keep the more probable explanation.
+
+        One unknown law may have been taken in where two or three known ones belong.
+        """
+        before = self.score(self.causes), self.causes, self.off
+        self.causes, self.refused = [], set()
+        for self.library_only in (True, False):
+            self._settle()
+        if self.score(self.causes) < before[0]:
+            _, self.causes, self.off = before
+            self.evidence.spread(self.numbers, self.off)
 
     def stand_in(self) -> None:
         """Let effects of the library stand in for unknown laws, as far as they help.
