@@ -19,9 +19,13 @@ from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.diagnose.bayes import log_bayes, memory, quiet
 from hybrid.diagnose.gap import Columns, Gap
-from hybrid.diagnose.products import Index, Products
+from hybrid.diagnose.noise import LAGS, autocovariance
+from hybrid.diagnose.products import Index, Products, slices
+from hybrid.diagnose.screening import Screening, by_size
 from hybrid.robot.chain import Array
 
+_NONE = np.zeros(0, dtype=np.intp)
+_SCREENS = 4  # that are kept: two bases, and on each causes and unknown laws
 _EXACT = 0.002  # of the torque: nearer than that no two solvers are
 # For columns of unit length.
 _RIDGES = 10.0 ** np.arange(-5, 5)
@@ -65,12 +69,15 @@ class Evidence(Products):
 
     Attributes:
         precision: Inverse prior variance of each gain, shape (K,).
+        covariances: Of each joint's noise at some lags, shape (p + 1,), [N²·m²].
     """
 
     def __init__(self, gap: Gap, use: NDArray[np.bool_] | None = None) -> None:
         super().__init__(gap, use)
         self.precision = np.zeros(0)
+        self.covariances = [np.ones(LAGS + 1) for _ in self.rows]
         self._size = np.zeros(0)
+        self._screened: dict[tuple[bytes, ...], Screening] = {}
         self._factored: tuple[bytes, tuple[Array, bool], Array]
         self._factored = b"", (np.zeros((0, 0)), False), np.zeros(0)
 
@@ -143,6 +150,7 @@ class Evidence(Products):
         blocks: Sequence[Index],
         lower: Sequence[Array],
         made_at: Sequence[Array | None] | None = None,
+        less: Index = _NONE,
     ) -> Array:
         """Gain in evidence by each block of columns on top of others, [nat].
 
@@ -151,33 +159,31 @@ class Evidence(Products):
             blocks: Candidates.
             lower: Smallest physical value of each gain of a candidate.
             made_at: Its gains, where its columns are of these alone; of each.
+            less: Columns of the base that are to be left out.
         """
         if not blocks:
             return np.zeros(0)
-        wanted, sizes = np.concatenate(blocks), np.array([len(x) for x in blocks])
-        first, second = _within(sizes)
-        across, own, moment = self.beside(base, wanted, first, second)
-        # In units of the prior, which differ by many orders of magnitude.
-        factor, b = self._factor(base)
-        across *= 1.0 / np.sqrt(self.precision[base])[:, None]
-        taken = cho_solve(factor, across)
-        H = own - np.einsum("kp,kp->p", across[:, first], taken[:, second])
-        s = moment - taken.T @ b
-        gains, known = np.empty(len(blocks)), made_at or [None] * len(blocks)
-        to, end = np.cumsum(sizes), np.cumsum(sizes**2)
-        alike: dict[tuple[int, bool], list[int]] = {}  # those are done at once
-        for m, (p, x) in enumerate(zip(sizes.tolist(), known, strict=True)):
-            alike.setdefault((p, x is not None), []).append(m)
-        for (p, fixed), which in alike.items():
-            squares = H[end[which, None] - p * p + np.arange(p * p)]
-            gains[which], _ = log_bayes(
-                squares.reshape(-1, p, p),
-                s[to[which, None] - p + np.arange(p)],
-                self.precision[np.stack([blocks[m] for m in which])],
-                np.stack([lower[m] for m in which]),
-                np.array([known[m] for m in which]) if fixed else None,
-            )
-        return gains
+        wanted = np.concatenate(blocks)
+        screening = self._screening(base, wanted, blocks)
+        known = made_at or [None] * len(blocks)
+        precision, least = self.precision[wanted], np.concatenate(lower)
+        return screening.worth(less, precision, least, known)
+
+    def _screening(
+        self, base: Index, wanted: Index, blocks: Sequence[Index]
+    ) -> Screening:
+        """Kept: the same base is asked for once without each of its parts."""
+        key = base.tobytes(), wanted.tobytes(), self.precision[base].tobytes()
+        if key not in self._screened:
+            places = by_size(blocks)
+            across, within, moment = self.beside(base, wanted, places)
+            across *= 1.0 / np.sqrt(self.precision[base])[:, None]
+            products = across, within, moment
+            found = Screening.of(base, places, products, *self._factor(base))
+            while len(self._screened) >= _SCREENS:
+                del self._screened[next(iter(self._screened))]
+            self._screened[key] = found
+        return self._screened[key]
 
     def trial(
         self,
@@ -211,11 +217,10 @@ class Evidence(Products):
         H, s = np.zeros((p, p)), np.zeros(p)
         across = np.zeros((len(base), p))
         for i, x in columns.items():
-            new = x[self.rows[i]]
-            H += new.T @ new / self.noise[i]
-            s += new.T @ self.left[i] / self.noise[i]
-            target, known = self.known(base, i)
-            across[target] += known.T @ new / self.noise[i]
+            target, beside, own, moment = self.cross(base, i, x[self.rows[i]])
+            across[target] += beside
+            H += own
+            s += moment
         factor, b = self._factor(base)
         across /= np.sqrt(self.precision[base])[:, None]
         H -= across.T @ cho_solve(factor, across)
@@ -248,34 +253,24 @@ class Evidence(Products):
             here = np.flatnonzero(np.isin(owner, index))
             back = np.argsort(row)
             left, noise, least = self._flexible(i, here, back)
+            found = [(noise, left, row[back])]
             # A few events may be all of that, and spoil the regression as well.
             for x in (left, self.left[i][back]):
                 calm = quiet(x, row[back], self.gap.rate)
                 if not calm.all():
                     usual = memory(x[calm], row[back][calm]) * np.mean(x[calm] ** 2)
-                    noise = min(noise, float(usual))
+                    found.append((float(usual), x[calm], row[back][calm]))
+            noise, *own = min(found, key=lambda x: x[0])
             self.noise[i] = max(noise, self._least_noise(i, least))
+            self.covariances[i] = covariance = autocovariance(*own, LAGS)
+            covariance *= noise / max(memory(*own) * covariance[0], 1e-300)
 
-    def lower_noise(self, index: Index) -> float:
-        """Lower the noise of joints where some columns miss less on folds left out.
-
-        With the terms known, few columns tell what noise is better than many.
-
-        Returns:
-            By what part it fell, where it fell most.
-        """
-        before = self.noise.copy()
-        whole = self.solve(index)
-        squares = self.squares(index, self.by_fold(index)).sum(axis=1)
-        for i, row in enumerate(self.rows):
-            if not len(row):
-                continue
-            back = np.argsort(row)
-            left = self.residual(i, whole.index, whole.gains)[back]
-            alike = memory(left, row[back])
-            noise = max(squares[i] / len(row) * alike, self._least_noise(i, alike))
-            self.noise[i] = min(self.noise[i], noise)
-        return float(np.max(1.0 - self.noise / before))
+    def _by_fold(self, i: int, here: Index) -> tuple[Array, Array]:
+        """Products of a joint's columns, and with the gap, on each fold."""
+        own, left = self._columns[i][:, : len(self._owner[i])][:, here], self.left[i]
+        parts = [(own[a:b], left[a:b]) for a, b in slices(self._edges[i])]
+        pairs = [(x.T @ x, x.T @ y) for x, y in parts]
+        return np.array([g for g, _ in pairs]), np.array([m for _, m in pairs])
 
     def _least_noise(self, i: int, alike: float) -> float:
         torque = self.gap.measured[self.rows[i], i]
@@ -297,7 +292,7 @@ class Evidence(Products):
         Source: Golub, Heath, Wahba 1979, doi 10.1080/00401706.1979.10489751 (what a
         ridge takes from noise).
         """
-        G, c = self._gram[i][:, here[:, None], here], self._moment[i][:, here]
+        G, c = self._by_fold(i, here)
         size = np.sqrt(np.maximum(np.diagonal(G.sum(axis=0)), 1e-300))
         G, c = G / size / size[:, None], c / size
         A, b, folds = G.sum(axis=0), c.sum(axis=0), list(zip(G, c, strict=True))
@@ -309,7 +304,7 @@ class Evidence(Products):
             weights[here] = _ridge(A.copy(), b, ridge) / size
             left = (self.left[i] - columns @ weights)[back]
             alike = memory(left, row)
-            variance = (self.power[i].sum() + power) / len(row)
+            variance = (self.left[i] @ self.left[i] + power) / len(row)
             found.append((left, variance * alike, alike, ridge))
         left, noise, alike, ridge = min(found, key=lambda x: x[1])
         kept = ridge * np.trace(_ridge(A, np.eye(len(A)), ridge))
@@ -324,11 +319,3 @@ def _ridge(A: Array, b: Array, ridge: float) -> Array:
     # Its transpose is in the order that LAPACK works in, so that nothing is copied.
     factor = cho_factor(A.T, lower=True, overwrite_a=True, check_finite=False)
     return np.asarray(cho_solve(factor, b, check_finite=False))
-
-
-def _within(sizes: Index) -> tuple[Index, Index]:
-    """All pairs of columns that are of the same block, shape (P,) each."""
-    starts = np.cumsum(sizes) - sizes
-    many = np.repeat(np.arange(len(sizes)), sizes**2)
-    inside = np.arange(len(many)) - np.repeat(np.cumsum(sizes**2) - sizes**2, sizes**2)
-    return starts[many] + inside // sizes[many], starts[many] + inside % sizes[many]

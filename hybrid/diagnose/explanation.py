@@ -169,8 +169,7 @@ def shares(search: Search, rng: np.random.Generator) -> Array:
         H = A[np.ix_(here, here)] + np.diag(evidence.precision[own])
         gains = np.linalg.solve(H, b[here] - A[here, :K] @ known)
         columns = np.concatenate([rigid, own])
-        squares = evidence.squares(columns, np.concatenate([known, gains])).sum(axis=1)
-        return float((squares / evidence.noise).sum())
+        return float(evidence.lost(columns, np.concatenate([known, gains])).sum())
 
     nothing = left([])
     for _ in range(_ORDERS if len(terms) > 2 else 1):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
+import numpy as np
+
 from hybrid.diagnose.candidates import (
     Candidate,
     Place,
@@ -125,26 +127,26 @@ class Pool:
         return [t.candidate for t in self.tried if t.place == place]
 
     def ranked(
-        self, base: Index, taken: Collection[Place] = ()
+        self, base: Index, taken: Collection[Place] = (), less: Index | None = None
     ) -> list[tuple[Candidate, float]]:
         """The best shape of each form of an effect at a place, most evidence first.
 
         Args:
             base: Columns that are in already.
             taken: Places of effects whose columns these are.
+            less: Columns of the base that are to be left out.
         """
-        terms = [
-            t for t in self.tried
-            if t.place not in taken or t.place[0] in REPEATED
-        ]  # fmt: skip
         gains = self.evidence.screen(
             base,
-            [t.index for t in terms],
-            [t.candidate.lower for t in terms],
-            [t.candidate.made_at for t in terms],
+            [t.index for t in self.tried],
+            [t.candidate.lower for t in self.tried],
+            [t.candidate.made_at for t in self.tried],
+            np.zeros(0, dtype=np.intp) if less is None else less,
         )
         best: dict[tuple[object, ...], tuple[Candidate, float]] = {}
-        for term, worth in zip(terms, gains, strict=True):
+        for term, worth in zip(self.tried, gains, strict=True):
+            if term.place in taken and term.place[0] not in REPEATED:
+                continue
             effect = term.candidate.effect
             inner = (x.name for x in effect.shapes if x.inner and x.whole)
             form = *term.place, *(effect.values[name] for name in inner)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.diagnose.gap import Columns, Gap
+from hybrid.diagnose.noise import Noise
 from hybrid.robot.chain import Array
 
 Index = NDArray[np.intp]
 
-_TAIL = 0.01  # of the squares of a column
 _ROOM = 64  # columns
 
 
@@ -20,7 +20,7 @@ class Products:
     """The gap, and columns that might explain it, multiplied with each other once.
 
     Columns are kept joint by joint: most effects reach one joint only. Nothing here
-    depends on the number of samples once a column is in.
+    depends on the number of samples once the noise is known and a column is in.
 
     Args:
         gap: The gap.
@@ -30,9 +30,9 @@ class Products:
         rows: Samples of each joint, fold by fold.
         folds: Numbers of the folds, shape (F,).
         left: The gap at each joint's rows, [N·m].
-        power: Its sum of squares, shape (n, F), [N²·m²].
         count: Number of samples, shape (n, F).
-        noise: Variance by which a joint's products are weighed, shape (n,), [N²·m²].
+        noise: Variance of independent samples of noise of each joint, shape (n,),
+            [N²·m²].
         size: Number of columns K.
     """
 
@@ -49,23 +49,23 @@ class Products:
             for r in self.rows
         ]
         self.left = [gap.left[r, i] for i, r in enumerate(self.rows)]
-        self.power = np.array(
-            [
-                [x[a:b] @ x[a:b] for a, b in zip(e[:-1], e[1:], strict=True)]
-                for x, e in zip(self.left, self._edges, strict=True)
-            ]
-        )  # (n, F)
         self.count = np.array([np.diff(e) for e in self._edges])  # (n, F)
         self.noise = np.ones(n)
         self.size = 0
-        F = len(self.folds)
+        self._processes: list[Noise] | None = None
+        self._white = [x[:, None] for x in self.left]  # as independent samples
         self._owner: list[list[int]] = [[] for _ in range(n)]
         # With room for more: what is taken in one by one is not copied each time.
         self._columns = [np.zeros((len(r), 0)) for r in self.rows]
-        self._gram = [np.zeros((F, 0, 0)) for _ in range(n)]
-        self._moment = [np.zeros((F, 0)) for _ in range(n)]
         self._sums = [(np.zeros((0, 0)), np.zeros(0)) for _ in range(n)]
+        self._done = [0] * n  # columns that are in the sums
         self._kept: tuple[bytes, dict[int, tuple[Index, Array]]] = b"", {}
+
+    @property
+    def power(self) -> Array:
+        """Sum of squares of the gap, shape (n, F), [N²·m²]."""
+        pairs = zip(self.left, self._edges, strict=True)
+        return np.array([_by_fold(x**2, e) for x, e in pairs])
 
     def take(self, blocks: Sequence[Columns], sizes: Sequence[int]) -> list[Index]:
         """Take in columns.
@@ -89,39 +89,65 @@ class Products:
             self.size += count
         for i, parts in enumerate(fresh):
             if parts:
-                self._extend(i, np.concatenate(parts, axis=1), names[i])
+                self._extend(i, self._whiten(i, np.hstack(parts)), names[i])
         return index
+
+    def weigh(self, covariances: Sequence[Array]) -> None:
+        """Let noise be processes from now on.
+
+        Args:
+            covariances: Of each joint, at lags from zero on, shape (p + 1,), [N²·m²].
+        """
+        gap, self._processes = self.gap, []
+        for rows, covariance in zip(self.rows, covariances, strict=True):
+            follows = np.diff(rows, prepend=-2) == 1
+            for part in (gap.fold, gap.trajectory):
+                follows &= np.diff(part[rows], prepend=-1) == 0
+            self._processes.append(Noise(covariance, follows))
+        self._kept = b"", {}
+        for i, names in enumerate(self._owner):
+            self._white[i] = self._whiten(i, self.left[i][:, None])
+            columns = self._whiten(i, self._columns[i][:, : len(names)])
+            self._owner[i], self._columns[i] = [], columns[:, :0]
+            self._done[i] = 0
+            self._extend(i, columns, names)
+
+    def _whiten(self, i: int, x: Array) -> Array:
+        return x if self._processes is None else self._processes[i].whiten(x)
+
+    def _weight(self, i: int) -> float:
+        """What a product of whitened samples counts."""
+        return 1.0 if self._processes is not None else float(1.0 / self.noise[i])
 
     def _extend(self, i: int, new: Array, names: list[int]) -> None:
         k, whole = len(self._owner[i]), len(self._owner[i]) + new.shape[1]
-        self._make_room(i, whole)
-        columns, gram, moment = self._columns[i], self._gram[i], self._moment[i]
-        columns[:, k:whole] = new
-        for f, (a, b) in enumerate(
-            zip(self._edges[i][:-1], self._edges[i][1:], strict=True)
-        ):
-            cross = columns[a:b, :whole].T @ new[a:b]
-            gram[f, :whole, k:whole], gram[f, k:whole, :whole] = cross, cross.T
-            moment[f, k:whole] = new[a:b].T @ self.left[i][a:b]
+        if whole > self._columns[i].shape[1]:
+            self._columns[i] = _roomier(self._columns[i], k, whole + _ROOM, axes=(1,))
+        self._columns[i][:, k:whole] = new
         self._owner[i] += names
-        total, sums = np.zeros((whole, whole)), self._sums[i]
-        total[:k, :k] = sums[0]
-        total[:, k:] = gram[:, :whole, k:whole].sum(axis=0)
-        total[k:, :k] = total[:k, k:].T
-        own = moment[:, k:whole].sum(axis=0)
-        self._sums[i] = total, np.concatenate([sums[1], own])
 
-    def _make_room(self, i: int, wanted: int) -> None:
-        if wanted <= self._columns[i].shape[1]:
-            return
-        k, room = len(self._owner[i]), wanted + _ROOM
-        F = len(self.folds)
-        columns, gram = np.empty((len(self.rows[i]), room)), np.empty((F, room, room))
-        moment = np.empty((F, room))
-        columns[:, :k] = self._columns[i][:, :k]
-        gram[:, :k, :k] = self._gram[i][:, :k, :k]
-        moment[:, :k] = self._moment[i][:, :k]
-        self._columns[i], self._gram[i], self._moment[i] = columns, gram, moment
+    def _multiplied(self, i: int) -> tuple[Array, Array]:
+        """Products of all columns of a joint, and with the gap."""
+        whole, columns = len(self._owner[i]), self._columns[i]
+        (gram, moment), k = self._sums[i], self._done[i]
+        if whole > k:
+            if whole > len(moment):
+                gram = _roomier(gram, k, whole + _ROOM, axes=(0, 1))
+                moment = _roomier(moment, k, whole + _ROOM, axes=(0,))
+            new = columns[:, k:whole]
+            gram[:whole, k:whole] = columns[:, :whole].T @ new
+            gram[k:whole, :k] = gram[:k, k:whole].T
+            moment[k:whole] = new.T @ self._white[i][:, 0]
+            self._sums[i], self._done[i] = (gram, moment), whole
+        return gram, moment
+
+    def _here(self, i: int, index: Index) -> tuple[Index, Index]:
+        """Which columns of a joint are among some, and which of these they are."""
+        where = np.full(self.size, -1)
+        where[index] = np.arange(len(index))
+        target = where[self._owner[i]]
+        here = np.flatnonzero(target >= 0)
+        return here, target[here]
 
     def normal(self, index: Index, folds: Index | None = None) -> tuple[Array, Array]:
         """Normal matrix (k, k) and vector (k,) of some columns, weighed by noise.
@@ -131,69 +157,77 @@ class Products:
             folds: Which folds count; all by default.
         """
         A, b = np.zeros((len(index), len(index))), np.zeros(len(index))
-        where = np.full(self.size, -1)
-        where[index] = np.arange(len(index))
-        for i, owner in enumerate(self._owner):
-            target = where[owner]
-            here = np.flatnonzero(target >= 0)
-            at = target[here]
-            gram, moment = (x[here] for x in self._sums[i])
-            gram = gram[:, here]
-            if folds is not None:
-                gram = self._gram[i][np.ix_(folds, here, here)].sum(axis=0)
-                moment = self._moment[i][np.ix_(folds, here)].sum(axis=0)
-            A[np.ix_(at, at)] += gram / self.noise[i]
-            b[at] += moment / self.noise[i]
+        for i in range(len(self.rows)):
+            here, at = self._here(i, index)
+            if folds is None and self._processes is not None:
+                gram, moment = self._multiplied(i)
+                gram, moment = gram[np.ix_(here, here)], moment[here]
+            else:
+                use = self._among(i, folds)
+                columns = self._columns[i][use, : len(self._owner[i])][:, here]
+                gram, moment = columns.T @ columns, columns.T @ self._white[i][use, 0]
+            A[np.ix_(at, at)] += gram * self._weight(i)
+            b[at] += moment * self._weight(i)
         return A, b
 
+    def _among(self, i: int, folds: Index | None) -> NDArray[np.bool_]:
+        number = np.repeat(np.arange(len(self.folds)), self.count[i])
+        return np.ones(len(number), bool) if folds is None else np.isin(number, folds)
+
     def beside(
-        self, base: Index, wanted: Index, first: Index, second: Index
-    ) -> tuple[Array, Array, Array]:
+        self, base: Index, wanted: Index, places: Mapping[int, Index]
+    ) -> tuple[Array, dict[int, Array], Array]:
         """Cross-products of columns, weighed by noise.
 
         Args:
             base: Some columns, shape (k,).
             wanted: Others, shape (K,).
-            first: Which of the others to multiply, shape (P,).
-            second: And with which, shape (P,).
+            places: Which of the others make up blocks of one size p, shape (B, p) each.
 
         Returns:
-            Those of the two, shape (k, K); those among the others, shape (P,); and
-            with the gap, shape (K,).
+            Those of the two, shape (k, K); those within the blocks of a size, shape
+            (B, p, p); and with the gap, shape (K,).
         """
-        across = np.zeros((len(base), len(wanted)))
-        own, moment = np.zeros(len(first)), np.zeros(len(wanted))
-        for i, owner in enumerate(self._owner):
-            place = np.full(self.size, -1)
-            place[owner] = np.arange(len(owner))
-            (gram, beside), k, m = self._sums[i], place[base], place[wanted]
-            here, there = np.flatnonzero(k >= 0), np.flatnonzero(m >= 0)
-            block = gram[np.ix_(k[here], m[there])]
-            across[np.ix_(here, there)] += block / self.noise[i]
-            both = np.flatnonzero((m[first] >= 0) & (m[second] >= 0))
-            own[both] += gram[m[first[both]], m[second[both]]] / self.noise[i]
-            moment[there] += beside[m[there]] / self.noise[i]
-        return across, own, moment
+        across, moment = np.zeros((len(base), len(wanted))), np.zeros(len(wanted))
+        within = {p: np.zeros((*x.shape, p)) for p, x in places.items()}
+        for i in range(len(self.rows)):
+            gram, beside, weight = *self._multiplied(i), self._weight(i)
+            (here, k), (there, m) = self._here(i, base), self._here(i, wanted)
+            across[np.ix_(k, m)] += gram[np.ix_(here, there)] * weight
+            moment[m] += beside[there] * weight
+            mine = np.full(len(wanted), -1)
+            mine[m] = there
+            for p, x in places.items():
+                use = mine[x[:, 0]] >= 0  # a block is all of a joint, or not at all
+                at = mine[x[use]]
+                within[p][use] += gram[at[:, :, None], at[:, None, :]] * weight
+        return across, within, moment
 
     def known(self, base: Index, i: int) -> tuple[Index, Array]:
         """Columns of a joint that are in a base, with their place in it; kept."""
         if self._kept[0] != base.tobytes():
             self._kept = base.tobytes(), {}
         if i not in self._kept[1]:
-            where = np.full(self.size, -1)
-            where[base] = np.arange(len(base))
-            target = where[self._owner[i]]
-            here = np.flatnonzero(target >= 0)
-            self._kept[1][i] = target[here], self._columns[i][:, here]
+            here, target = self._here(i, base)
+            self._kept[1][i] = target, self._columns[i][:, here]
         return self._kept[1][i]
 
-    def folds_with(self, index: Index) -> int:
-        """Number of folds in which some columns are more than the tail of a filter."""
-        power = np.zeros(len(self.folds))
-        for gram, owner in zip(self._gram, self._owner, strict=True):
-            here = np.flatnonzero(np.isin(owner, index))
-            power += gram[:, here, here].sum(axis=1)
-        return int(np.count_nonzero(power > _TAIL * power.max()))
+    def cross(self, base: Index, i: int, x: Array) -> tuple[Index, Array, Array, Array]:
+        """Cross-products of columns that are not in, weighed by noise.
+
+        Args:
+            base: Columns that are in, shape (k,).
+            i: Joint.
+            x: Its columns, shape (R, p).
+
+        Returns:
+            Which of the base reach the joint, and products with these, of the columns
+            with each other and with the gap.
+        """
+        new, (target, known) = self._whiten(i, x), self.known(base, i)
+        parts = (known.T @ new, new.T @ new, new.T @ self._white[i][:, 0])
+        across, own, moment = (self._weight(i) * part for part in parts)
+        return target, across, own, moment
 
     def squares(self, index: Index, gains: Array) -> Array:
         """Sum of squares left on each joint and fold, shape (n, F), [N²·m²].
@@ -203,32 +237,57 @@ class Products:
             gains: Their gains, shape (k,); or on each fold its own, shape (F, k).
         """
         gains = np.broadcast_to(gains, (len(self.folds), len(index)))
-        out = self.power.copy()
-        where = np.full(self.size, -1)
-        where[index] = np.arange(len(index))
-        for i, owner in enumerate(self._owner):
-            target = where[owner]
-            here = np.flatnonzero(target >= 0)
-            g = gains[:, target[here]]
-            gram = self._gram[i][:, here[:, None], here]
-            out[i] += np.einsum("fk,fkl,fl->f", g, gram, g)
-            out[i] -= 2 * np.einsum("fk,fk->f", g, self._moment[i][:, here])
-        return np.asarray(out)
+        left = [self._left_by_fold(i, index, gains) for i in range(len(self.rows))]
+        pairs = zip(left, self._edges, strict=True)
+        return np.array([_by_fold(x**2, e) for x, e in pairs])
+
+    def _left_by_fold(self, i: int, index: Index, gains: Array) -> Array:
+        (here, at), left = self._here(i, index), self._white[i][:, 0].copy()
+        columns = self._columns[i][:, here]
+        for g, (a, b) in zip(gains, slices(self._edges[i]), strict=True):
+            left[a:b] -= columns[a:b] @ g[at]
+        return self._coloured(i, left)
+
+    def _coloured(self, i: int, x: Array) -> Array:
+        return x if self._processes is None else self._processes[i].colour(x)
+
+    def lost(self, index: Index, gains: Array) -> Array:
+        """Squares that gains leave at each joint, weighed by noise, shape (n,)."""
+        out = np.zeros(len(self.rows))
+        for i in range(len(self.rows)):
+            here, at = self._here(i, index)
+            left = self._white[i][:, 0] - self._columns[i][:, here] @ gains[at]
+            out[i] = self._weight(i) * (left @ left)
+        return out
 
     def made(self, index: Index, gains: Array) -> Array:
         """Squares of what gains make at each joint, weighed by noise, shape (n,)."""
-        out, order = np.zeros(len(self.rows)), np.argsort(index)
-        for i, owner in enumerate(self._owner):
-            here = np.flatnonzero(np.isin(owner, index))
-            own = np.asarray(owner)[here]
-            g = gains[order[np.searchsorted(index[order], own)]]
-            out[i] = g @ self._sums[i][0][np.ix_(here, here)] @ g / self.noise[i]
+        out = np.zeros(len(self.rows))
+        for i in range(len(self.rows)):
+            here, at = self._here(i, index)
+            torque = self._columns[i][:, here] @ gains[at]
+            out[i] = self._weight(i) * (torque @ torque)
         return out
 
     def residual(self, i: int, index: Index, gains: Array) -> Array:
         """What gains leave of the gap at a joint, in the order of ``rows[i]``."""
-        full = np.zeros(self.size)
-        full[index] = gains
-        owner = self._owner[i]
-        fitted = self._columns[i][:, : len(owner)] @ full[owner]
-        return np.asarray(self.left[i] - fitted)
+        gains = np.broadcast_to(gains, (len(self.folds), len(index)))
+        return self._left_by_fold(i, index, gains)
+
+
+def _roomier(x: Array, used: int, size: int, axes: tuple[int, ...]) -> Array:
+    """The same with room for more along some axes."""
+    shape, own = list(x.shape), [slice(None)] * x.ndim
+    for axis in axes:
+        shape[axis], own[axis] = size, slice(used)
+    out = np.empty(shape)
+    out[tuple(own)] = x[tuple(own)]
+    return out
+
+
+def slices(edges: Index) -> list[tuple[int, int]]:
+    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+
+def _by_fold(x: Array, edges: Index) -> Array:
+    return np.array([x[a:b].sum() for a, b in slices(edges)])

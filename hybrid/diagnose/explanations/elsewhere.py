@@ -37,6 +37,7 @@ class Elsewhere:
         self._search, self.use, gap = search, use, search.gap
         self.evidence = Evidence(gap, use)
         self.evidence.noise = search.evidence.noise
+        self.evidence.weigh(search.covariances)
         numbers, *more = (
             self.evidence.add(*x) for x in (background(gap), rest(gap), clocks(gap))
         )
@@ -59,10 +60,16 @@ class Elsewhere:
 
     def squares(self, causes: Sequence[Cause]) -> Array:
         """Squares that some causes leave as they were learnt, (n,), [N²·m²]."""
+        squares = self.evidence.squares(self.columns(causes), self._gains(causes))
+        return np.asarray(squares.sum(axis=1))
+
+    def lost(self, causes: Sequence[Cause]) -> Array:
+        """The same squares weighed by noise, shape (n,)."""
+        return self.evidence.lost(self.columns(causes), self._gains(causes))
+
+    def _gains(self, causes: Sequence[Cause]) -> Array:
         search = self._search
-        gains = search.evidence.solve(search.columns(causes)).gains
-        left = self.evidence.squares(self.columns(causes), gains)
-        return np.asarray(left.sum(axis=1))
+        return search.evidence.solve(search.columns(causes)).gains
 
     @cached_property
     def count(self) -> Array:

@@ -32,6 +32,7 @@ from hybrid.diagnose.explanations.elsewhere import Elsewhere
 from hybrid.diagnose.explanations.proposal import Proposal
 from hybrid.diagnose.explanations.unknown import WAVES, unknown_laws, waves
 from hybrid.diagnose.gap import Columns, Gap
+from hybrid.diagnose.noise import LAGS, autocovariance, floored
 from hybrid.diagnose.pool import Pool
 from hybrid.diagnose.prior import Prior
 from hybrid.diagnose.products import Index
@@ -74,44 +75,47 @@ class Search:
         self.rigid = np.concatenate([self.numbers, *own])
         self.pool = Pool(self.evidence, without)
         self.pool.take_ripples(self.rigid, _RIPPLES)
-        self._waves: dict[Place, Array] = {}
-        self.laws = [law for j in range(gap.robot.size) for law in self._wavy_laws(j)]
         self.evidence.estimate_noise(np.arange(self.evidence.size))
-        self._add_inexactness()
+        self._weigh()
         self.pool.take_contacts(self.rigid)
         self.pool.take_steep(self.rigid)
-        self.laws += [law for j in range(gap.robot.size) for law in self._laws(j)]
+        self._waves: dict[Place, Array] = {}
+        self.laws = [law for j in range(gap.robot.size) for law in self._laws(j)]
+        self._kept: dict[tuple[object, ...], tuple[Candidate, float]] = {}
         self.causes: list[Cause] = []
         self.refused: set[Place] = set()
         self.beliefs: list[Belief] = []  # of the known causes, once it has run
         self.whole: list[Cause] = []  # all causes, once it has run
         self.library_only = False
 
-    def _add_inexactness(self) -> None:
-        """No law explains its part of a gap exactly, and no simulator all torque.
+    def _weigh(self) -> None:
+        """Let noise be what it is, and what no law and no simulator has exactly.
 
-        What they leave is as slow as what they are of.
+        What these leave is as slow as what they are of. The stop band of a filter has
+        no less noise than the upper half of its band.
         """
-        evidence, rigid = self.evidence, self.evidence.solve(self.rigid)
-        self.noise = evidence.noise.copy()
+        evidence, rigid, gap = self.evidence, self.evidence.solve(self.rigid), self.gap
+        self.noise, covariances = evidence.noise.copy(), list[Array]()
         for i, rows in enumerate(evidence.rows):
-            if not len(rows):
-                continue
-            back = np.argsort(rows)
-            left = evidence.residual(i, rigid.index, rigid.gains)[back]
-            torque = self.gap.measured[rows[back], i]
-            parts = (
-                (left, self.prior.inexact),
-                (torque - torque.mean(), self.prior.solver),
-            )
-            for x, part in parts:
-                evidence.noise[i] += part**2 * np.mean(x**2) * memory(x, rows[back])
+            covariance = evidence.covariances[i].copy()
+            if len(rows):
+                back = np.argsort(rows)
+                left = evidence.residual(i, rigid.index, rigid.gains)[back]
+                torque = gap.measured[rows[back], i]
+                torque -= np.mean(torque)
+                law = self.prior.inexact**2 * autocovariance(left, rows[back], LAGS)
+                solver = self.prior.solver**2 * np.mean(torque**2)
+                solver *= memory(torque, rows[back])
+                evidence.noise[i] += solver + law[0] * memory(left, rows[back])
+                covariance += law
+                covariance[0] += law[0] + solver
+            covariances.append(floored(covariance, gap.cutoff / gap.rate))
+        evidence.weigh(covariances)
+        self.covariances = covariances
 
     def _wavy_laws(self, joint: int) -> Iterator[Cause]:
         """Waves that stand out of what the background leaves, picked out of many."""
         evidence, rows = self.evidence, self.evidence.rows[joint]
-        if not len(rows):
-            return
         found = evidence.solve(self.rigid)
         left = evidence.residual(joint, found.index, found.gains)
         for name, x in waves(self.gap, joint, left, rows):
@@ -124,11 +128,12 @@ class Search:
         if len(self.evidence.rows[joint]):
             for name, x in unknown_laws(self.gap, joint):
                 yield self._law(name, joint, x, self.prior.unknown)
+            yield from self._wavy_laws(joint)
 
     def _law(self, name: str, joint: int, x: Array, cost: float) -> Cause:
         rows, torque = self.evidence.rows[joint], self.gap.scales[joint].torque
-        size = np.sqrt(np.mean(x[rows] ** 2, axis=0)) + 1e-12
-        std = self.prior.size * torque / size / np.sqrt(x.shape[1])
+        size = np.sqrt(np.mean(np.sum(x[rows] ** 2, axis=1))) + 1e-12
+        std = np.full(x.shape[1], self.prior.size * torque / size)
         (index,) = self.evidence.add([{joint: x}], [std])
         return Cause((name, (joint,)), index, cost)
 
@@ -330,23 +335,39 @@ class Search:
             own: A cause that is not among them, whose shapes are fitted anew.
         """
         base, found = self.columns(causes), list[Proposal]()
-        ranked = [c for c, _ in self.pool.ranked(base, {c.place for c in causes})]
+        whole, less = base, base[:0]
+        if own is not None and own in self.causes:
+            whole, less = self.columns(self.causes), own.index
+        taken = {c.place for c in causes}
+        ranked = [c for c, _ in self.pool.ranked(whole, taken, less)]
         ranked = [c for c in ranked if c.place not in self.refused]
         short = ranked[: self.prior.shortlist]
         if own is not None and own.candidate is not None:
             short = [own.candidate, *short]
         for c in short:
-            better, worth = refine(self.evidence, base, c)
+            better, worth = self._refined(base, c)
             make = partial(self.cause, better)
             found.append(Proposal(c.place, worth - self.prior.cause, make, better))
         laws = self._open_laws(causes)
         if laws and not self.library_only:
-            none = [np.full(len(x.index), -np.inf) for x in laws]
-            gained = self.evidence.screen(base, [x.index for x in laws], none)
-            k = int(np.argmax(gained))
-            law, gain = laws[k], float(gained[k]) - laws[k].cost
-            found.append(Proposal(law.place, gain, lambda: law))
+            none = [np.full(len(x.index), -np.inf) for x in self.laws]
+            every = [x.index for x in self.laws]
+            gained = self.evidence.screen(whole, every, none, less=less)
+            worths = {
+                x: float(gain) - x.cost
+                for x, gain in zip(self.laws, gained, strict=True)
+            }
+            law = max(laws, key=lambda x: worths[x])
+            found.append(Proposal(law.place, worths[law], lambda: law))
         return sorted(found, key=lambda x: -x.worth)
+
+    def _refined(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
+        """See :func:`.refine.refine`; kept, for the same is asked again and again."""
+        shapes = tuple(c.effect.values.items())
+        key = base.tobytes(), self.off, c.place, shapes
+        if key not in self._kept:
+            self._kept[key] = refine(self.evidence, base, c)
+        return self._kept[key]
 
     def _open_laws(self, causes: Collection[Cause]) -> list[Cause]:
         """Unknown laws that are not among some causes, where there are few yet."""
@@ -426,7 +447,7 @@ class Search:
     def _lost(self, causes: Sequence[Cause]) -> float:
         """What some causes lose on unseen samples, less what a fit says, [nat]."""
         seen, unseen = self.evidence, self.test.evidence
-        lost = float((self.test.squares(causes) / seen.noise).sum())
+        lost = float(self.test.lost(causes).sum())
         # As if as much were unseen as was learnt from.
         lost *= seen.count.sum() / max(unseen.count.sum(), 1)
         strain = seen.strain(seen.solve(self.columns(causes)), self.rigid)

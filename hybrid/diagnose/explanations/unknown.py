@@ -15,34 +15,36 @@ from hybrid.signals.filters import butterworth
 
 _KNOTS = 14
 _COARSE = 6
+_LENGTHS = 0.5, 0.1  # of the range, in which a law changes
+_LEAST = 1e-3  # of the power of its slowest change
 _SLOW = 0.3  # of the cut-off
 WAVES = 3
 _SLOWEST = 0.5  # Hz, of a wave in time
 
 
 def unknown_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
-    """What a law is of, and functions at every sample, shape (M, d), of size one."""
+    """What a law is of, and features at every sample, shape (M, d)."""
     # Derivatives of positions hold their noise, and so does the residual.
     m = replace(gap.sampled, a=_slow(gap, gap.sampled.a))
     load = _slow(gap, gap.load[:, joint])
     q, v, a = m.q[:, joint], m.v[:, joint], m.a[:, joint]
     sign = np.tanh(v / (0.02 * np.abs(v).max() + 1e-12))
-    yield "position", _hats(q, 2 * _KNOTS)
-    yield "speed", _hats(np.sign(v) * np.sqrt(np.abs(v)), 2 * _KNOTS)
-    yield "acceleration", _hats(a, _KNOTS)
-    yield "load", _hats(load, _KNOTS)
-    yield "time", _hats(m.t, 2 * _KNOTS)
+    yield "position", _smooth(q, 2 * _KNOTS)
+    yield "speed", _smooth(np.sign(v) * np.sqrt(np.abs(v)), 2 * _KNOTS)
+    yield "acceleration", _smooth(a, _KNOTS)
+    yield "load", _smooth(load, _KNOTS)
+    yield "time", _smooth(m.t, 2 * _KNOTS)
     for name, x in (("position", q), ("load", load), ("acceleration", a)):
-        yield f"direction and {name}", sign[:, None] * _hats(x, _KNOTS)
-    yield "speed and time", v[:, None] * _hats(m.t, _KNOTS)
-    yield "speed and position", _products(_hats(q, _COARSE), _hats(v, _COARSE))
-    yield "load and position", _products(_hats(q, _COARSE), _hats(load, _COARSE))
+        yield f"direction and {name}", sign[:, None] * _smooth(x, _KNOTS)
+    yield "speed and time", v[:, None] * _smooth(m.t, _KNOTS)
+    yield "speed and position", _products(_smooth(q, _COARSE), _smooth(v, _COARSE))
+    yield "load and position", _products(_smooth(q, _COARSE), _smooth(load, _COARSE))
     for k in range(gap.robot.size):
         if k != joint:
             other = gap.robot.joints[k]
-            yield f"speed of {other}", _hats(m.v[:, k], _KNOTS)
-            yield f"acceleration of {other}", _hats(m.a[:, k], _KNOTS)
-            yield f"position of {other}", _products(_hats(q, 4), _hats(m.q[:, k], 4))
+            yield f"speed of {other}", _smooth(m.v[:, k], _KNOTS)
+            yield f"acceleration of {other}", _smooth(m.a[:, k], _KNOTS)
+            yield f"position of {other}", _products(_smooth(q, 4), _smooth(m.q[:, k], 4))
     side = np.tanh(load / (0.02 * np.abs(load).max() + 1e-12))
     past = {"speed": _slow(gap, v), "load": load, "direction": sign, "side": side}
     for name, x in past.items():
@@ -85,12 +87,20 @@ def _slow(gap: Gap, x: Array) -> Array:
     return np.concatenate([butterworth(p, rate=gap.rate, cutoff=cutoff) for p in parts])
 
 
-def _hats(x: Array, count: int) -> Array:
-    """Linear hat functions over the range of x, shape (M, count)."""
+def _smooth(x: Array, count: int) -> Array:
+    """Features of a smooth function over the range of x, shape (M, d).
+
+    With independent gains of deviation one they are a Gaussian process, of one long and
+    one short length, that is linear between some knots.
+    """
     low, high = np.quantile(x, [0.002, 0.998])
     place = np.clip((x - low) / max(high - low, 1e-12), 0.0, 1.0) * (count - 1)
-    hats = 1.0 - np.abs(place[:, None] - np.arange(count))
-    return np.asarray(np.maximum(hats, 0.0))
+    hats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(count)), 0.0)
+    apart = np.subtract.outer(np.arange(count), np.arange(count)) / (count - 1)
+    alike = np.mean([np.exp(-0.5 * (apart / scale) ** 2) for scale in _LENGTHS], axis=0)
+    power, modes = np.linalg.eigh(alike)
+    kept = power > _LEAST * power.max()
+    return np.asarray(hats @ (modes[:, kept] * np.sqrt(power[kept])))
 
 
 def _products(a: Array, b: Array) -> Array:
