@@ -89,7 +89,7 @@ def test_screening_and_trying_add_what_solving_both_says():
         evidence.solve(np.concatenate(index)).evidence - evidence.solve(base).evidence
     )
     (screened,) = evidence.screen(base, [index[2]], [lower[2]])
-    tried, gains = evidence.trial(base, blocks[2], std[2], lower[2])
+    tried, gains, _ = evidence.trial(base, blocks[2], std[2], lower[2])
     assert screened == pytest.approx(difference)
     assert tried == pytest.approx(difference)
     whole = evidence.solve(np.concatenate(index)).gains

@@ -10,6 +10,7 @@ from hybrid.robot.chain import Array
 from hybrid.signals import butterworth
 
 _OWN = 0.3  # of the gain that columns are of, or it of that; noise lessens it
+_WIDER = 1.0, 10.0, 100.0  # each decade is ten times less probable
 _STRETCH = 0.5  # s, in which noise is as large as ever
 _EVENT = 8.0  # times the usual mean square
 _HALF, _EDGE = 0.5, 0.85  # of the cut-off; there the filter is felt
@@ -55,6 +56,29 @@ def log_bayes(
         worth = np.where(fixed, _quadratic(H, s, made_at), worth)
         gains = np.where(fixed[..., None], made_at, gains)
     return np.asarray(worth), gains
+
+
+def heavy_tailed(
+    H: Array,
+    s: Array,
+    precision: Array,
+    lower: Array,
+    made_at: Array | None = None,
+) -> tuple[Array, Array, Array]:
+    """:func:`log_bayes` with a prior that may be wider by some decades, at a cost.
+
+    Files hold placeholders, and drives of all sizes: what is usual is not known well.
+
+    Returns:
+        The logarithm of the evidence, [nat], shape (...), the most probable gains,
+        shape (..., p), and how many times wider the prior is, shape (...).
+    """
+    found = [log_bayes(H, s, precision / wider**2, lower, made_at) for wider in _WIDER]
+    worth = np.array([x - np.log(w) for (x, _), w in zip(found, _WIDER, strict=True)])
+    best = np.argmax(worth, axis=0)
+    gains = np.array([g for _, g in found])
+    chosen = np.take_along_axis(gains, best[None, ..., None], axis=0)[0]
+    return worth.max(axis=0), chosen, np.array(_WIDER)[best]
 
 
 def _quadratic(A: Array, b: Array, x: Array) -> Array:

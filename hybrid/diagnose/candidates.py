@@ -57,11 +57,13 @@ class Candidate:
         effect: The effect; its shapes count, its gains do not.
         std: Prior standard deviation of each gain, shape (p,).
         lower: Smallest physical gain, shape (p,); −inf without one.
+        wider: How many times wider than usual the prior is.
     """
 
     effect: Effect
     std: Array
     lower: Array
+    wider: float = 1.0
 
     @property
     def place(self) -> Place:

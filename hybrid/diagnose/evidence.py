@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from hybrid.diagnose.bayes import log_bayes, memory, quiet
+from hybrid.diagnose.bayes import heavy_tailed, memory, quiet
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.diagnose.noise import LAGS, autocovariance
 from hybrid.diagnose.products import Index, Products, slices
@@ -58,6 +59,20 @@ class Solution:
     def _rows(self, columns: Index) -> Index:
         order = np.argsort(self.index)
         return order[np.searchsorted(self.index[order], columns)]
+
+
+class Trial(NamedTuple):
+    """What columns add to an explanation.
+
+    Attributes:
+        worth: Gain in evidence, [nat].
+        gains: The most probable gains, shape (p,).
+        wider: How many times wider than usual their prior is.
+    """
+
+    worth: float
+    gains: Array
+    wider: float
 
 
 class Evidence(Products):
@@ -192,8 +207,8 @@ class Evidence(Products):
         std: Array,
         lower: Array,
         made_at: Array | None = None,
-    ) -> tuple[float, Array]:
-        """Gain in evidence, [nat], by columns that are not in, and their gains (p,).
+    ) -> Trial:
+        """Gain in evidence by columns that are not in.
 
         Args:
             base: Columns that are in already.
@@ -204,8 +219,8 @@ class Evidence(Products):
         """
         H, s = self._beyond(base, columns, len(std))
         weight = 1.0 / np.maximum(std, 1e-12) ** 2
-        gain, gains = log_bayes(H, s, weight, lower, made_at)
-        return float(gain), gains
+        worth, gains, wider = heavy_tailed(H, s, weight, lower, made_at)
+        return Trial(float(worth), gains, float(wider))
 
     def at(self, base: Index, columns: Columns, gains: Array) -> float:
         """Log-likelihood that columns that are not in add at gains (p,), [nat]."""

@@ -133,7 +133,7 @@ class Pool:
 
         Args:
             base: Columns that are in already.
-            taken: Places of effects whose columns these are.
+            taken: Places where nothing more may be.
             less: Columns of the base that are to be left out.
         """
         gains = self.evidence.screen(
@@ -145,7 +145,7 @@ class Pool:
         )
         best: dict[tuple[object, ...], tuple[Candidate, float]] = {}
         for term, worth in zip(self.tried, gains, strict=True):
-            if term.place in taken and term.place[0] not in REPEATED:
+            if term.place in taken:
                 continue
             effect = term.candidate.effect
             inner = (x.name for x in effect.shapes if x.inner and x.whole)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from hybrid.diagnose.candidates import Candidate, scale_of, with_gains
-from hybrid.diagnose.evidence import Evidence
+from hybrid.diagnose.evidence import Evidence, Trial
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.shapes import fit_shapes, nudges, price
 from hybrid.effects import Effect
@@ -43,14 +43,18 @@ def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, fl
         effect, best = first, start
     if effect.linearised:
         effect, best = _exact(evidence, base, replace(c, effect=effect))
-    return replace(c, effect=effect), best
+    better = replace(c, effect=effect)
+    return replace(better, wider=_tried(evidence, base, better).wider), best
 
 
 def gain(evidence: Evidence, base: Index, c: Candidate) -> float:
     """Evidence that a candidate adds, less the price of its shapes, [nat]."""
+    return _tried(evidence, base, c).worth - price(c.effect)
+
+
+def _tried(evidence: Evidence, base: Index, c: Candidate) -> Trial:
     columns = evidence.gap.columns(c.effect)
-    trial = evidence.trial(base, columns, c.std, c.lower, c.made_at)
-    return trial[0] - price(c.effect)
+    return evidence.trial(base, columns, c.std, c.lower, c.made_at)
 
 
 def _exact(evidence: Evidence, base: Index, c: Candidate) -> tuple[Effect, float]:
@@ -60,7 +64,7 @@ def _exact(evidence: Evidence, base: Index, c: Candidate) -> tuple[Effect, float
     lower, upper = [b.lower for b in bounds], [b.upper for b in bounds]
     for _ in range(_EXACT_PASSES):
         columns = evidence.gap.columns(effect)
-        best, gains = evidence.trial(base, columns, c.std, c.lower)
+        best, gains, _ = evidence.trial(base, columns, c.std, c.lower)
         effect = with_gains(effect, np.clip(gains, lower, upper))
     if not effect.shifts:
         return effect, best - price(effect)
@@ -123,7 +127,7 @@ def _scanned(
     if not evidence.gap.above(best):
         return best
     columns = evidence.gap.columns(best)
-    _, (gain,) = evidence.trial(base, columns, c.std, c.lower)
+    (gain,) = evidence.trial(base, columns, c.std, c.lower).gains
     return best.at({own.name: float(np.clip(gain, bounds.lower, bounds.upper))})
 
 

@@ -107,7 +107,7 @@ def _over_shapes(
     worth, off = [], []
     for point in np.clip(points, 0.0, 1.0):
         effect = at_places(gap, c.effect, point)
-        found, gains = evidence.trial(base, gap.columns(effect), c.std, c.lower)
+        found, gains, _ = evidence.trial(base, gap.columns(effect), c.std, c.lower)
         values = with_gains(effect, gains).values
         worth.append(found)
         off.append([values[x] - c.effect.values[x] for x in names])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve
 
-from hybrid.diagnose.bayes import log_bayes
+from hybrid.diagnose.bayes import heavy_tailed
 from hybrid.diagnose.products import Index
 from hybrid.robot.chain import Array
 
@@ -106,9 +106,8 @@ class Screening:
                     own, x = number[use], places[use]
                     at = np.array([made_at[k] for k in own]) if known else None
                     H = squares[places.shape[1]][use]
-                    worth[own], _ = log_bayes(
-                        H, moment[x], precision[x], lower[x], at
-                    )
+                    prior = precision[x], lower[x], at
+                    worth[own] = heavy_tailed(H, moment[x], *prior)[0]
         return worth
 
     def _blocks(self) -> list[Index]:

@@ -15,6 +15,7 @@ Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam facto
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from copy import copy
 from functools import cached_property, partial
@@ -33,7 +34,7 @@ from hybrid.diagnose.explanations.proposal import Proposal
 from hybrid.diagnose.explanations.unknown import WAVES, unknown_laws, waves
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.diagnose.noise import LAGS, autocovariance, floored
-from hybrid.diagnose.pool import Pool
+from hybrid.diagnose.pool import REPEATED, Pool
 from hybrid.diagnose.prior import Prior
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.refine import refine
@@ -112,6 +113,8 @@ class Search:
             covariances.append(floored(covariance, gap.cutoff / gap.rate))
         evidence.weigh(covariances)
         self.covariances = covariances
+        rigid = evidence.solve(self.rigid)
+        self._whole = evidence.lost(rigid.index, rigid.gains) / 2
 
     def _wavy_laws(self, joint: int) -> Iterator[Cause]:
         """Waves that stand out of what the background leaves, picked out of many."""
@@ -135,7 +138,17 @@ class Search:
         size = np.sqrt(np.mean(np.sum(x[rows] ** 2, axis=1))) + 1e-12
         std = np.full(x.shape[1], self.prior.size * torque / size)
         (index,) = self.evidence.add([{joint: x}], [std])
+        cost += self._mimicked((joint,), self.prior.misfit)
         return Cause((name, (joint,)), index, cost)
+
+    def _mimicked(self, joints: Sequence[int], part: float) -> float:
+        """What a cause may be worth that is but the inexactness of another, [nat]."""
+        return float(part**2 * self._whole[list(joints)].max())
+
+    def _cost(self, c: Candidate) -> float:
+        """Odds against an effect at a place, [nat]."""
+        small = self._mimicked(c.place[1], self.prior.inexact)
+        return self.prior.cause + small
 
     @property
     def known(self) -> list[Cause]:
@@ -204,8 +217,10 @@ class Search:
 
     def cause(self, c: Candidate) -> Cause:
         """An effect as a cause."""
-        (index,) = self.evidence.add([self.gap.columns(c.effect)], [c.std])
-        return Cause(c.place, index, self.prior.cause + price(c.effect), c)
+        std = c.wider * c.std
+        (index,) = self.evidence.add([self.gap.columns(c.effect)], [std])
+        cost = self._cost(c) + price(c.effect) + float(np.log(c.wider))
+        return Cause(c.place, index, cost, c)
 
     def run(self) -> list[Cause]:
         """The most probable explanation whose causes hold on unseen recordings."""
@@ -338,16 +353,19 @@ class Search:
         whole, less = base, base[:0]
         if own is not None and own in self.causes:
             whole, less = self.columns(self.causes), own.index
-        taken = {c.place for c in causes}
-        ranked = [c for c, _ in self.pool.ranked(whole, taken, less)]
-        ranked = [c for c in ranked if c.place not in self.refused]
-        short = ranked[: self.prior.shortlist]
+        count = Counter(c.place for c in causes)
+        most = self.prior.repeated
+        taken = {x for x, k in count.items() if k >= (most if x[0] in REPEATED else 1)}
+        ranked = self.pool.ranked(whole, taken, less)
+        ranked = [(c, x) for c, x in ranked if c.place not in self.refused]
+        ranked = ranked[: self.prior.shortlist]
+        short = [c for c, x in ranked if x > self.prior.refined * ranked[0][1]]
         if own is not None and own.candidate is not None:
             short = [own.candidate, *short]
         for c in short:
             better, worth = self._refined(base, c)
             make = partial(self.cause, better)
-            found.append(Proposal(c.place, worth - self.prior.cause, make, better))
+            found.append(Proposal(c.place, worth - self._cost(c), make, better))
         laws = self._open_laws(causes)
         if laws and not self.library_only:
             none = [np.full(len(x.index), -np.inf) for x in self.laws]
@@ -373,7 +391,7 @@ class Search:
         """Unknown laws that are not among some causes, where there are few yet."""
         full = [
             sum(c.candidate is None and c.place[1] == (j,) for c in causes)
-            >= self.prior.unknown_laws
+            >= self.prior.repeated
             for j in range(self.gap.robot.size)
         ]
         return [x for x in self.laws if x not in causes and not full[x.place[1][0]]]

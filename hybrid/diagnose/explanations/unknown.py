@@ -44,7 +44,10 @@ def unknown_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
             other = gap.robot.joints[k]
             yield f"speed of {other}", _smooth(m.v[:, k], _KNOTS)
             yield f"acceleration of {other}", _smooth(m.a[:, k], _KNOTS)
-            yield f"position of {other}", _products(_smooth(q, 4), _smooth(m.q[:, k], 4))
+            yield (
+                f"position of {other}",
+                _products(_smooth(q, 4), _smooth(m.q[:, k], 4)),
+            )
     side = np.tanh(load / (0.02 * np.abs(load).max() + 1e-12))
     past = {"speed": _slow(gap, v), "load": load, "direction": sign, "side": side}
     for name, x in past.items():
