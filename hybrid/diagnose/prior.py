@@ -37,7 +37,7 @@ class Prior:
     unknown: float = 12.0
     inexact: float = 0.03
     misfit: float = 0.1
-    solver: float = 0.002
+    solver: float = 0.001
     file: tuple[float, ...] = (0.01, 0.02, 0.05, 0.1, 0.2)
     file_factor: float = 2.0
     rough: float = 0.1

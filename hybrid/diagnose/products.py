@@ -286,6 +286,7 @@ def _roomier(x: Array, used: int, size: int, axes: tuple[int, ...]) -> Array:
 
 
 def slices(edges: Index) -> list[tuple[int, int]]:
+    """First and last sample of each fold."""
     return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
 
