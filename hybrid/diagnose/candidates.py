@@ -97,6 +97,12 @@ def candidates(gap: Gap, without: Sequence[str] = ()) -> list[Candidate]:
     return found
 
 
+def usual(gap: Gap, without: Sequence[str] = ()) -> list[Candidate]:
+    """What most joints have, at every joint; see :attr:`.Effect.usual`."""
+    kinds = [x for x in effect_classes().values() if x.usual and x.id not in without]
+    return [candidate(gap, x((j,))) for x in kinds for j in range(gap.robot.size)]
+
+
 def candidate(gap: Gap, effect: Effect) -> Candidate:
     """An effect with the priors of its gains."""
     scale = gap.scales[effect.joints[-1]]

@@ -6,19 +6,14 @@ import numpy as np
 
 from hybrid.diagnose.account import Account
 from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import candidate
+from hybrid.diagnose.candidates import usual
 from hybrid.diagnose.diagnosis import Unseen
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.explanations.search import Search
-from hybrid.effects.armature import Armature
-from hybrid.effects.coulomb import Coulomb
-from hybrid.effects.torque_offset import TorqueOffset
-from hybrid.effects.viscous import Viscous
 from hybrid.robot.chain import Array
 
 _FREE = 1e3  # times the size of a number: nothing is known of it before
-_USUAL = Coulomb, Viscous, TorqueOffset, Armature  # that least squares fits at a joint
 _BEYOND = 1.5  # times the squares of noise: what is more on unseen motions is none
 
 
@@ -49,11 +44,9 @@ def _least_squares(search: Search) -> Array:
     gap, n = search.gap, search.gap.robot.size
     columns, spreads = background(gap)
     blocks, sizes = columns[:n], spreads[:n]  # the links
-    for kind in _USUAL:
-        for j in range(n):
-            c = candidate(gap, kind((j,)))
-            blocks.append(gap.columns(c.effect))
-            sizes.append(c.std)
+    for c in usual(gap):
+        blocks.append(gap.columns(c.effect))
+        sizes.append(c.std)
     seen, other = Evidence(gap, search.learn), Evidence(gap, search.test.use)
     index, there = (np.concatenate(x.add(blocks, sizes)) for x in (seen, other))
     seen.noise = seen.power.sum(axis=1) / np.maximum(seen.count.sum(axis=1), 1) + 1e-12

@@ -16,6 +16,7 @@ class Armature(JointEffect):
     """Torque that accelerates the rotor: I_r·a."""
 
     id = "armature"
+    usual = True
     port = Port.DRIVE
     fields = {"inertia": "armature"}
     differentiates = True

@@ -13,6 +13,7 @@ class Coulomb(JointEffect):
     """Dry friction: F_c·sgn v."""
 
     id = "coulomb"
+    usual = True
     port = Port.DRIVE
     fields = {"level": "frictionloss"}
     dry = True

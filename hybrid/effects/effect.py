@@ -89,6 +89,8 @@ class Effect(InPlant, Instant, ABC):
     inexact: ClassVar[Mapping[str, float]] = {}
     # Part of its torque's RMS that its law leaves out, of an exact plant.
     rough: ClassVar[float] = 0.0
+    # Whether most joints have it, so that any fit of an arm begins with it.
+    usual: ClassVar[bool] = False
     equation: ClassVar[str]
     source: ClassVar[str]
     sentence: ClassVar[str]

@@ -13,6 +13,7 @@ class TorqueOffset(JointEffect):
     """Constant torque: current-sensor bias or a brake that drags one way."""
 
     id = "torque_offset"
+    usual = True
     port = Port.DRIVE
     fields = {"level": "preload"}
     gains = (Quantity("level", "N·m", 0.02, -0.3, 0.3, per=(1, 0)),)

@@ -16,6 +16,7 @@ class Viscous(JointEffect):
     """Viscous friction: F_v·v."""
 
     id = "viscous"
+    usual = True
     port = Port.DRIVE
     fields = {"coefficient": "damping"}
     gains = (Quantity("coefficient", "N·m·s/rad", 0.05, 0.0, 1.0, per=(1, -1)),)

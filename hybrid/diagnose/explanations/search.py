@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from hybrid.diagnose.background import background, clocks, rest
 from hybrid.diagnose.bayes import memory
-from hybrid.diagnose.candidates import Candidate, Place, same
+from hybrid.diagnose.candidates import Candidate, Place, same, usual
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.explanations.belief import Belief
 from hybrid.diagnose.explanations.cause import Cause
@@ -46,6 +46,7 @@ from hybrid.robot.chain import Array
 _RIPPLES = 9  # orders at each joint, of which noise is estimated
 _ROUNDS = 4  # of adding, exchanging and widening
 _MOST = 30  # causes, and times that some are refused
+_FEW = 3  # causes: an arm with more of them may have what most have
 _BETTER = 0.5  # nat, for a change to be worth it
 
 
@@ -225,7 +226,7 @@ class Search:
     def run(self) -> list[Cause]:
         """The most probable explanation whose causes hold on unseen recordings."""
         self._settle()
-        if len(self.known) < len(self.causes):
+        if len(self.known) < len(self.causes) or len(self.causes) > _FEW:
             self._start_again()
         self.beliefs = self._believe()
         if self._simplify():
@@ -234,12 +235,15 @@ class Search:
         return self.causes
 
     def _start_again(self) -> None:
-        """Start from effects of the library, and keep the more probable explanation.
+        """Start from what most joints have, and keep the more probable explanation.
 
-        One unknown law may have been taken in where two or three known ones belong.
+        One unknown law, or an effect that nearly fits, may have been taken in where two
+        or three others belong.
         """
         before = self.score(self.causes), self.causes, self.off
-        self.causes, self.refused = [], set()
+        self.causes = [self.cause(c) for c in usual(self.gap, self.pool.without)]
+        self.refused = set()
+        self._remove()
         for self.library_only in (True, False):
             self._settle()
         if self.score(self.causes) < before[0]:
@@ -437,16 +441,16 @@ class Search:
     def unseen(self) -> dict[Cause, float]:
         """By how much each known cause lowers the squares on unseen samples, [nat].
 
-        Without it all others are fitted anew. Numbers of the file that take its place
+        As they are and as independent samples: the less of both. Without it all others are fitted anew. Numbers of the file that take its place
         are farther off: that counts as much as before any recording.
         """
         if not self.known:
             return {}
-        whole = self._lost(self.causes)
-        return {
-            c: self._lost([x for x in self.causes if x is not c]) - whole
-            for c in self.known
-        }
+        whole, without = self._lost(self.causes), dict[Cause, float]()
+        for c in self.known:
+            fall = self._lost([x for x in self.causes if x is not c]) - whole
+            without[c] = float(fall.min())
+        return without
 
     @cached_property
     def test(self) -> Elsewhere:
@@ -462,11 +466,14 @@ class Search:
             x = dict(unknown_laws(self.gap, joint))[cause.place[0]]
         return {joint: x}
 
-    def _lost(self, causes: Sequence[Cause]) -> float:
-        """What some causes lose on unseen samples, less what a fit says, [nat]."""
+    def _lost(self, causes: Sequence[Cause]) -> Array:
+        """What some causes lose on unseen samples, less what a fit says, [nat].
+
+        With samples as independent ones, and as they are: shape (2,).
+        """
         seen, unseen = self.evidence, self.test.evidence
-        lost = float(self.test.lost(causes).sum())
+        lost = self.test.lost(causes), self.test.squares(causes) / seen.noise
         # As if as much were unseen as was learnt from.
-        lost *= seen.count.sum() / max(unseen.count.sum(), 1)
+        more = seen.count.sum() / max(unseen.count.sum(), 1)
         strain = seen.strain(seen.solve(self.columns(causes)), self.rigid)
-        return float(lost + strain) / 2
+        return (np.sum(lost, axis=1) * more + strain) / 2
