@@ -275,10 +275,11 @@ class Evidence(Products):
                 if not calm.all():
                     usual = memory(x[calm], row[back][calm]) * np.mean(x[calm] ** 2)
                     found.append((float(usual), x[calm], row[back][calm]))
-            noise, *own = min(found, key=lambda x: x[0])
+            noise, x, own = min(found, key=lambda x: x[0])
             self.noise[i] = max(noise, self._least_noise(i, least))
-            self.covariances[i] = covariance = autocovariance(*own, LAGS)
-            covariance *= noise / max(memory(*own) * covariance[0], 1e-300)
+            covariance = autocovariance(x, own, LAGS)
+            covariance *= noise / max(memory(x, own) * covariance[0], 1e-300)
+            self.covariances[i] = covariance
 
     def _by_fold(self, i: int, here: Index) -> tuple[Array, Array]:
         """Products of a joint's columns, and with the gap, on each fold."""

@@ -74,7 +74,8 @@ class Screening:
             return self.squares, self.moment
         out = np.flatnonzero(np.isin(self.base, columns))
         inner, taken = self.covariance[np.ix_(out, out)], self.taken[out]
-        back = np.linalg.solve(inner, np.column_stack([taken, self.gains[out]]))
+        both = np.column_stack([taken, self.gains[out]])
+        back = np.asarray(np.linalg.solve(inner, both))
         squares = {
             p: self.squares[p] + _inner(taken, back, x) for p, x in self.places.items()
         }

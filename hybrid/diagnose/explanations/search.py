@@ -441,8 +441,9 @@ class Search:
     def unseen(self) -> dict[Cause, float]:
         """By how much each known cause lowers the squares on unseen samples, [nat].
 
-        As they are and as independent samples: the less of both. Without it all others are fitted anew. Numbers of the file that take its place
-        are farther off: that counts as much as before any recording.
+        As they are and as independent samples: the less of both. Without it all others
+        are fitted anew. Numbers of the file that take its place are farther off: that
+        counts as much as before any recording.
         """
         if not self.known:
             return {}
@@ -476,4 +477,4 @@ class Search:
         # As if as much were unseen as was learnt from.
         more = seen.count.sum() / max(unseen.count.sum(), 1)
         strain = seen.strain(seen.solve(self.columns(causes)), self.rigid)
-        return (np.sum(lost, axis=1) * more + strain) / 2
+        return np.asarray((np.sum(lost, axis=1) * more + strain) / 2)
