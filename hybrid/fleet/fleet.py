@@ -1,0 +1,329 @@
+"""The verb: which arms of a fleet change, when, in what, and which are unlike others.
+
+``value = level of the arm + slope · (temperature, load) + what all arms share in a
+period + change + noise``: the slopes and what is shared come from all arms together,
+by medians, so that arms with a fault do not count; the noise from differences between
+successive periods. What is left of an arm is its own, see
+:mod:`hybrid.fleet.changes`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import median_abs_deviation
+
+from hybrid.arrays import Array
+from hybrid.errors import HybridError
+from hybrid.fleet.changes import Change, Level, changes, crossing, level, threshold
+from hybrid.fleet.plan import Plan, read_plan
+from hybrid.fleet.pooling import FEWEST, pooled
+from hybrid.fleet.run import connected
+from hybrid.fleet.store import Store, run_plan, write_rows
+from hybrid.fleet.worker import OK
+
+SHARED = 5  # arms of a period that tell what all arms share
+_EFFICIENCY = 0.25  # degrees of freedom of a MAD of successive differences, each
+_SURE = 1.96
+_COVARIATES = ("temperature", "load")
+
+
+@dataclass(frozen=True)
+class State:
+    """One parameter of one joint of one arm, over time and against the fleet.
+
+    Attributes:
+        arm: Name of the arm.
+        group: Arms that it is held against.
+        joint: Name of the joint, or ``arm``.
+        parameter: Effect and gain.
+        unit: SI unit.
+        days: Dates of the periods, as ordinals, shape (T,), [d].
+        values: Deviation from the baseline, less what temperature, load and the fleet
+            explain, shape (T,).
+        std: Standard deviation of the values, shape (T,).
+        baseline: What the baseline says.
+        changes: Changes, in order of time.
+        confounded: What changed along with it, or was not logged; empty if nothing.
+        level: Where it stands.
+        pooled: Best guess of where it stands, given the fleet, with the baseline.
+        pooled_std: Standard deviation of that.
+        unlike: Whether the arm is not like the others in it.
+        limit: Largest change that the plan allows; infinite if none.
+        crossing: Days from the last period until it passes the limit: median, and
+            95 % interval; infinite if never.
+    """
+
+    arm: str
+    group: str
+    joint: str
+    parameter: str
+    unit: str
+    days: Array
+    values: Array
+    std: Array
+    baseline: float
+    changes: tuple[Change, ...]
+    confounded: str
+    level: Level
+    pooled: float
+    pooled_std: float
+    unlike: bool
+    limit: float
+    crossing: tuple[float, float, float]
+
+    @property
+    def score(self) -> float:
+        """Largest score of its changes; 0 without one."""
+        return max((abs(x.score) for x in self.changes), default=0.0)
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """What became of a fleet.
+
+    Attributes:
+        rows: Rows of all units.
+        states: Every parameter of every arm.
+        shared: What all arms did together, in words.
+        arm_months: Months of all arms together.
+    """
+
+    rows: Sequence[Mapping[str, Any]]
+    states: tuple[State, ...]
+    shared: tuple[str, ...]
+    arm_months: float
+
+    @property
+    def alarms(self) -> list[State]:
+        """Parameters that changed, the surest first."""
+        found = [x for x in self.states if x.changes]
+        return sorted(found, key=lambda x: -x.score)
+
+    @property
+    def refused(self) -> list[Mapping[str, Any]]:
+        """Units without a result, each with its reason."""
+        return [x for x in self.rows if x["status"] in ("refused", "late", "lost")]
+
+
+def fleet(
+    plan: Plan | str | Path,
+    out: str | Path,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Fleet:
+    """Inspect, identify and compare all arms of a plan over time.
+
+    Args:
+        plan: The plan, or its file.
+        out: Folder for the results of the units and ``fleet.parquet``; what is there
+            already is not done again.
+        scheduler: Address of a Dask scheduler; this machine's cores by default.
+        workers: Processes here; one per core by default.
+        progress: Told how far it is.
+
+    Raises:
+        HybridError: The plan says something that is not valid, or Dask is missing.
+    """
+    plan = plan if isinstance(plan, Plan) else read_plan(plan)
+    out, tell = Path(out), progress or (lambda _: None)
+    with connected(scheduler, workers or os.cpu_count() or 1) as client:
+        rows = run_plan(plan, Store(out / "units"), client, tell)
+    write_rows(out / "fleet.parquet", rows)
+    return fleet_from_rows(plan, rows)
+
+
+def fleet_from_rows(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> Fleet:
+    """What the rows of all units say together."""
+    groups = {arm.name: arm.group for arm in plan.arms}
+    limits = {arm.name: arm.limits for arm in plan.arms}
+    tables: dict[tuple[str, str, str], list[Mapping[str, Any]]] = defaultdict(list)
+    spans: dict[str, set[str]] = defaultdict(set)
+    for row in rows:
+        if row["status"] == OK:
+            key = groups[row["arm"]], row["joint"], row["parameter"]
+            tables[key].append(row)
+            spans[row["arm"]].add(row["period"])
+    months = sum(map(len, spans.values())) * plan.days / 30.4375
+    watched = {group: sum(g == group for g, _, _ in tables) for group, _, _ in tables}
+    states: list[State] = []
+    shared: list[str] = []
+    for (group, _, _), own in sorted(tables.items()):
+        series = _Series(own)
+        limit = threshold(series.y.shape[1], plan.days, watched[group])
+        shared += series.remove_common(limit)
+        states += series.states(group, limit, limits)
+    return Fleet(rows, tuple(states), tuple(shared), months)
+
+
+class _Series:
+    """One parameter of the arms of a group: A arms, T periods, NaN where missing."""
+
+    def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        self.arms = sorted({x["arm"] for x in rows})
+        names = sorted({(x["day"], x["period"]) for x in rows})
+        periods = list(dict.fromkeys(name for _, name in names))
+        first = {name: day for day, name in reversed(names)}
+        self.days = np.array([
+            float(date.fromisoformat(first[x]).toordinal()) if first[x] else float(k)
+            for k, x in enumerate(periods)
+        ])  # fmt: skip
+        self.row = rows[0]
+        shape = len(self.arms), len(periods)
+        at = {name: k for k, name in enumerate(self.arms)}
+        when = {name: k for k, name in enumerate(periods)}
+        self.y, self.s, self.baseline = np.full((3, *shape), np.nan)
+        self.x = {name: np.full(shape, np.nan) for name in _COVARIATES}
+        for row in rows:
+            here = at[row["arm"]], when[row["period"]]
+            self.y[here], self.s[here] = row["change"], row["std"]
+            self.baseline[here] = row["baseline"]
+            for name in _COVARIATES:
+                self.x[name][here] = row[name]
+        self.many = len(self.arms) >= SHARED
+
+    @property
+    def name(self) -> str:
+        return f"{self.row['joint']}, {self.row['parameter']}"
+
+    def remove_common(self, limit: float) -> Iterator[str]:
+        """Take away what temperature, load and the whole fleet explain; say what."""
+        if self.many:
+            for name in _COVARIATES:
+                yield from self._remove_slope(name)
+            level = np.nanmedian(self.y, axis=1, keepdims=True)
+            counts = np.isfinite(self.y).sum(axis=0)
+            common = np.where(counts >= SHARED, _median(self.y - level), 0.0)
+            self.y = self.y - common
+            self._scale()
+            std = 1.2533 * np.nanmedian(self.s) / np.sqrt(np.maximum(counts, 1))
+            for x in changes(self.days, common, std, limit=limit):
+                yield (
+                    f"{self.name}: all arms together, {_said(x, self.row['unit'])}; "
+                    "season, ageing and a change of the measurement are confounded"
+                )
+        else:
+            self._scale()
+
+    def _remove_slope(self, name: str) -> Iterator[str]:
+        x = self.x[name] - np.nanmean(self.x[name])
+        slopes = []
+        for own, y in zip(x, self.y, strict=True):
+            seen = np.isfinite(own) & np.isfinite(y)
+            off = own[seen] - own[seen].mean() if seen.any() else own[seen]
+            if off @ off > 0:
+                slopes.append(off @ y[seen] / (off @ off))
+        if len(slopes) < SHARED:
+            if name == "temperature":
+                yield f"{self.name}: temperature is not logged; confounded with season"
+            return
+        slope = float(np.median(slopes))
+        error = 1.2533 * median_abs_deviation(slopes, scale="normal")
+        if abs(slope) > _SURE * error / np.sqrt(len(slopes)):
+            self.y = self.y - slope * np.nan_to_num(x)
+
+    def _scale(self) -> None:
+        """Scatter between periods, from differences: steps and trends hardly count."""
+        gaps = [_differences(y, s) for y, s in zip(self.y, self.s, strict=True)]
+        every = np.concatenate(gaps)
+        scale = 1.4826 * float(np.median(np.abs(every))) if len(every) else 1.0
+        self.degrees = max(1.0, _EFFICIENCY * len(every))
+        for k, own in enumerate(gaps):
+            # An arm's own scatter, where it is surely larger than the fleet's.
+            least = 1 - _SURE / np.sqrt(2 * 0.37 * max(len(own), 1))
+            mine = 1.4826 * float(np.median(np.abs(own))) if len(own) else 0.0
+            self.s[k] = self.s[k] * max(scale, mine * max(least, 0.0), 1e-9)
+
+    def states(
+        self, group: str, limit: float, limits: Mapping[str, Mapping[str, str | float]]
+    ) -> Iterator[State]:
+        """Every arm's state."""
+        found = []
+        for k in range(len(self.arms)):
+            seen = np.isfinite(self.y[k]) & np.isfinite(self.s[k])
+            t, y, s = self.days[seen], self.y[k, seen], self.s[k, seen]
+            warm = self.x["temperature"][k, seen]
+            known = not self.many and np.isfinite(warm).all() and np.ptp(warm) > 0
+            own = tuple(
+                changes(
+                    t, y, s, limit=limit, degrees=self.degrees, x=warm if known else None
+                )
+            )
+            now = level(t, y, s, own[-1] if own else None)
+            found.append((k, t, y, s, own, now))
+        base = np.nanmedian(self.baseline, axis=1)
+        value = np.array([base[k] + now.value for k, *_, now in found])
+        std = np.array([now.std for *_, now in found])
+        fleet = pooled(value, std) if len(found) >= FEWEST else None
+        for k, t, y, s, own, now in found:
+            arm, most = self.arms[k], self._limit(limits[self.arms[k]], base[k])
+            yield State(
+                arm, group, self.row["joint"], self.row["parameter"], self.row["unit"],
+                t, y, s, float(base[k]), own, self._confounded(k, own), now,
+                float(fleet.value[k]) if fleet else float(value[k]),
+                float(fleet.std[k]) if fleet else now.std,
+                bool(fleet is not None and fleet.unlike[k]), most,
+                crossing(now, most) if np.isfinite(most) else (np.inf, np.inf, np.inf),
+            )  # fmt: skip
+
+    def _limit(self, limits: Mapping[str, str | float], baseline: float) -> float:
+        parameter = self.row["parameter"]
+        given = limits.get(parameter, limits.get(parameter.partition(".")[0]))
+        if given is None:
+            return np.inf
+        text = str(given)
+        share = float(text.removesuffix("%")) / 100 * abs(baseline)
+        return share if text.endswith("%") else float(text)
+
+    def _confounded(self, k: int, own: Sequence[Change]) -> str:
+        """What cannot be told from the changes of an arm."""
+        found = []
+        for name in _COVARIATES if own else ():
+            x = self.x[name][k]
+            if not np.isfinite(x).any():
+                if name == "temperature" and not self.many:
+                    found.append("temperature, which is not logged")
+                continue
+            noise = median_abs_deviation(np.diff(x[np.isfinite(x)]), scale="normal")
+            for change in own:
+                before, after = x[self.days < change.day], x[self.days >= change.day]
+                gap = abs(np.nanmean(after) - np.nanmean(before)) if len(before) else 0.0
+                error = noise * np.sqrt(0.5 / max(len(before), 1) + 0.5 / len(after))
+                if name == "load" and gap > 4 * error and gap > 0.05 * np.nanmean(x):
+                    found.append("load")
+        return ", ".join(dict.fromkeys(found))
+
+
+def _median(x: Array) -> Array:
+    """Median over arms of each period, 0 where there is none."""
+    return np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0
+                     for c in x.T])  # fmt: skip
+
+
+def _differences(y: Array, s: Array) -> Array:
+    """Differences of successive values, over their standard deviation."""
+    seen = np.isfinite(y) & np.isfinite(s)
+    y, s = y[seen], s[seen]
+    return np.asarray(np.diff(y) / np.hypot(s[1:], s[:-1]))
+
+
+def _said(x: Change, unit: str) -> str:
+    when = date.fromordinal(max(1, int(x.day))).isoformat()
+    if x.kind == "trend":
+        return f"{30.4375 * x.size:+.3g} {unit} a month since {when}"
+    return f"{x.size:+.3g} {unit} on {when}"
+
+
+def check_workers(workers: int | None) -> None:
+    """Refuse a number of workers that is none."""
+    if workers is not None and workers < 1:
+        raise HybridError(f"workers is {workers}; valid is 1 or more")
