@@ -13,9 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
+from hybrid.effects.payload import LinkInertia
 from hybrid.effects.registry import effect_class
 from hybrid.errors import HybridError
 from hybrid.identify.data import Data, prepare, taken
@@ -25,6 +27,8 @@ from hybrid.recording import Recording
 from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 
+_FROM_TOOL = 0.05  # m, that a payload is off the tool, and its size
+_DRAWS = 400  # of its centre
 _UNSURE = 0.05  # relative: of inertial parameters whose covariance is not known
 _LAGS = 40  # samples over which residuals are correlated, at the most
 _PASSES = 3  # of weights by residuals
@@ -103,6 +107,7 @@ def deviations(
     recordings: Sequence[Recording],
     track: Sequence[str],
     payload: Sequence[float] = (),
+    tool: Sequence[float] = (),
 ) -> Deviations:
     """Deviations of an arm from its baseline; the logs are checked against physics.
 
@@ -112,6 +117,8 @@ def deviations(
         track: What is followed, see :func:`followed`.
         payload: Parameters of the payload that the arm was told of, up to ten: mass
             [kg], first moments [kg·m], inertia [kg·m²] about the last joint's frame.
+        tool: Where a payload is held, in the last joint's frame, [m]; the centre of
+            mass of the last link if not given.
 
     Raises:
         HybridError: A log cannot be what its columns say, or says too little.
@@ -123,7 +130,7 @@ def deviations(
     told = np.zeros(10)
     told[: len(payload)] = payload
     parts = [_sampled(model, rigid, effects, told, data, m) for m in data.motions]
-    theta, covariance, residual = _posterior(parts, _prior(model, rigid, effects))
+    theta, covariance, residual = _posterior(parts, _prior(model, rigid, effects, tool))
     std = np.sqrt(np.diag(covariance))
     rows, at = [], len(rigid)
     for effect, names in effects:
@@ -131,7 +138,6 @@ def deviations(
         arm = len(effect.joints) != 1 or effect.scope == "arm"
         for gain in effect.gains:
             if gain.name in names:
-                # What the prior alone holds is not followed: it would never move.
                 rows.append(
                     Deviation(
                         "arm" if arm else robot.joints[effect.joints[0]],
@@ -162,24 +168,40 @@ def _prior(
     model: DynamicModel,
     rigid: Sequence[int],
     effects: Sequence[tuple[Effect, tuple[str, ...]]],
+    tool: Sequence[float],
 ) -> Array:
     """Covariance of δ and g, shape (p, p)."""
     scales, values = joint_scales(model.robot), model.base.values[list(rigid)]
-    spread = [
-        gain.spread or abs(gain.typical) or _usual(effect, gain.unit)
-        for effect, _ in effects
-        for gain in (g.scaled(scales[effect.joints[-1]]) for g in effect.gains)
-    ]
-    covariance = np.diag(np.concatenate([_UNSURE * np.abs(values), spread]) ** 2)
+    blocks = [np.diag((_UNSURE * values) ** 2)]
     if model.covariance.size:
-        known = model.covariance[np.ix_(rigid, rigid)]
-        covariance[: len(rigid), : len(rigid)] = known
-    return np.asarray(covariance)
+        blocks = [model.covariance[np.ix_(rigid, rigid)]]
+    for effect, _ in effects:
+        if isinstance(effect, LinkInertia):
+            blocks.append(_held(model, effect.gains[0].typical, tool))
+            continue
+        sized = [g.scaled(scales[effect.joints[-1]]) for g in effect.gains]
+        spread = [g.spread or abs(g.typical) or abs(g.upper) for g in sized]
+        blocks.append(np.diag(np.square(spread)))
+    return np.asarray(block_diag(*blocks))
 
 
-def _usual(effect: Effect, unit: str) -> float:
-    """Usual size of the effect's other gains of a unit."""
-    return max((abs(g.typical) for g in effect.gains if g.unit == unit), default=1.0)
+def _held(model: DynamicModel, mass: float, tool: Sequence[float]) -> Array:
+    """Covariance of the parameters of a body of unknown mass near the tool, (10, 10).
+
+    Args:
+        model: The arm.
+        mass: Usual mass, [kg].
+        tool: Where it is held, in the last joint's frame, [m], or nothing.
+    """
+    link = model.robot.chain.inertial[-1]
+    center = np.array(tool) if len(tool) else link[1:4] / max(link[0], 1e-9)
+    c = center + _FROM_TOOL * np.random.default_rng(0).standard_normal((_DRAWS, 3))
+    x, y, z = c.T
+    own = _FROM_TOOL**2  # of a body as large as it may be off
+    inertia = [y**2 + z**2 + own, -x * y, x**2 + z**2 + own,
+               -x * z, -y * z, x**2 + y**2 + own]  # fmt: skip
+    each = mass * np.stack([np.ones(len(c)), x, y, z, *inertia], axis=1)
+    return np.asarray(each.T @ each / len(each))
 
 
 def _sampled(

@@ -21,7 +21,6 @@ import numpy as np
 from scipy.stats import median_abs_deviation
 
 from hybrid.arrays import Array
-from hybrid.errors import HybridError
 from hybrid.fleet.changes import Change, Level, changes, crossing, level, threshold
 from hybrid.fleet.plan import Plan, read_plan
 from hybrid.fleet.pooling import FEWEST, pooled
@@ -215,7 +214,8 @@ class _Series:
             self._scale()
 
     def _remove_slope(self, name: str) -> Iterator[str]:
-        x = self.x[name] - np.nanmean(self.x[name])
+        seen = np.isfinite(self.x[name])
+        x = self.x[name] - (self.x[name][seen].mean() if seen.any() else 0.0)
         slopes = []
         for own, y in zip(x, self.y, strict=True):
             seen = np.isfinite(own) & np.isfinite(y)
@@ -322,8 +322,3 @@ def _said(x: Change, unit: str) -> str:
         return f"{30.4375 * x.size:+.3g} {unit} a month since {when}"
     return f"{x.size:+.3g} {unit} on {when}"
 
-
-def check_workers(workers: int | None) -> None:
-    """Refuse a number of workers that is none."""
-    if workers is not None and workers < 1:
-        raise HybridError(f"workers is {workers}; valid is 1 or more")

@@ -43,6 +43,7 @@ class ArmPlan:
         robot: Robot file, or a name of a library.
         baseline: ``first``, a period, or a file of a model.
         payload: Parameters of the payload that the arm was told of, mass first.
+        tool: Where a payload is held, in the last joint's frame, [m].
         limits: Largest change of a parameter, in its unit or in ``%`` of the baseline.
         group: Arms of one group are held against each other.
         joints: Joints of the arm; the longest chain of the file if empty.
@@ -54,6 +55,7 @@ class ArmPlan:
     robot: str
     baseline: str = FIRST
     payload: tuple[float, ...] = ()
+    tool: tuple[float, ...] = ()
     limits: Mapping[str, str | float] = field(default_factory=dict)
     group: str = ""
     joints: tuple[str, ...] = ()
@@ -181,10 +183,18 @@ def _arm(name: str, entry: dict[str, Any], folder: str | Path, where: str) -> Ar
     payload, limits = entry.get("payload", []), entry.get("limits", {})
     try:
         numbers = tuple(map(float, payload if isinstance(payload, list) else [payload]))
+        tool = tuple(map(float, entry.get("tool", [])))
         for x in limits.values():
             float(str(x).removesuffix("%"))
     except (TypeError, ValueError, AttributeError) as error:
-        raise HybridError(f"{where}: payload and limits are numbers ({error})") from error
+        raise HybridError(
+            f"{where}: payload, tool and limits are numbers ({error})"
+        ) from error
+    if len(numbers) > 10 or len(tool) not in (0, 3):
+        raise HybridError(
+            f"{where}: payload has {len(numbers)} numbers and tool {len(tool)}; valid "
+            "are up to 10, and 3 or none"
+        )
     robot, baseline = str(entry["robot"]), str(entry.get("baseline", FIRST))
     is_file = baseline.endswith(".json")
     return ArmPlan(
@@ -194,6 +204,7 @@ def _arm(name: str, entry: dict[str, Any], folder: str | Path, where: str) -> Ar
         _located(robot, folder) if "." in robot else robot,
         _located(baseline, folder) if is_file else baseline,
         numbers,
+        tool,
         limits,
         str(entry.get("group", Path(robot).name)),
         tuple(entry.get("joints", ())),

@@ -52,7 +52,7 @@ class Store:
     def rows(self, key: str) -> list[dict[str, Any]] | None:
         """Rows of a unit; None if there are none, or a torn file."""
         try:
-            return list(pq.read_table(self._path(key), schema=SCHEMA).to_pylist())
+            return list(pq.ParquetFile(self._path(key)).read(use_threads=False).to_pylist())
         except (OSError, pa.ArrowException):
             return None
 
@@ -143,6 +143,7 @@ def _units(
             "baseline": known[arm.name].key,
             "track": list(plan.track),
             "payload": list(arm.payload),
+            "tool": list(arm.tool),
             "map": arm.map,
             "diagnose": plan.diagnose,
         }

@@ -65,7 +65,8 @@ def _period(message: Mapping[str, Any]) -> dict[str, Any]:
     model = _model(message["model"])
     try:
         logs = _read(message["logs"], model.robot.joints, message["map"])
-        found = deviations(model, logs, message["track"], message["payload"])
+        options = (message[name] for name in ("track", "payload", "tool"))
+        found = deviations(model, logs, *options)
         rows = list(_rows(found, model.robot.joints))
         if message["diagnose"]:
             rows += _diagnosed(model, logs)

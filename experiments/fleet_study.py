@@ -1,0 +1,92 @@
+"""Does the fleet find worn, swapped, wrongly loaded arms in a season, and nothing else?
+
+A simulated line of arms, week by week, with planted faults of three sizes. Tables of
+detections by kind and size, and of false alarms, appear, with temperatures and without
+them, and for arms that are watched alone; and what a unit costs.
+
+    python experiments/fleet_study.py --healthy 128 --each 6 --weeks 26
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+from fleet_plant import Arm, line, record
+from fleet_scores import by_kind, costs, false_alarms, outcomes
+from outputs import command_line
+from rich.console import Console
+
+from hybrid.files import write_json
+from hybrid.fleet.fleet import Fleet, fleet, fleet_from_rows
+from hybrid.fleet.plan import Plan, plan_from_dict
+from hybrid.report import Table, markdown_table
+from hybrid.robot import Robot
+
+ARM = Path("models/scara.xml")
+TOOL = [0.2, 0.0, -0.12]
+
+
+def variants(plan: Plan, found: Fleet) -> dict[str, Fleet]:
+    """The same rows as they are, without temperatures, and every arm alone."""
+    cold = [{**row, "temperature": float("nan")} for row in found.rows]
+    alone = tuple(replace(arm, group=arm.name) for arm in plan.arms)
+    single = replace(plan, arms=alone)
+    return {
+        "together": found,
+        "together, no temperature": fleet_from_rows(plan, cold),
+        "alone": fleet_from_rows(single, found.rows),
+        "alone, no temperature": fleet_from_rows(single, cold),
+    }
+
+
+def simulated(arms: list[Arm], weeks: int, folder: Path, seed: int) -> float:
+    """Write the logs that are not there yet; the processor time, [s]."""
+    robot, start = Robot.load(ARM), process_time()
+    for arm in arms:
+        if not (folder / f"{arm.name}.json").exists():
+            record(robot, arm, weeks, folder / arm.name, seed)
+    return process_time() - start
+
+
+def main() -> None:
+    """Simulate, run, score, and write the report."""
+    parser = command_line(__doc__, "fleet")
+    parser.add_argument("--healthy", type=int, default=128)
+    parser.add_argument("--each", type=int, default=6)
+    parser.add_argument("--weeks", type=int, default=26)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--logs", type=Path, default=Path("out/fleet_logs"))
+    parser.add_argument("--workers", type=int, default=2)
+    args, console = parser.parse_args(), Console(width=200)
+    arms = list(line(args.healthy, args.each, args.weeks, args.seed))
+    simulating = simulated(arms, args.weeks, args.logs, args.seed)
+    plan = plan_from_dict(
+        {"robot": str(ARM.resolve()), "tool": TOOL, "arms": str(args.logs.resolve())}
+    )
+    found = fleet(plan, args.logs.parent / "fleet_results", workers=args.workers)
+    joints = Robot.load(ARM).joints
+    tables: list[Table] = []
+    runs: dict[str, list[dict[str, Any]]] = {}
+    for name, each in variants(plan, found).items():
+        runs[name] = outcomes(each, arms, joints)
+        tables += [by_kind(runs[name], name), false_alarms(each, arms, name)]
+    tables.append(costs(plan, simulating))
+    args.out.mkdir(parents=True, exist_ok=True)
+    command = (
+        f"python experiments/fleet_study.py --healthy {args.healthy} "
+        f"--each {args.each} --weeks {args.weeks} --seed {args.seed}"
+    )
+    text = "\n".join(f"{x.caption}\n\n{markdown_table(x)}" for x in tables)
+    (args.out / "report.md").write_text(
+        f"# Fleet\n\n    {command}\n\n{text}", encoding="utf-8"
+    )
+    write_json(args.out / "outcomes.json", json.loads(json.dumps(runs)))
+    console.print(text, highlight=False)
+
+
+if __name__ == "__main__":
+    main()
