@@ -116,10 +116,9 @@ def _fault(robot: Robot, arm: Arm, size: float) -> list[Effect]:
     if arm.kind == "drive":
         return [TorqueGain((j,), {"gain": size})]
     if arm.kind == "payload":
-        I = size * 0.04**2
-        values = {"mass": size, "mx": 0.2 * size, "Ixx": I, "mz": -0.12 * size}
-        values |= {"Iyy": I + 0.055 * size, "Izz": I + 0.041 * size}
-        values |= {"Ixz": 0.024 * size, "Ixx": I + 0.0145 * size}
+        per_kilogram = {"mass": 1.0, "mx": 0.2, "mz": -0.12, "Ixx": 0.0161,
+                        "Iyy": 0.0566, "Izz": 0.0426, "Ixz": 0.024}  # fmt: skip
+        values = {name: size * x for name, x in per_kilogram.items()}
         return [Payload(tuple(range(robot.size)), values)]
     found: list[Effect] = [Coulomb((j,), {"level": size * robot.frictionloss[j]})]
     if arm.kind == "gearbox":

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hybrid.effects import effect_classes as effects
     from hybrid.excitation import design as excite
     from hybrid.export.export import export
-    from hybrid.fleet import Fleet, fleet
+    from hybrid.fleet.fleet import Fleet, fleet
     from hybrid.identify import DynamicModel, Fit, identify, predict, validate
     from hybrid.inspect import Inspection, inspect_recording
     from hybrid.online import OnlineIdentifier, Sample

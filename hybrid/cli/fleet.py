@@ -48,7 +48,10 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="of a Dask scheduler (default: the cores of this machine)",
     )
     parser.add_argument(
-        "--workers", type=count, metavar="N", help="processes here (default: one a core)"
+        "--workers",
+        type=count,
+        metavar="N",
+        help="processes here (default: one a core)",
     )
     add_common(parser)
 

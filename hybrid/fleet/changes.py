@@ -216,9 +216,7 @@ def level(t: Array, y: Array, s: Array, last: Change | None) -> Level:
         weight = s**-2 / (s**-2).sum()
         return Level(float(weight @ y), float((s**-2).sum() ** -0.5),
                      float(slope), float(std[1]), 0.0)  # fmt: skip
-    return Level(
-        float(value), float(std[0]), float(slope), float(std[1]), float(covariance[0, 1])
-    )
+    return Level(*map(float, (value, std[0], slope, std[1], covariance[0, 1])))
 
 
 def crossing(now: Level, limit: float) -> tuple[float, float, float]:

@@ -230,9 +230,7 @@ def _sampled(
     return np.asarray(out)
 
 
-def _columns(
-    effect: Effect, motion: Motion, body: RigidBody, expected: Array
-) -> Array:
+def _columns(effect: Effect, motion: Motion, body: RigidBody, expected: Array) -> Array:
     """Columns of a change; a gain of the report scales all that the drive reports."""
     if effect.reports and effect.actuator:
         return np.asarray(expected[:, list(effect.joints)][:, :, None])
@@ -263,9 +261,10 @@ def _posterior(parts: Sequence[Array], prior: Array) -> tuple[Array, Array, Arra
         lasting = _lasting(left)
         weight = 1.0 / np.maximum(power * lasting, 1e-300) * (counts > 0)
     H = precision + np.tensordot(weight, A, axes=1)
-    theta, covariance = np.linalg.solve(H, weight @ b), np.linalg.inv(H)
-    rms = np.sqrt(power * counts / np.maximum(before, 1e-300))
-    return scale * theta, covariance * scale * scale[:, None], rms
+    theta = np.linalg.solve(H, weight @ b)
+    covariance: Array = np.linalg.inv(H)
+    rms: Array = np.sqrt(power * counts / np.maximum(before, 1e-300))
+    return np.asarray(scale * theta), covariance * scale * scale[:, None], rms
 
 
 def _lasting(left: Sequence[Array]) -> Array:

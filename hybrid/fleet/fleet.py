@@ -31,6 +31,7 @@ from hybrid.fleet.worker import OK
 SHARED = 5  # arms of a period that tell what all arms share
 _EFFICIENCY = 0.25  # degrees of freedom of a MAD of successive differences, each
 _SURE = 1.96
+_CLEARLY = 4.0  # standard errors, of a load that changed along with a parameter
 _COVARIATES = ("temperature", "load")
 
 
@@ -156,6 +157,8 @@ def fleet_from_rows(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> Fleet:
     watched = {group: sum(g == group for g, _, _ in tables) for group, _, _ in tables}
     states: list[State] = []
     shared: list[str] = []
+    if tables and not any(np.isfinite(x["temperature"] or np.nan) for x in rows):
+        shared.append("no log has a temperature: season and ageing are confounded")
     for (group, _, _), own in sorted(tables.items()):
         series = _Series(own)
         limit = threshold(series.y.shape[1], plan.days, watched[group])
@@ -198,7 +201,7 @@ class _Series:
         """Take away what temperature, load and the whole fleet explain; say what."""
         if self.many:
             for name in _COVARIATES:
-                yield from self._remove_slope(name)
+                self._remove_slope(name)
             level = np.nanmedian(self.y, axis=1, keepdims=True)
             counts = np.isfinite(self.y).sum(axis=0)
             common = np.where(counts >= SHARED, _median(self.y - level), 0.0)
@@ -213,7 +216,7 @@ class _Series:
         else:
             self._scale()
 
-    def _remove_slope(self, name: str) -> Iterator[str]:
+    def _remove_slope(self, name: str) -> None:
         seen = np.isfinite(self.x[name])
         x = self.x[name] - (self.x[name][seen].mean() if seen.any() else 0.0)
         slopes = []
@@ -223,8 +226,6 @@ class _Series:
             if off @ off > 0:
                 slopes.append(off @ y[seen] / (off @ off))
         if len(slopes) < SHARED:
-            if name == "temperature":
-                yield f"{self.name}: temperature is not logged; confounded with season"
             return
         slope = float(np.median(slopes))
         error = 1.2533 * median_abs_deviation(slopes, scale="normal")
@@ -253,11 +254,8 @@ class _Series:
             t, y, s = self.days[seen], self.y[k, seen], self.s[k, seen]
             warm = self.x["temperature"][k, seen]
             known = not self.many and np.isfinite(warm).all() and np.ptp(warm) > 0
-            own = tuple(
-                changes(
-                    t, y, s, limit=limit, degrees=self.degrees, x=warm if known else None
-                )
-            )
+            options = {"limit": limit, "degrees": self.degrees}
+            own = tuple(changes(t, y, s, x=warm if known else None, **options))
             now = level(t, y, s, own[-1] if own else None)
             found.append((k, t, y, s, own, now))
         base = np.nanmedian(self.baseline, axis=1)
@@ -285,20 +283,20 @@ class _Series:
         return share if text.endswith("%") else float(text)
 
     def _confounded(self, k: int, own: Sequence[Change]) -> str:
-        """What cannot be told from the changes of an arm."""
+        """What the changes of an arm cannot be told from."""
         found = []
-        for name in _COVARIATES if own else ():
-            x = self.x[name][k]
-            if not np.isfinite(x).any():
-                if name == "temperature" and not self.many:
-                    found.append("temperature, which is not logged")
-                continue
-            noise = median_abs_deviation(np.diff(x[np.isfinite(x)]), scale="normal")
-            for change in own:
-                before, after = x[self.days < change.day], x[self.days >= change.day]
-                gap = abs(np.nanmean(after) - np.nanmean(before)) if len(before) else 0.0
-                error = noise * np.sqrt(0.5 / max(len(before), 1) + 0.5 / len(after))
-                if name == "load" and gap > 4 * error and gap > 0.05 * np.nanmean(x):
+        if own and not self.many and not np.isfinite(self.x["temperature"][k]).any():
+            found.append("temperature, which is not logged")
+        load = self.x["load"][k]
+        seen = np.isfinite(load)
+        gaps = np.diff(load[seen])
+        noise = median_abs_deviation(gaps, scale="normal") / np.sqrt(2)
+        for change in own:
+            later = self.days >= change.day
+            before, after = load[seen & ~later], load[seen & later]
+            if len(before) and len(after):
+                error = noise * np.sqrt(1 / len(before) + 1 / len(after))
+                if abs(after.mean() - before.mean()) > _CLEARLY * error > 0:
                     found.append("load")
         return ", ".join(dict.fromkeys(found))
 
@@ -321,4 +319,3 @@ def _said(x: Change, unit: str) -> str:
     if x.kind == "trend":
         return f"{30.4375 * x.size:+.3g} {unit} a month since {when}"
     return f"{x.size:+.3g} {unit} on {when}"
-

@@ -52,7 +52,9 @@ def pooled(y: Array, s: Array) -> Pooled:
     unlike = np.zeros(len(y), dtype=bool)
     while (~unlike).sum() >= FEWEST:
         rest = np.flatnonzero(~unlike)
-        p = np.array([_strange(y[k], s[k], *_without(y, s, rest, k)) for k in rest])
+        p = np.array(
+            [_strange(y[k], s[k], *_without(y, s, rest, k)) for k in rest.tolist()]
+        )
         worst = int(np.argmin(p))
         if p[worst] * len(rest) >= _UNLIKE:
             break
@@ -71,9 +73,7 @@ def _without(
     return mean, float(np.hypot(spread, error)), len(others)
 
 
-def _strange(
-    y: float, s: float, mean: float, spread: float, count: int
-) -> float:
+def _strange(y: float, s: float, mean: float, spread: float, count: int) -> float:
     """Chance of a value as far from the others' mean."""
     far = abs(y - mean) / np.hypot(spread, s)
     return float(2 * student.sf(far, max(count - 1, 1)))

@@ -52,7 +52,9 @@ class Store:
     def rows(self, key: str) -> list[dict[str, Any]] | None:
         """Rows of a unit; None if there are none, or a torn file."""
         try:
-            return list(pq.ParquetFile(self._path(key)).read(use_threads=False).to_pylist())
+            return list(
+                pq.ParquetFile(self._path(key)).read(use_threads=False).to_pylist()
+            )
         except (OSError, pa.ArrowException):
             return None
 

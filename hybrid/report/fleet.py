@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _MONTH = 30.4375  # d
 _MOST_ROWS = 40  # arms of the heat map and of the list
 _MOST_PAGES = 100  # arms with a page of their own
+_DRAWN = 8  # changes drawn in the report
+_TIMELINE = "Deviation from the baseline; red: when a change began, with 95 % interval."
 _FAR = 6.0  # standard deviations between arms at which the colours end
 _DAY_ONE = date(1, 1, 1)
 
@@ -105,7 +107,9 @@ def unlike_table(fleet: Fleet) -> Table:
         )
         for x in fleet.states if x.unlike
     ]  # fmt: skip
-    return Table(("arm", "joint", "parameter", "value", "median of others"), tuple(rows))
+    return Table(
+        ("arm", "joint", "parameter", "value", "median of others"), tuple(rows)
+    )
 
 
 def _fleet_mean(fleet: Fleet, state: State) -> float:
@@ -146,7 +150,9 @@ def heat_figure(fleet: Fleet) -> Figure:
     image = axes.imshow(values, cmap="RdBu_r", vmin=-_FAR, vmax=_FAR, aspect="auto")
     if dots:
         axes.plot(*np.array(dots).T, ".", color="black", markersize=5)
-    names = [figure_text(f"{joint} {name.partition('.')[0]}") for joint, name in columns]
+    names = [
+        figure_text(f"{joint} {name.partition('.')[0]}") for joint, name in columns
+    ]
     axes.set_xticks(range(len(columns)), names, rotation=60, ha="right", fontsize=7)
     axes.set_yticks(range(len(arms)), [figure_text(x) for x in arms], fontsize=7)
     axes.tick_params(length=0)
@@ -214,13 +220,12 @@ def write_fleet_pages(
             f"{x.joint}, {x.parameter}: {change_sentence(x, c)}."
             for x in own for c in x.changes
         ]  # fmt: skip
-        figure = timeline_figure(own)
-        section = Section("Over time", figure=figure, caption="Deviation from baseline.")
-        write_page(folder / page, arm, [section], lead=" ".join(lines),
-                   provenance=provenance)  # fmt: skip
-    path = folder / "report.html"
+        section = Section("Over time", figure=timeline_figure(own), caption=_TIMELINE)
+        lead = " ".join(lines)
+        write_page(folder / page, arm, [section], lead=lead, provenance=provenance)
+    path, lead = folder / "report.html", lead_sentence(fleet)
     sections = list(_sections(fleet, pages))
-    write_page(path, "Fleet", sections, lead=lead_sentence(fleet), provenance=provenance)
+    write_page(path, "Fleet", sections, lead=lead, provenance=provenance)
     with atomic_path(folder / "fleet.prom") as temporary:
         temporary.write_text(prometheus_text(fleet), encoding="utf-8")
     return path
@@ -238,11 +243,11 @@ def _sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]:
         html=Markup("<p>Pages: {}</p>").format(links) if links else None,
     )
     if fleet.states:
-        yield Section("The fleet", figure=heat_figure(fleet),
-                      caption="Each arm against the fleet; dots are changes.")  # fmt: skip
+        caption = "How far each arm stands from the fleet; dots are changes."
+        yield Section("The fleet", figure=heat_figure(fleet), caption=caption)
     if fleet.alarms:
-        yield Section("The surest changes", figure=timeline_figure(fleet.alarms[:8]),
-                      caption="Red: when it began, with its 95 % interval.")  # fmt: skip
+        figure = timeline_figure(fleet.alarms[:_DRAWN])
+        yield Section("The surest changes", figure=figure, caption=_TIMELINE)
     for title, table in (
         ("Unlike the others", unlike_table(fleet)),
         ("Without a result", refused_table(fleet)),
@@ -260,7 +265,11 @@ def prometheus_text(fleet: Fleet) -> str:
         "limit_days": [],
     }  # fmt: skip
     for x in fleet.states:
-        labels = {"arm": x.arm, "joint": x.joint, "parameter": x.parameter}
+        labels: Mapping[str, str] = {
+            "arm": x.arm,
+            "joint": x.joint,
+            "parameter": x.parameter,
+        }
         gauges["value"].append((labels, x.baseline + x.level.value))
         gauges["value_std"].append((labels, x.level.std))
         gauges["changed_score"].append((labels, x.score))
