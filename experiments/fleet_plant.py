@@ -85,7 +85,8 @@ def record(robot: Robot, arm: Arm, weeks: int, folder: Path, seed: int) -> None:
         plant = Plant(robot, effects, step=0.002, control_rate=250.0, log_rate=50.0)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", HybridWarning)
-            logs = simulate(plant, trajectories=len(those), seed=seed + those[0])
+            own_seed = int(rng.integers(2**31))  # noise of two arms is never the same
+            logs = simulate(plant, trajectories=len(those), seed=own_seed)
         for week, log in zip(those, logs, strict=True):
             day = FIRST_DAY + timedelta(7 * week)
             write(_seasonal(robot, log, warm[week]), folder / f"{day}.parquet")

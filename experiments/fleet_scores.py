@@ -7,7 +7,7 @@ from datetime import timedelta
 from typing import Any
 
 import numpy as np
-from blind.measures import Share
+from blind.measures import Ratio
 from fleet_plant import FIRST_DAY, SIZES, Arm
 from scipy.stats import chi2
 
@@ -15,8 +15,6 @@ from hybrid.fleet.fleet import Fleet
 from hybrid.report import Table
 
 _EARLY = 14.0  # d: a date may be off by as much before a fault, to be of it
-_ARMS = 10_000
-_WEEKS_A_YEAR = 52
 
 
 def _date(week: int) -> float:
@@ -68,8 +66,8 @@ def _row(kind: str, size: str, own: Sequence[Mapping[str, Any]]) -> tuple[str, .
     hits = [x for x in own if x["found"]]
     named = sum(x["named"] for x in hits)
     delays = [x["delay"] for x in hits]
-    low, high = wilson(len(hits), len(own))
-    below, above = wilson(named, len(hits)) if hits else (np.nan, np.nan)
+    low, high = Ratio(len(hits), len(own)).interval
+    below, above = Ratio(named, len(hits)).interval
     weeks = f"{np.median(delays):.0f} ({max(delays):.0f})" if delays else "–"
     return (
         kind, size, str(len(own)), f"{len(hits)}", f"{low:.2f}–{high:.2f}",
@@ -89,7 +87,7 @@ def false_alarms(fleet: Fleet, arms: Sequence[Arm], name: str) -> Table:
     low = 100 * _poisson_lower(healthy) / months
     alarmed = {arm.name for arm, _ in every}
     right = sum(bool(kinds[x].kind) for x in alarmed)
-    below, above = wilson(right, len(alarmed))
+    below, above = Ratio(right, len(alarmed)).interval
     row = (
         f"{months:.0f}", str(healthy), f"{rate:.2f} ({low:.2f}–{high:.2f})",
         str(early), f"{right} of {len(alarmed)} ({below:.2f}–{above:.2f})",

@@ -9,14 +9,13 @@ them, and for arms that are watched alone; and what a unit costs.
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
-from time import process_time
 from typing import Any
 
+from fleet_costs import costs, measured
 from fleet_plant import Arm, line, record
-from fleet_scores import by_kind, costs, false_alarms, outcomes
+from fleet_scores import by_kind, false_alarms, outcomes
 from outputs import command_line
 from rich.console import Console
 
@@ -43,13 +42,12 @@ def variants(plan: Plan, found: Fleet) -> dict[str, Fleet]:
     }
 
 
-def simulated(arms: list[Arm], weeks: int, folder: Path, seed: int) -> float:
-    """Write the logs that are not there yet; the processor time, [s]."""
-    robot, start = Robot.load(ARM), process_time()
+def simulated(arms: list[Arm], weeks: int, folder: Path, seed: int) -> None:
+    """Write the logs that are not there yet."""
+    robot = Robot.load(ARM)
     for arm in arms:
         if not (folder / f"{arm.name}.json").exists():
             record(robot, arm, weeks, folder / arm.name, seed)
-    return process_time() - start
 
 
 def main() -> None:
@@ -63,7 +61,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     args, console = parser.parse_args(), Console(width=200)
     arms = list(line(args.healthy, args.each, args.weeks, args.seed))
-    simulating = simulated(arms, args.weeks, args.logs, args.seed)
+    simulated(arms, args.weeks, args.logs, args.seed)
     plan = plan_from_dict(
         {"robot": str(ARM.resolve()), "tool": TOOL, "arms": str(args.logs.resolve())}
     )
@@ -74,7 +72,9 @@ def main() -> None:
     for name, each in variants(plan, found).items():
         runs[name] = outcomes(each, arms, joints)
         tables += [by_kind(runs[name], name), false_alarms(each, arms, name)]
-    tables.append(costs(plan, simulating))
+    taken = [measured(plan, *x) for x in ((2, 1), (10, 1), (10, 2))]
+    sizes = [x.stat().st_size for x in args.logs.rglob("*.parquet")]
+    tables += costs(*taken, sum(sizes) / len(sizes))
     args.out.mkdir(parents=True, exist_ok=True)
     command = (
         f"python experiments/fleet_study.py --healthy {args.healthy} "
@@ -84,7 +84,7 @@ def main() -> None:
     (args.out / "report.md").write_text(
         f"# Fleet\n\n    {command}\n\n{text}", encoding="utf-8"
     )
-    write_json(args.out / "outcomes.json", json.loads(json.dumps(runs)))
+    write_json(args.out / "outcomes.json", runs)
     console.print(text, highlight=False)
 
 

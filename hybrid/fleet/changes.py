@@ -162,29 +162,29 @@ def changes(
         alarm = _first_alarm(t, y, s, limit, degrees, x, start)
         if alarm is None:
             return
-        here = slice(start, None)
-        z, std = _scored(t[here], y[here], s[here], None if x is None else x[here])
-        _, begins, steps = _shapes(t[here])
-        z = np.where(begins + start <= alarm, z, 0.0)
-        best = int(np.argmax(np.abs(z)))
-        kind: Kind = "step" if best < steps else "trend"
-        alike = np.arange(len(z)) < steps if kind == "step" else (
-            np.arange(len(z)) >= steps)  # fmt: skip
-        near = begins[alike & (z**2 >= z[best] ** 2 - _WITHIN)] + start
-        first = int(begins[best]) + start
-        yield Change(
-            kind,
-            float(t[first]),
-            float(t[near.min()]),
-            float(t[near.max()]),
-            float(t[alarm]),
-            float(z[best] * std[best]),
-            float(std[best]),
-            float(z[best]),
-        )
-        if kind == "trend":
+        # All data say best what it was, unless it has gone again since.
+        found = max(
+            (_change(*(None if v is None else v[start:end] for v in (t, y, s, x)),
+                     float(t[alarm])) for end in (len(t), alarm + 1)),
+            key=lambda change: abs(change.score),
+        )  # fmt: skip
+        yield found
+        if found.kind == "trend":
             return
-        start = first
+        start = int(np.searchsorted(t, found.day))
+
+
+def _change(t: Array, y: Array, s: Array, x: Array | None, alarm: float) -> Change:
+    """The shape of a change that was known on a day."""
+    z, std = _scored(t, y, s, x)
+    _, begins, steps = _shapes(t)
+    z = np.where(t[begins] <= alarm, z, 0.0)
+    best = int(np.argmax(np.abs(z)))
+    alike = (np.arange(len(z)) < steps) == (best < steps)
+    near = t[begins[alike & (z**2 >= z[best] ** 2 - _WITHIN)]]
+    size = z[best] * std[best], std[best], z[best]
+    days = t[begins[best]], near.min(), near.max(), alarm
+    return Change("step" if best < steps else "trend", *map(float, (*days, *size)))
 
 
 def _first_alarm(
