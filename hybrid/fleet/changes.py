@@ -24,7 +24,7 @@ Kind = Literal["step", "trend"]
 
 FALSE_ALARMS = 0.01  # per arm and month
 MONTH = 30.4375  # d
-_BEFORE, _AFTER = 3, 2  # periods on either side of a step: one odd log is no change
+_BEFORE, _AFTER = 3, 2  # periods on either side of a step
 _LEAST = _BEFORE + _AFTER
 _LOOK_BACK = 52  # periods
 _PATHS = 20_000  # of noise, which the threshold is found from

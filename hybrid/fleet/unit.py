@@ -23,7 +23,6 @@ from typing import Any
 
 from fsspec.core import url_to_fs
 
-from hybrid.diagnose.diagnose import diagnose
 from hybrid.errors import HybridError
 from hybrid.fleet.estimate import Deviations, deviations
 from hybrid.fleet.worker import FINDING, OK, REFUSED
@@ -93,6 +92,8 @@ def _diagnosed(
     model: DynamicModel, logs: Sequence[Recording]
 ) -> Iterator[dict[str, Any]]:
     """What the baseline, as a simulator, lacks in these logs."""
+    from hybrid.diagnose.diagnose import diagnose
+
     found = diagnose(model.robot, logs)
     yield {"status": FINDING, "parameter": "verdict", "reason": found.verdict}
     for finding in found.findings:
