@@ -164,8 +164,13 @@ def changes(
             return
         # All data say best what it was, unless it has gone again since.
         found = max(
-            (_change(*(None if v is None else v[start:end] for v in (t, y, s, x)),
-                     float(t[alarm])) for end in (len(t), alarm + 1)),
+            (
+                _change(
+                    t[start:end], y[start:end], s[start:end],
+                    None if x is None else x[start:end], float(t[alarm]),
+                )
+                for end in (len(t), alarm + 1)
+            ),
             key=lambda change: abs(change.score),
         )  # fmt: skip
         yield found

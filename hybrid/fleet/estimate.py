@@ -9,7 +9,7 @@ independent ones (Bartlett 1946, doi 10.2307/2983611).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,8 @@ _FROM_TOOL = 0.05  # m, that a payload is off the tool, and its size
 _DRAWS = 400  # of its centre
 _UNSURE = 0.05  # relative: of inertial parameters whose covariance is not known
 _LAGS = 40  # samples over which residuals are correlated, at the most
+# Effects whose gains are found, with the names of those that are followed.
+Followed = Sequence[tuple[Effect, tuple[str, ...]]]
 _PASSES = 3  # of weights by residuals
 
 
@@ -74,7 +76,7 @@ class Deviations:
     temperature: Array
 
 
-def followed(track: Sequence[str], size: int) -> list[tuple[Effect, tuple[str, ...]]]:
+def followed(track: Sequence[str], size: int) -> Followed:
     """Effects whose gains are found, with the names of those that are followed.
 
     Args:
@@ -131,33 +133,36 @@ def deviations(
     told[: len(payload)] = payload
     parts = [_sampled(model, rigid, effects, told, data, m) for m in data.motions]
     theta, covariance, residual = _posterior(parts, _prior(model, rigid, effects, tool))
-    std = np.sqrt(np.diag(covariance))
-    rows, at = [], len(rigid)
-    for effect, names in effects:
-        own = next((e for e in model.effects if _same_place(e, effect)), None)
-        arm = len(effect.joints) != 1 or effect.scope == "arm"
-        for gain in effect.gains:
-            if gain.name in names:
-                rows.append(
-                    Deviation(
-                        "arm" if arm else robot.joints[effect.joints[0]],
-                        f"{effect.id}.{gain.name}",
-                        gain.unit,
-                        float(theta[at]),
-                        float(std[at]),
-                        float(own.values[gain.name]) if own else 0.0,
-                        float(own.std.get(gain.name, 0.0)) if own else 0.0,
-                    )
-                )
-            at += 1
     warm = [m.temperature for m in data.motions if m.temperature is not None]
     load = np.concatenate([model.body(m).load for m in data.motions])
+    std = np.sqrt(np.diag(covariance))
     return Deviations(
-        tuple(rows),
+        tuple(_rows(model, effects, theta[len(rigid) :], std[len(rigid) :])),
         residual,
         np.sqrt((load**2).mean(axis=0)),
         np.concatenate(warm).mean(axis=0) if warm else np.full(robot.size, np.nan),
     )
+
+
+def _rows(
+    model: DynamicModel, effects: Followed, theta: Array, std: Array
+) -> Iterator[Deviation]:
+    at = 0
+    for effect, names in effects:
+        own = next((e for e in model.effects if _same_place(e, effect)), None)
+        where = model.robot.joints[effect.joints[0]]
+        for gain in effect.gains:
+            if gain.name in names:
+                yield Deviation(
+                    "arm" if effect.scope == "arm" else where,
+                    f"{effect.id}.{gain.name}",
+                    gain.unit,
+                    float(theta[at]),
+                    float(std[at]),
+                    float(own.values[gain.name]) if own else 0.0,
+                    float(own.std.get(gain.name, 0.0)) if own else 0.0,
+                )
+            at += 1
 
 
 def _same_place(one: Effect, other: Effect) -> bool:
@@ -167,7 +172,7 @@ def _same_place(one: Effect, other: Effect) -> bool:
 def _prior(
     model: DynamicModel,
     rigid: Sequence[int],
-    effects: Sequence[tuple[Effect, tuple[str, ...]]],
+    effects: Followed,
     tool: Sequence[float],
 ) -> Array:
     """Covariance of δ and g, shape (p, p)."""
@@ -207,7 +212,7 @@ def _held(model: DynamicModel, mass: float, tool: Sequence[float]) -> Array:
 def _sampled(
     model: DynamicModel,
     rigid: Sequence[int],
-    effects: Sequence[tuple[Effect, tuple[str, ...]]],
+    effects: Followed,
     payload: Array,
     data: Data,
     motion: Motion,

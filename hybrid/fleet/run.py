@@ -46,7 +46,7 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Client]:
                 n_workers=1,
                 threads_per_worker=workers,
                 processes=False,
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",  # its server cannot be left out
             ) as cluster,
             Client(cluster) as client,
         ):
@@ -96,12 +96,16 @@ def answers(
     threads = max(1, sum(client.nthreads().values()))
     running = as_completed(send(_WAITING * threads))
     for future in running:
-        error = future.exception()
-        if isinstance(error, CancelledError):
-            raise error
-        result = future.result() if error is None else {
-            "failed": LOST, "reason": " ".join(str(error).split())
-        }  # fmt: skip
-        yield names.pop(future), result
+        yield names.pop(future), _result(future)
         for new in send(1):
             running.add(new)
+
+
+def _result(future: Any) -> dict[str, Any]:
+    """What a unit gave; what its workers died of is an answer, too."""
+    error = future.exception()
+    if isinstance(error, CancelledError):
+        raise error
+    if error is not None:
+        return {"failed": LOST, "reason": " ".join(str(error).split())}
+    return dict(future.result())
