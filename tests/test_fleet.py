@@ -1,5 +1,6 @@
 """Fleets: plans, units that may hang or die, changes with a stated false-alarm rate."""
 
+import json
 import os
 import signal
 import warnings
@@ -19,7 +20,9 @@ from hybrid.fleet.changes import changes, crossing, level, threshold
 from hybrid.fleet.estimate import deviations
 from hybrid.fleet.plan import TRACK, plan_from_dict
 from hybrid.fleet.pooling import pooled
+from hybrid.fleet.unit import answer
 from hybrid.identify import identify
+from hybrid.model.model_file import content_from_model
 from hybrid.plant import Plant, simulate
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import write
@@ -177,6 +180,22 @@ def test_one_and_two_workers_write_the_same_and_a_rerun_does_nothing_twice(
     assert (tmp_path / "1" / "fleet.parquet").read_bytes() == files[0]
 
 
+def test_a_log_elsewhere_is_fetched_and_gives_the_same_rows(tmp_path):
+    path = tmp_path / "2026-01-05.parquet"
+    write(logs()[0], path)
+    question = {
+        "task": "period", "model": json.dumps(content_from_model(baseline())),
+        "track": list(TRACK), "payload": [], "tool": [], "map": None, "diagnose": False,
+    }  # fmt: skip
+    here, there = (
+        answer({**question, "logs": [where]}) for where in (str(path), path.as_uri())
+    )
+    assert json.dumps(here) == json.dumps(there)
+    assert len(here["rows"]) == 9
+    missing = answer({**question, "logs": ["file:///nowhere/2026-01-05.csv"]})
+    assert missing["rows"][0]["status"] == "refused"
+
+
 def test_a_child_that_was_killed_is_replaced_and_one_that_hangs_is_ended():
     start = {"task": "baseline", "robot": str(SCARA), "joints": [], "map": None}
     try:
@@ -207,6 +226,22 @@ def test_a_child_that_was_killed_is_replaced_and_one_that_hangs_is_ended():
 def test_a_plan_that_is_not_valid_is_refused_in_one_line(content, line):
     with pytest.raises(HybridError, match=line):
         plan_from_dict(content)
+
+
+@pytest.mark.parametrize("library", ["distributed", "fsspec"])
+def test_without_the_extra_one_line_says_what_to_install(
+    library, tmp_path, capsys, monkeypatch
+):
+    folder_of_arms(tmp_path, arms=1, weeks=1)
+
+    def find_spec(name):
+        return None if name == library else True
+
+    monkeypatch.setattr("hybrid.extras.find_spec", find_spec)
+    words = ["fleet", str(tmp_path / "logs"), "--robot", str(SCARA)]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    assert "pip install 'hybrid-arm[fleet]'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_log_without_a_date_is_refused_before_any_work(tmp_path, capsys):

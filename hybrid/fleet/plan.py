@@ -15,10 +15,9 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from fsspec.core import url_to_fs
-
 from hybrid import __version__
 from hybrid.errors import HybridError
+from hybrid.extras import check_extra
 from hybrid.files import read_yaml
 from hybrid.fleet.estimate import followed
 from hybrid.names import name_fault
@@ -228,7 +227,7 @@ def _located(path: str, folder: str | Path) -> str:
 
 
 def _folders(path: str) -> list[str]:
-    fs, root = url_to_fs(path)
+    fs, root = opened(path)
     if not fs.isdir(root):
         raise HybridError(f"{path}: no such folder of arms")
     inside = fs.ls(root, detail=True)
@@ -260,10 +259,10 @@ def _logs(arm: ArmPlan) -> Iterator[tuple[str, str, str]]:
     """Path, state and stated date of every log of an arm."""
     if isinstance(arm.logs, Mapping):
         for day, path in arm.logs.items():
-            fs, root = url_to_fs(str(path))
+            fs, root = opened(str(path))
             yield str(path), _state(fs, root), str(day)
         return
-    fs, root = url_to_fs(arm.logs)
+    fs, root = opened(arm.logs)
     if fs.isdir(root):
         inside = [x["name"] for x in fs.ls(root, detail=True)]
     else:
@@ -280,6 +279,21 @@ def _state(fs: Any, path: str) -> str:
     files = fs.find(path, detail=True) if fs.isdir(path) else {path: fs.info(path)}
     kept = [[str(x.get(key)) for key in _STAMP] for _, x in sorted(files.items())]
     return hashlib.sha256(json.dumps(kept).encode()).hexdigest()[:16]
+
+
+def opened(path: str) -> tuple[Any, str]:
+    """The file system of a path, and the path there.
+
+    Raises:
+        HybridError: fsspec, or what it needs for the path, is not installed.
+    """
+    check_extra("fsspec", "fleet", "A fleet")
+    from fsspec.core import url_to_fs
+
+    try:
+        return url_to_fs(path)  # type: ignore[no-any-return]
+    except (ImportError, ValueError) as error:
+        raise HybridError(f"{path}: cannot be reached ({error})") from error
 
 
 def _full(fs: Any, path: str) -> str:

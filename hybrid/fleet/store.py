@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from hybrid.errors import HybridError
 from hybrid.files import atomic_path, read_json, write_json
-from hybrid.fleet.plan import FIRST, ArmPlan, Logs, Plan, Unit, periods
+from hybrid.fleet.plan import FIRST, ArmPlan, Logs, Plan, Unit, opened, periods
 from hybrid.fleet.run import answers
 from hybrid.fleet.worker import LATE, LOST, REFUSED
 
@@ -208,9 +208,7 @@ def _baseline_unit(arm: ArmPlan, logs: Logs) -> tuple[Unit, dict[str, Any]]:
 
 
 def _text(path: str) -> str:
-    from fsspec.core import url_to_fs
-
-    fs, root = url_to_fs(path)
+    fs, root = opened(path)
     try:
         return str(fs.read_text(root, encoding="utf-8"))
     except OSError as error:

@@ -21,10 +21,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from fsspec.core import url_to_fs
-
 from hybrid.errors import HybridError
 from hybrid.fleet.estimate import Deviations, deviations
+from hybrid.fleet.plan import opened
 from hybrid.fleet.worker import FINDING, OK, REFUSED
 from hybrid.identify import DynamicModel, identify
 from hybrid.model.model_file import content_from_model
@@ -116,7 +115,7 @@ def _local(paths: Sequence[str]) -> Iterator[list[Path]]:
             if "://" not in path:
                 found.append(Path(path))
                 continue
-            fs, root = url_to_fs(path)
+            fs, root = opened(path)
             target = Path(folder) / str(k) / Path(root).name
             target.parent.mkdir()
             fs.get(root, str(target), recursive=fs.isdir(root))
