@@ -29,7 +29,12 @@ from hybrid.fleet.store import Store, run_plan, write_rows
 from hybrid.fleet.worker import OK
 
 SHARED = 5  # arms of a period that tell what all arms share
-_EFFICIENCY = 0.25  # degrees of freedom of a MAD of successive differences, each
+_EFFICIENCY = 0.5  # degrees of freedom of the scatter, of each difference
+_CLIPPED = (
+    3.0  # standard deviations up to which a difference counts: a step is no noise
+)
+_STEP = 5.0  # standard deviations from which a difference is a step
+_CHANCE = 3.0  # times 1/N: variance of a mean of N squares of successive differences
 _SURE = 1.96
 _CLEARLY = 4.0  # standard errors, of a load that changed along with a parameter
 _COVARIATES = ("temperature", "load")
@@ -161,9 +166,9 @@ def fleet_from_rows(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> Fleet:
         shared.append("no log has a temperature: season and ageing are confounded")
     for (group, _, _), own in sorted(tables.items()):
         series = _Series(own)
-        limit = threshold(series.y.shape[1], plan.days, watched[group])
-        shared += series.remove_common(limit)
-        states += series.states(group, limit, limits)
+        size = series.y.shape[1], plan.days, watched[group]
+        shared += series.remove_common(threshold(*size))
+        states += series.states(group, threshold(*size, series.noise), limits)
     return Fleet(rows, tuple(states), tuple(shared), months)
 
 
@@ -233,16 +238,25 @@ class _Series:
             self.y = self.y - slope * np.nan_to_num(x)
 
     def _scale(self) -> None:
-        """Scatter between periods, from differences: steps and trends hardly count."""
+        """Scatter between periods, from differences: steps and trends hardly count.
+
+        That of one arm lies between its own and the fleet's, as far as arms differ by
+        more than chance.
+        """
         gaps = [_differences(y, s) for y, s in zip(self.y, self.s, strict=True)]
         every = np.concatenate(gaps)
-        scale = 1.4826 * float(np.median(np.abs(every))) if len(every) else 1.0
         self.degrees = max(1.0, _EFFICIENCY * len(every))
-        for k, own in enumerate(gaps):
-            # An arm's own scatter, where it is surely larger than the fleet's.
-            least = 1 - _SURE / np.sqrt(2 * 0.37 * max(len(own), 1))
-            mine = 1.4826 * float(np.median(np.abs(own))) if len(own) else 0.0
-            self.s[k] = self.s[k] * max(scale, mine * max(least, 0.0), 1e-9)
+        usual = 1.4826 * float(np.median(np.abs(every))) if len(every) else 1.0
+        most = _CLIPPED * max(usual, 1e-9)
+        own = np.array([np.mean(np.clip(x, -most, most) ** 2) if len(x) else np.nan
+                        for x in gaps])  # fmt: skip
+        mean = float(np.nanmean(own)) if len(every) else 1.0
+        ratio = np.nan_to_num(own / max(mean, 1e-18), nan=1.0)
+        chance = _CHANCE * np.mean([1 / max(len(x), 1) for x in gaps])
+        true = max(0.0, 1.0 - chance / max(float(np.var(ratio)), 1e-18))
+        small = every[np.abs(every) < _STEP * usual]
+        self.noise = small / max(float(small.std()), 1e-9) if len(small) else small
+        self.s *= np.sqrt(max(mean, 1e-18) * (1.0 + true * (ratio - 1.0)))[:, None]
 
     def states(
         self, group: str, limit: float, limits: Mapping[str, Mapping[str, str | float]]

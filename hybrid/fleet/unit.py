@@ -90,7 +90,7 @@ def _rows(found: Deviations, joints: Sequence[str]) -> Iterator[dict[str, Any]]:
 def _diagnosed(
     model: DynamicModel, logs: Sequence[Recording]
 ) -> Iterator[dict[str, Any]]:
-    """What the baseline, as a simulator, lacks in these logs."""
+    """What the robot file lacks in these logs: minutes, not milliseconds."""
     from hybrid.diagnose.diagnose import diagnose
 
     found = diagnose(model.robot, logs)
