@@ -267,7 +267,7 @@ def _posterior(parts: Sequence[Array], prior: Array) -> tuple[Array, Array, Arra
         weight = 1.0 / np.maximum(power * lasting, 1e-300) * (counts > 0)
     H = precision + np.tensordot(weight, A, axes=1)
     theta = np.linalg.solve(H, weight @ b)
-    covariance: Array = np.linalg.inv(H)
+    covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
     rms: Array = np.sqrt(power * counts / np.maximum(before, 1e-300))
     return np.asarray(scale * theta), covariance * scale * scale[:, None], rms
 

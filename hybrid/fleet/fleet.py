@@ -252,7 +252,7 @@ class _Series:
                         for x in gaps])  # fmt: skip
         mean = float(np.nanmean(own)) if len(every) else 1.0
         ratio = np.nan_to_num(own / max(mean, 1e-18), nan=1.0)
-        chance = _CHANCE * np.mean([1 / max(len(x), 1) for x in gaps])
+        chance = _CHANCE * float(np.mean([1 / max(len(x), 1) for x in gaps]))
         true = max(0.0, 1.0 - chance / max(float(np.var(ratio)), 1e-18))
         small = every[np.abs(every) < _STEP * usual]
         self.noise = small / max(float(small.std()), 1e-9) if len(small) else small
