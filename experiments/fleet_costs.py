@@ -68,13 +68,12 @@ def measured(plan: Plan, arms: int, workers: int) -> Cost:
     )
 
 
-def costs(few: Cost, many: Cost, two: Cost, log_bytes: float) -> list[Table]:
+def costs(few: Cost, many: Cost, log_bytes: float) -> list[Table]:
     """Cost of a unit from two numbers of arms, and a plan for ten thousand arms.
 
     Args:
         few: A few units at one worker.
         many: More units at one worker.
-        two: The same units as ``many`` at two workers.
         log_bytes: Mean size of a log.
     """
     count = many.units - few.units
@@ -82,8 +81,6 @@ def costs(few: Cost, many: Cost, two: Cost, log_bytes: float) -> list[Table]:
         (getattr(many, x) - getattr(few, x)) / count for x in ("children", "parent")
     )
     loading = max(0.0, many.children - unit * many.units)
-    # The second child loads once more; all else that it costs is lost to sharing.
-    shared = (many.children + many.parent) / (two.children + two.parent - loading)
     whole = _ARMS * _WEEKS
     hours = whole * unit / 3600
     rows = (
@@ -91,8 +88,7 @@ def costs(few: Cost, many: Cost, two: Cost, log_bytes: float) -> list[Table]:
         ("logs per hour and core", f"{3600 / unit:,.0f}"),
         ("overhead of a unit where the work is handed out", f"{1e3 * overhead:.1f} ms"),
         ("loading of a child, once", f"{loading:.1f} s"),
-        ("work at 1 over work at 2 workers", f"{shared:.2f}"),
-        ("memory of a child", f"{many.child_mb:.0f} MB"),
+        ("memory of a child, at the most", f"{many.child_mb:.0f} MB"),
         ("memory of client, scheduler and analysis", f"{many.parent_mb:.0f} MB"),
         ("size of a log, of its rows", f"{log_bytes / 1e3:.0f} kB, "
          f"{many.stored / many.units / 1e3:.1f} kB"),
@@ -102,8 +98,11 @@ def costs(few: Cost, many: Cost, two: Cost, log_bytes: float) -> list[Table]:
         ("processor time of the children", f"{hours:,.0f} h"),
         ("of the process that hands out", f"{whole * overhead / 3600:.1f} h"),
         ("cores that it keeps busy", f"{unit / overhead:,.0f}"),
-        ("wall time on 64 cores, computed", f"{hours / 64:.1f} h"),
-        ("cost at 0.05 $ a core hour", f"{hours * _CORE_HOUR:,.0f} $"),
+        (
+            "wall time on 64 cores, computed",
+            f"{max(hours / 64, whole * overhead / 3600):.1f} h",
+        ),
+        ("cost at 0.05 $ a core hour", f"{hours * _CORE_HOUR:,.2f} $"),
         ("bytes read", f"{whole * log_bytes / 1e9:,.0f} GB"),
         ("bytes stored", f"{whole * many.stored / many.units / 1e9:,.1f} GB"),
         ("units at the scheduler at a time, 64 cores", f"{_WAITING * 64}"),
