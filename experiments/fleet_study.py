@@ -4,7 +4,7 @@ A simulated line of arms, week by week, with planted faults of three sizes. Tabl
 detections by kind and size, and of false alarms, appear, with temperatures and without
 them, and for arms that are watched alone; and what a unit costs.
 
-    python experiments/fleet_study.py --healthy 128 --each 6 --weeks 26
+    python experiments/fleet_study.py --healthy 64 --each 4 --weeks 26
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def simulated(arms: list[Arm], weeks: int, folder: Path, seed: int) -> None:
 def main() -> None:
     """Simulate, run, score, and write the report."""
     parser = command_line(__doc__, "fleet")
-    parser.add_argument("--healthy", type=int, default=128)
-    parser.add_argument("--each", type=int, default=6)
+    parser.add_argument("--healthy", type=int, default=64)
+    parser.add_argument("--each", type=int, default=4)
     parser.add_argument("--weeks", type=int, default=26)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--logs", type=Path, default=Path("out/fleet_logs"))
@@ -67,8 +67,7 @@ def main() -> None:
     )
     found = fleet(plan, args.logs.parent / "fleet_results", workers=args.workers)
     joints = Robot.load(ARM).joints
-    tables: list[Table] = []
-    runs: dict[str, list[dict[str, Any]]] = {}
+    tables, runs = list[Table](), dict[str, list[dict[str, Any]]]()
     for name, each in variants(plan, found).items():
         runs[name] = outcomes(each, arms, joints)
         tables += [by_kind(runs[name], name), false_alarms(each, arms, name)]
@@ -81,9 +80,8 @@ def main() -> None:
         f"--each {args.each} --weeks {args.weeks} --seed {args.seed}"
     )
     text = "\n".join(f"{x.caption}\n\n{markdown_table(x)}" for x in tables)
-    (args.out / "report.md").write_text(
-        f"# Fleet\n\n    {command}\n\n{text}", encoding="utf-8"
-    )
+    text = f"# Fleet\n\n    {command}\n\n{text}"
+    (args.out / "report.md").write_text(text, encoding="utf-8")
     write_json(args.out / "outcomes.json", runs)
     console.print(text, highlight=False)
 
