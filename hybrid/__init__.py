@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from hybrid.effects import effect_classes as effects
     from hybrid.excitation import design as excite
     from hybrid.export.export import export
+    from hybrid.fleet.fleet import Fleet, fleet
     from hybrid.identify import DynamicModel, Fit, identify, predict, validate
     from hybrid.inspect import Inspection, inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
@@ -41,6 +42,7 @@ __all__ = [
     "DynamicModel",
     "Effect",
     "Fit",
+    "Fleet",
     "Inspection",
     "Motion",
     "OnlineIdentifier",
@@ -55,6 +57,7 @@ __all__ = [
     "excite",
     "export",
     "fit_servo",
+    "fleet",
     "identify",
     "inspect_recording",
     "predict",
@@ -70,6 +73,7 @@ _HOME = {
     "DynamicModel": "hybrid.identify",
     "Effect": "hybrid.effects",
     "Fit": "hybrid.identify",
+    "Fleet": "hybrid.fleet",
     "Inspection": "hybrid.inspect",
     "Motion": "hybrid.signals",
     "OnlineIdentifier": "hybrid.online",
@@ -83,6 +87,7 @@ _HOME = {
     "excite": "hybrid.excitation:design",
     "export": "hybrid.export",
     "fit_servo": "hybrid.servo",
+    "fleet": "hybrid.fleet",
     "identify": "hybrid.identify",
     "inspect_recording": "hybrid.inspect",
     "predict": "hybrid.identify",

@@ -18,6 +18,7 @@ FLOORS = (
     {"__main__", "cli"},
     {"views"},
     {"report"},
+    {"fleet"},
     {"diagnose"},
     {"calibrate"},
     {"export"},

@@ -16,6 +16,7 @@ from hybrid.cli import (
     effects,
     excite,
     export,
+    fleet,
     identify,
     inspect,
     predict,
@@ -40,6 +41,7 @@ _VERBS = {
     "track": track,
     "calibrate": calibrate,
     "diagnose": diagnose,
+    "fleet": fleet,
     "export": export,
     "effects": effects,
 }

@@ -25,7 +25,7 @@ LOGS = (
 )
 _NOT_SETTINGS = {
     "verb", "parser", "robot", "recordings", "recording", "model", "effects_from",
-    "out", "json", "seed", "poses", "page",
+    "out", "json", "seed", "poses", "page", "plan", "scheduler", "workers",
 }  # fmt: skip
 
 

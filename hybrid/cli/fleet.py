@@ -1,0 +1,100 @@
+"""``hybrid fleet``: many arms over time, and against each other."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hybrid.cli.options import (
+    add_common,
+    check_outputs,
+    count,
+    record,
+    robot_file,
+    write_record,
+)
+
+if TYPE_CHECKING:
+    from hybrid.cli.screen import Screen
+
+HELP = """which arms of a fleet change, when, in what, and which are unlike the others
+PLAN is a YAML file: robot, arms (a folder with one folder of logs for each arm, or a
+table), and any of baseline, track, period, limits, payload, tool, group, time_limit,
+diagnose, joints, map. Dates come from the names of the logs. PLAN may be the folder of
+arms itself, with --robot.
+
+Results are stored as they come in DIR/units; the same command does what is missing.
+DIR/report.html, DIR/arms, DIR/fleet.parquet and DIR/fleet.prom say what was found.
+
+--json: provenance, arm_months, alarms, unlike, refused, shared.
+
+examples:
+  hybrid fleet plan.yaml --out fleet
+  hybrid fleet logs --robot models/scara.xml --out fleet --workers 2
+  hybrid fleet plan.yaml --out fleet --scheduler tcp://10.0.0.1:8786"""
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument("plan", type=Path, metavar="PLAN", help="YAML file, or folder")
+    parser.add_argument(
+        "--robot", type=robot_file, metavar="FILE", help="the arms, if PLAN is a folder"
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of a Dask scheduler (default: the cores of this machine)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=count,
+        metavar="N",
+        help="processes here (default: one a core)",
+    )
+    add_common(parser)
+
+
+def run(args: Namespace, screen: Screen) -> None:
+    """Run the fleet, write and show."""
+    from hybrid.fleet import fleet
+    from hybrid.fleet.plan import read_plan
+    from hybrid.report.fleet import (
+        alarms_table,
+        lead_sentence,
+        refused_table,
+        unlike_table,
+        write_fleet_pages,
+    )
+
+    plan = read_plan(args.plan, robot=args.robot)
+    check_outputs([args.out / "report.html", args.json], [args.plan])
+    with screen.working("looking for logs") as tell:
+        found = fleet(
+            plan,
+            args.out,
+            scheduler=args.scheduler,
+            workers=args.workers,
+            progress=tell,
+        )
+        tell("writing the report")
+        inputs = [args.plan] if args.plan.is_file() else []
+        how = record(args, inputs)
+        page = write_fleet_pages(args.out, found, provenance=how)
+    tables = alarms_table(found), unlike_table(found), refused_table(found)
+    names = "alarms", "unlike", "refused"
+    content = {
+        "arm_months": found.arm_months,
+        "shared": list(found.shared),
+        **{
+            name: [dict(zip(x.header, row, strict=True)) for row in x.rows]
+            for name, x in zip(names, tables, strict=True)
+        },
+    }
+    write_record(args, how, content)
+    for table in tables:
+        if table.rows:
+            screen.show_words(table)
+    screen.say(lead_sentence(found))
+    screen.say(f"report: {page}")

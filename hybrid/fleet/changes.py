@@ -1,0 +1,262 @@
+"""When a parameter of one arm changed, with a stated rate of false alarms.
+
+The statistic is the generalised likelihood ratio of a step or a ramp that began in any
+period against a constant, on what is known up to each period (Siegmund and Venkatraman
+1995, doi 10.1214/aos/1176324466): the largest squared score of the shape's size. The
+threshold is what noise alone passes as seldom as is asked, found by simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from hybrid.arrays import Array
+
+Kind = Literal["step", "trend"]
+
+FALSE_ALARMS = 0.01  # per arm and month
+MONTH = 30.4375  # d
+_BEFORE, _AFTER = 3, 2  # periods on either side of a step
+_LEAST = _BEFORE + _AFTER
+_LOOK_BACK = 52  # periods
+_PATHS = 20_000  # of noise, which the threshold is found from
+_TELLING = 500  # values of noise that tell its tails
+_SOLID = 0.01  # share of them down to which quantiles are read off
+_WITHIN = 3.84  # of twice the log likelihood: dates within 95 %
+_DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class Change:
+    """One change of one parameter.
+
+    Attributes:
+        kind: ``step``, or ``trend``: a ramp that began on ``day``.
+        day: When it happened or began, [d] on the clock of the series.
+        earliest: Lower end of the 95 % interval of that.
+        latest: Upper end.
+        alarm: When it was known, [d].
+        size: Of a step, in the unit; of a trend, its slope in the unit per day.
+        std: Standard deviation of that.
+        score: Size over its standard deviation.
+    """
+
+    kind: Kind
+    day: float
+    earliest: float
+    latest: float
+    alarm: float
+    size: float
+    std: float
+    score: float
+
+
+@dataclass(frozen=True)
+class Level:
+    """Where a parameter stands in its last period.
+
+    Attributes:
+        value: Deviation from the baseline.
+        std: Its standard deviation.
+        slope: Trend since the last change, per day.
+        slope_std: Its standard deviation.
+        covariance: Of value and slope.
+    """
+
+    value: float
+    std: float
+    slope: float
+    slope_std: float
+    covariance: float
+
+
+def _shapes(t: Array) -> tuple[Array, NDArray[np.intp], int]:
+    """Steps, then ramps, shape (N, shapes); the period each begins in; the steps."""
+    n = len(t)
+    steps = np.arange(_BEFORE, n - _AFTER + 1)
+    ramps = np.arange(0, n - _AFTER)
+    H = np.hstack([
+        (np.arange(n)[:, None] >= steps).astype(float),
+        np.maximum(t[:, None] - t[ramps], 0.0),
+    ])  # fmt: skip
+    return H, np.concatenate([steps, ramps]), len(steps)
+
+
+def _scored(t: Array, y: Array, s: Array, x: Array | None) -> tuple[Array, Array]:
+    """Size over standard deviation of every shape, and that deviation.
+
+    Args:
+        t: Time, shape (N,).
+        y: Values, shape (N,) or (N, series).
+        s: Their standard deviations, shape (N,).
+        x: What they may depend on linearly, shape (N,), or None.
+    """
+    H, _, _ = _shapes(t)
+    known = [np.ones(len(t))] if x is None else [np.ones(len(t)), x - x.mean()]
+    Q, _ = np.linalg.qr(np.stack(known, axis=1) / s[:, None])
+    H = H / s[:, None]
+    own = np.linalg.norm(H, axis=0)
+    H = H - Q @ (Q.T @ H)
+    size = np.linalg.norm(H, axis=0)
+    size = np.where(size > 1e-6 * own, size, np.inf)  # what x explains tells nothing
+    weighted = y / (s if y.ndim == 1 else s[:, None])
+    return (H.T @ weighted) / (size if y.ndim == 1 else size[:, None]), 1.0 / size
+
+
+def threshold(
+    count: int, days: float, series: int, noise: Array | None = None
+) -> float:
+    """Score above which is an alarm.
+
+    Args:
+        count: Number of periods.
+        days: Length of a period, [d].
+        series: Parameters that are watched at each arm.
+        noise: Scatter of healthy values, of unit variance, any number of them; normal
+            if there are too few to tell their tails.
+    """
+    count = int(np.clip(count, _LEAST, _LOOK_BACK))
+    rate = min(0.5, FALSE_ALARMS * count * days / MONTH / series)
+    if noise is None or len(noise) < _TELLING:
+        highest = _normal_highest(count)
+    else:
+        rng = np.random.default_rng(0)
+        highest = _highest(rng.choice(noise, (count, _PATHS)))
+    solid = np.quantile(highest, 1 - max(rate, _SOLID))
+    excess = highest[highest > solid].mean() - solid  # the tail is exponential
+    return float(np.sqrt(solid + excess * np.log(max(rate, _SOLID) / rate)))
+
+
+@lru_cache(maxsize=8)
+def _normal_highest(count: int) -> Array:
+    return _highest(np.random.default_rng(0).standard_normal((count, _PATHS)))
+
+
+def _highest(noise: Array) -> Array:
+    """Largest squared score that is ever reached, of each column of noise."""
+    count, paths = noise.shape
+    t, highest = np.arange(count, dtype=float), np.zeros(paths)
+    for n in range(_LEAST, count + 1):
+        z, _ = _scored(t[:n], noise[:n], np.ones(n), None)
+        np.maximum(highest, (z**2).max(axis=0), out=highest)
+    return highest
+
+
+def _as_normal(z: Array, degrees: float) -> Array:
+    """Scores whose variance was estimated, as if it were known."""
+    p = student.logsf(np.abs(z), max(degrees, 1.0))
+    return np.where(p > -600, norm.isf(np.exp(np.maximum(p, -600))), np.abs(z))
+
+
+def changes(
+    t: Array,
+    y: Array,
+    s: Array,
+    *,
+    limit: float,
+    degrees: float = np.inf,
+    x: Array | None = None,
+) -> Iterator[Change]:
+    """Changes of one series, in order of time.
+
+    Args:
+        t: Days of the periods, shape (N,), [d].
+        y: Values, shape (N,).
+        s: Their standard deviations, shape (N,).
+        limit: Score of an alarm, see :func:`threshold`.
+        degrees: Degrees of freedom of the standard deviations.
+        x: What the values may depend on, shape (N,), or None.
+    """
+    start = 0
+    while True:
+        alarm = _first_alarm(t, y, s, limit, degrees, x, start)
+        if alarm is None:
+            return
+        # All data say best what it was, unless it has gone again since.
+        found = max(
+            (
+                _change(
+                    t[start:end], y[start:end], s[start:end],
+                    None if x is None else x[start:end], float(t[alarm]),
+                )
+                for end in (len(t), alarm + 1)
+            ),
+            key=lambda change: abs(change.score),
+        )  # fmt: skip
+        yield found
+        if found.kind == "trend":
+            return
+        start = int(np.searchsorted(t, found.day))
+
+
+def _change(t: Array, y: Array, s: Array, x: Array | None, alarm: float) -> Change:
+    """The shape of a change that was known on a day."""
+    z, std = _scored(t, y, s, x)
+    _, begins, steps = _shapes(t)
+    z = np.where(t[begins] <= alarm, z, 0.0)
+    best = int(np.argmax(np.abs(z)))
+    alike = (np.arange(len(z)) < steps) == (best < steps)
+    near = t[begins[alike & (z**2 >= z[best] ** 2 - _WITHIN)]]
+    size = z[best] * std[best], std[best], z[best]
+    days = t[begins[best]], near.min(), near.max(), alarm
+    return Change("step" if best < steps else "trend", *map(float, (*days, *size)))
+
+
+def _first_alarm(
+    t: Array,
+    y: Array,
+    s: Array,
+    limit: float,
+    degrees: float,
+    x: Array | None,
+    start: int,
+) -> int | None:
+    for n in range(start + _LEAST, len(t) + 1):
+        here = slice(max(start, n - _LOOK_BACK), n)
+        z, _ = _scored(t[here], y[here], s[here], None if x is None else x[here])
+        if _as_normal(np.array([np.abs(z).max()]), degrees)[0] > limit:
+            return n - 1
+    return None
+
+
+def level(t: Array, y: Array, s: Array, last: Change | None) -> Level:
+    """Where a series stands: constant, or on a trend where one was found."""
+    here = t >= (last.day if last else -np.inf)
+    t, y, s = t[here] - t[-1], y[here], s[here]
+    X = np.stack([np.ones(len(t)), t], axis=1) / s[:, None]
+    covariance = np.linalg.pinv(X.T @ X, hermitian=True)
+    value, slope = covariance @ (X.T @ (y / s))
+    std = np.sqrt(np.diag(covariance))
+    if last is None or last.kind == "step":
+        weight = s**-2 / (s**-2).sum()
+        return Level(float(weight @ y), float((s**-2).sum() ** -0.5),
+                     float(slope), float(std[1]), 0.0)  # fmt: skip
+    return Level(*map(float, (value, std[0], slope, std[1], covariance[0, 1])))
+
+
+def crossing(now: Level, limit: float) -> tuple[float, float, float]:
+    """Days until a parameter passes a limit: median and 95 % interval; inf if never.
+
+    Args:
+        now: Where it stands.
+        limit: Largest change to either side.
+    """
+    covariance = [[now.std**2, now.covariance], [now.covariance, now.slope_std**2]]
+    value, slope = (
+        np.random.default_rng(0)
+        .multivariate_normal([now.value, now.slope], covariance, _DRAWS)
+        .T
+    )
+    with np.errstate(divide="ignore"):
+        days = (np.where(slope > 0, limit, -limit) - value) / slope
+    days = np.where(np.abs(value) >= limit, 0.0, np.where(days > 0, days, np.inf))
+    early, median, late = np.quantile(days, [0.025, 0.5, 0.975], method="nearest")
+    return float(median), float(early), float(late)

@@ -1,0 +1,297 @@
+"""A fleet as pages and text: ranked list, heat map, timelines, and lines to monitor."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import date, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from markupsafe import Markup
+from scipy.stats import median_abs_deviation
+
+from hybrid.files import atomic_path
+from hybrid.fleet.changes import Change
+from hybrid.fleet.fleet import Fleet, State
+from hybrid.names import figure_text, file_stem
+from hybrid.report.page import Section, write_page
+from hybrid.report.style import (
+    BLUE,
+    GREY,
+    PALE,
+    RED,
+    clean,
+    finish,
+    new_figure,
+    panels,
+)
+from hybrid.report.table import Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_MONTH = 30.4375  # d
+_MOST_ROWS = 40  # arms of the heat map and of the list
+_MOST_PAGES = 100  # arms with a page of their own
+_DRAWN = 8  # changes drawn in the report
+_TIMELINE = "Deviation from the baseline; red: when a change began, with 95 % interval."
+_FAR = 6.0  # standard deviations between arms at which the colours end
+_DAY_ONE = date(1, 1, 1)
+
+
+def _day(ordinal: float) -> str:
+    """ISO date of an ordinal; the number of the log where dates are not known."""
+    if ordinal < 366:
+        return f"log {ordinal:.0f}"
+    return (_DAY_ONE + timedelta(ordinal - 1)).isoformat()
+
+
+def change_sentence(state: State, change: Change) -> str:
+    """What changed, by how much, when, and when it was known."""
+    half = 1.96 * change.std
+    if change.kind == "trend":
+        size = (
+            f"{_MONTH * change.size:+.3g} ± {_MONTH * half:.2g} {state.unit} a month "
+            f"since {_day(change.day)}"
+        )
+    else:
+        size = f"{change.size:+.3g} ± {half:.2g} {state.unit} on {_day(change.day)}"
+    between = (
+        f" ({_day(change.earliest)} to {_day(change.latest)})"
+        if change.latest > change.earliest
+        else ""
+    )
+    return f"{size}{between}, known {_day(change.alarm)}"
+
+
+def forecast_text(state: State) -> str:
+    """When a limit is passed, or that none is."""
+    if not np.isfinite(state.limit):
+        return ""
+    median, early, late = state.crossing
+    if median == 0.0:
+        return "passed"
+    if not state.changes or not np.isfinite(median):
+        return "not foreseen"
+    end = _day(state.days[-1] + late) if late < 36500 else "never"
+    return (
+        f"{_day(state.days[-1] + median)} ({_day(state.days[-1] + early)} to {end})"
+        if median < 36500
+        else "not foreseen"
+    )
+
+
+def alarms_table(fleet: Fleet) -> Table:
+    """Changes of all arms, the surest first."""
+    rows = [
+        (
+            x.arm, x.joint, x.parameter.replace("_", " "), f"{x.score:.1f}",
+            forecast_text(x), x.confounded,
+            "; ".join(change_sentence(x, change) for change in x.changes),
+        )
+        for x in fleet.alarms[:_MOST_ROWS]
+    ]  # fmt: skip
+    header = ("arm", "joint", "parameter", "score", "limit passed", "confounded with")
+    return Table((*header, "what changed"), tuple(rows), words=True)
+
+
+def unlike_table(fleet: Fleet) -> Table:
+    """Arms that are not like the others, and in what."""
+    rows = [
+        (
+            x.arm, x.joint, x.parameter.replace("_", " "),
+            f"{x.baseline + x.level.value:.4g} ± {1.96 * x.level.std:.2g} {x.unit}",
+            f"{_fleet_mean(fleet, x):.4g} {x.unit}",
+        )
+        for x in fleet.states if x.unlike
+    ]  # fmt: skip
+    return Table(
+        ("arm", "joint", "parameter", "value", "median of others"), tuple(rows)
+    )
+
+
+def _fleet_mean(fleet: Fleet, state: State) -> float:
+    key = state.group, state.joint, state.parameter
+    others = [
+        x.pooled for x in fleet.states
+        if (x.group, x.joint, x.parameter) == key and x.arm != state.arm
+    ]  # fmt: skip
+    return float(np.median(others)) if others else np.nan
+
+
+def refused_table(fleet: Fleet) -> Table:
+    """Periods without a result, and why."""
+    rows = [(x["arm"], x["period"], x["status"], x["reason"]) for x in fleet.refused]
+    return Table(("arm", "period", "", "why"), tuple(rows), words=True)
+
+
+def heat_figure(fleet: Fleet) -> Figure:
+    """How far each arm stands from the fleet in each parameter; dots are alarms."""
+    columns = list(dict.fromkeys((x.joint, x.parameter) for x in fleet.states))
+    worst: dict[str, float] = {}
+    for x in fleet.states:
+        worst[x.arm] = max(worst.get(x.arm, 0.0), x.score + 100.0 * x.unlike)
+    arms = sorted(worst, key=lambda x: (-worst[x], x))[:_MOST_ROWS]
+    values = np.full((len(arms), len(columns)), np.nan)
+    dots = []
+    for k, column in enumerate(columns):
+        own = [x for x in fleet.states if (x.joint, x.parameter) == column]
+        level = np.array([x.level.value for x in own])
+        spread = median_abs_deviation(level, scale="normal")
+        spread = max(spread, float(np.median([x.level.std for x in own])), 1e-12)
+        for x, far in zip(own, (level - np.median(level)) / spread, strict=True):
+            if x.arm in arms:
+                values[arms.index(x.arm), k] = far
+                dots += [(k, arms.index(x.arm))] if x.changes else []
+    figure = new_figure(1.9 + 0.17 * len(arms))
+    axes = figure.subplots()
+    image = axes.imshow(values, cmap="RdBu_r", vmin=-_FAR, vmax=_FAR, aspect="auto")
+    if dots:
+        axes.plot(*np.array(dots).T, ".", color="black", markersize=5)
+    names = [
+        figure_text(f"{joint} {name.partition('.')[0]}") for joint, name in columns
+    ]
+    axes.set_xticks(range(len(columns)), names, rotation=60, ha="right", fontsize=7)
+    axes.set_yticks(range(len(arms)), [figure_text(x) for x in arms], fontsize=7)
+    axes.tick_params(length=0)
+    bar = figure.colorbar(image, ax=axes, shrink=0.6)
+    bar.set_label("from the fleet's median [σ between arms]", fontsize=7)
+    bar.ax.tick_params(labelsize=7)
+    return figure
+
+
+def timeline_figure(states: Sequence[State]) -> Figure:
+    """Parameters over time, with their changes and limits."""
+    figure, cells = panels(len(states), height=1.35)
+    start = min(float(x.days[0]) for x in states)
+    for (axes,), x in zip(cells, states, strict=True):
+        days = x.days - start
+        axes.errorbar(days, x.values, 1.96 * x.std, fmt=".", color=BLUE,
+                      ecolor=PALE, markersize=4, linewidth=0.8)  # fmt: skip
+        for change in x.changes:
+            axes.axvspan(change.earliest - start, change.latest - start,
+                         color=RED, alpha=0.12, linewidth=0)  # fmt: skip
+            axes.axvline(change.day - start, color=RED, linewidth=1.0)
+        if np.isfinite(x.limit):
+            for side in (-x.limit, x.limit):
+                axes.axhline(side, color=GREY, linewidth=0.8, linestyle=":")
+        clean(axes, grid="y")
+        name = f"{x.joint}: {x.parameter.replace('_', ' ')}"
+        axes.set_title(figure_text(name), loc="left", fontsize=8, fontweight="bold")
+        axes.set_ylabel(figure_text(f"[{x.unit}]" if x.unit else "[–]"))
+    finish(figure, [axes for (axes,) in cells], f"days since {_day(start)}")
+    return figure
+
+
+def lead_sentence(fleet: Fleet) -> str:
+    """The result in a sentence."""
+    arms = {x["arm"] for x in fleet.rows}
+    changed = {x.arm for x in fleet.alarms}
+    unlike = {x.arm for x in fleet.states if x.unlike}
+    return (
+        f"{len(arms):,} arms over {fleet.arm_months:,.0f} arm-months: {len(changed):,} "
+        f"changed, {len(unlike):,} unlike the others, {len(fleet.refused):,} periods "
+        "without a result."
+    )
+
+
+def write_fleet_pages(
+    folder: Path, fleet: Fleet, *, provenance: Mapping[str, Any]
+) -> Path:
+    """Write ``report.html``, a page for each arm with findings, and ``fleet.prom``.
+
+    Args:
+        folder: Where the files shall be.
+        fleet: The fleet.
+        provenance: With what it was made; see :func:`hybrid.report.provenance`.
+
+    Returns:
+        The report.
+    """
+    named = dict.fromkeys(x.arm for x in fleet.alarms)
+    named |= dict.fromkeys(x.arm for x in fleet.states if x.unlike)
+    pages = {arm: f"arms/{file_stem(arm)}.html" for arm in list(named)[:_MOST_PAGES]}
+    (folder / "arms").mkdir(parents=True, exist_ok=True)
+    for arm, page in pages.items():
+        own = [x for x in fleet.states if x.arm == arm]
+        lines = [
+            f"{x.joint}, {x.parameter}: {change_sentence(x, c)}."
+            for x in own for c in x.changes
+        ]  # fmt: skip
+        section = Section("Over time", figure=timeline_figure(own), caption=_TIMELINE)
+        lead = " ".join(lines)
+        write_page(folder / page, arm, [section], lead=lead, provenance=provenance)
+    path, lead = folder / "report.html", lead_sentence(fleet)
+    sections = list(_sections(fleet, pages))
+    write_page(path, "Fleet", sections, lead=lead, provenance=provenance)
+    with atomic_path(folder / "fleet.prom") as temporary:
+        temporary.write_text(prometheus_text(fleet), encoding="utf-8")
+    return path
+
+
+def _sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]:
+    links = Markup(", ").join(
+        Markup('<a href="{}">{}</a>').format(page, arm) for arm, page in pages.items()
+    )
+    yield Section(
+        "What changed",
+        "The threshold lets noise raise one false alarm in 100 arm-months. A score is "
+        "the size of a change over its standard deviation.",
+        table=alarms_table(fleet),
+        html=Markup("<p>Pages: {}</p>").format(links) if links else None,
+    )
+    if fleet.states:
+        caption = "How far each arm stands from the fleet; dots are changes."
+        yield Section("The fleet", figure=heat_figure(fleet), caption=caption)
+    if fleet.alarms:
+        figure = timeline_figure(fleet.alarms[:_DRAWN])
+        yield Section("The surest changes", figure=figure, caption=_TIMELINE)
+    for title, table in (
+        ("Unlike the others", unlike_table(fleet)),
+        ("Without a result", refused_table(fleet)),
+    ):
+        if table.rows:
+            yield Section(title, table=table)
+    if fleet.shared:
+        yield Section("What all arms share", "\n\n".join(f"{x}." for x in fleet.shared))
+
+
+def prometheus_text(fleet: Fleet) -> str:
+    """Gauges in the text format of Prometheus, for a textfile collector."""
+    gauges: dict[str, list[tuple[Mapping[str, str], float]]] = {
+        "value": [], "value_std": [], "changed_score": [], "unlike": [],
+        "limit_days": [],
+    }  # fmt: skip
+    for x in fleet.states:
+        labels: Mapping[str, str] = {
+            "arm": x.arm,
+            "joint": x.joint,
+            "parameter": x.parameter,
+        }
+        gauges["value"].append((labels, x.baseline + x.level.value))
+        gauges["value_std"].append((labels, x.level.std))
+        gauges["changed_score"].append((labels, x.score))
+        gauges["unlike"].append((labels, float(x.unlike)))
+        if np.isfinite(x.limit):
+            gauges["limit_days"].append((labels, x.crossing[0]))
+    refused: dict[str, int] = dict.fromkeys((x["arm"] for x in fleet.rows), 0)
+    for row in fleet.refused:
+        refused[row["arm"]] += 1
+    gauges["refused_periods"] = [({"arm": k}, float(n)) for k, n in refused.items()]
+    lines = []
+    for name, found in gauges.items():
+        lines.append(f"# TYPE hybrid_fleet_{name} gauge")
+        for labels, value in found:
+            text = ",".join(f'{k}="{_escaped(v)}"' for k, v in labels.items())
+            lines.append(f"hybrid_fleet_{name}{{{text}}} {_number(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def _escaped(text: str) -> str:
+    return re.sub(r'(["\\])', r"\\\1", text.replace("\n", " "))
+
+
+def _number(value: float) -> str:
+    return "+Inf" if value == np.inf else f"{value:.9g}"

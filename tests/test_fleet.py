@@ -1,0 +1,252 @@
+"""Fleets: plans, units that may hang or die, changes with a stated false-alarm rate."""
+
+import json
+import os
+import signal
+import warnings
+from datetime import date, timedelta
+from functools import cache
+
+import numpy as np
+import pytest
+from arms import MODELS
+
+from hybrid.cli import main
+from hybrid.effects import effects_from_text
+from hybrid.errors import HybridError
+from hybrid.fleet import fleet
+from hybrid.fleet import worker as workers
+from hybrid.fleet.changes import changes, crossing, level, threshold
+from hybrid.fleet.estimate import deviations
+from hybrid.fleet.plan import TRACK, plan_from_dict
+from hybrid.fleet.pooling import pooled
+from hybrid.fleet.unit import answer
+from hybrid.identify import identify
+from hybrid.model.model_file import content_from_model
+from hybrid.plant import Plant, simulate
+from hybrid.plant.scale import joint_scales
+from hybrid.recording import write
+from hybrid.report.fleet import prometheus_text
+from hybrid.robot import Robot
+
+SCARA = MODELS / "scara.xml"
+WEEKS, DAYS = 26, 7.0
+HELD = "payload(mass=0.8;mx=0.16;mz=0;Ixx=0.002;Iyy=0.04;Izz=0.04)"
+T = 739000.0 + DAYS * np.arange(WEEKS)
+
+
+@cache
+def logs(effects="", count=3, seed=0):
+    """Cheap logs of a SCARA with effects its file does not know."""
+    robot = Robot.load(SCARA)
+    more = effects_from_text(effects, robot.joints, joint_scales(robot))
+    plant = Plant(robot, more, step=0.002, control_rate=250.0, log_rate=50.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return simulate(plant, trajectories=count, duration=6, seed=seed)
+
+
+@cache
+def baseline():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return identify(Robot.load(SCARA), logs(), stages=("rigid",)).model
+
+
+def folder_of_arms(tmp_path, arms=2, weeks=3):
+    found = iter(logs(count=arms * weeks, seed=4))
+    for a in range(arms):
+        for week in range(weeks):
+            day = date(2026, 1, 5) + timedelta(7 * week)
+            write(next(found), tmp_path / "logs" / f"arm{a}" / f"{day}.parquet")
+    return plan_from_dict({"robot": str(SCARA), "arms": str(tmp_path / "logs")})
+
+
+def found(rows, joint, parameter):
+    return next(x for x in rows if (x.joint, x.parameter) == (joint, parameter))
+
+
+def test_noise_alone_raises_no_more_alarms_than_one_in_a_hundred_arm_months():
+    series, arms = 9, 25
+    limit = threshold(WEEKS, DAYS, series)
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal((arms * series, WEEKS))
+    count = sum(len(list(changes(T, y, np.ones(WEEKS), limit=limit))) for y in noise)
+    # 25 arms of 6 months: 1.5 are stated; more than 5 would be one case in 200.
+    assert count <= 5
+
+
+def test_more_parameters_that_are_watched_need_surer_alarms():
+    assert threshold(WEEKS, DAYS, 35) > threshold(WEEKS, DAYS, 9) > 3.0
+
+
+@pytest.mark.parametrize("week", [6, 15])
+def test_a_step_is_dated_and_measured(week):
+    noise = np.random.default_rng(week).standard_normal(WEEKS)
+    y = 0.1 * (noise + 6.0 * (np.arange(WEEKS) >= week))
+    (x,) = changes(T, y, np.full(WEEKS, 0.1), limit=4.0)
+    assert x.kind == "step"
+    assert x.earliest <= T[week] <= x.latest
+    assert T[week] <= x.alarm <= T[week] + 21
+    assert abs(x.size - 0.6) < 3 * x.std
+
+
+def test_wear_is_a_trend_whose_limit_is_foreseen():
+    noise = np.random.default_rng(1).standard_normal(WEEKS)
+    y = noise + 0.05 * np.maximum(T - T[8], 0.0)
+    (x,) = changes(T, y, np.ones(WEEKS), limit=4.0)
+    assert x.kind == "trend"
+    assert abs(x.size - 0.05) < 3 * x.std
+    now = level(T, y, np.ones(WEEKS), x)
+    median, early, late = crossing(now, 10.0)
+    true = (10.0 - 0.05 * (T[-1] - T[8])) / 0.05
+    assert early < true < late
+    assert early < median < late
+
+
+def test_a_temperature_that_explains_a_trend_leaves_no_alarm():
+    warm = np.linspace(20.0, 30.0, WEEKS)
+    y = 2.0 * (warm - 20.0) + np.random.default_rng(0).standard_normal(WEEKS)
+    assert not list(changes(T, y, np.ones(WEEKS), limit=4.0, x=warm))
+    assert list(changes(T, y, np.ones(WEEKS), limit=4.0))
+
+
+def test_pooling_makes_estimates_better_and_names_the_arm_that_is_unlike():
+    rng = np.random.default_rng(0)
+    true = rng.normal(5.0, 0.3, 30)
+    y = true + rng.normal(0.0, 0.5, 30)
+    y[7], true[7] = 12.0, 12.0
+    fleet_of = pooled(y, np.full(30, 0.5))
+    assert np.flatnonzero(fleet_of.unlike).tolist() == [7]
+    assert fleet_of.value[7] == 12.0
+    rest = np.arange(30) != 7
+    error = np.abs(fleet_of.value - true)[rest]
+    assert (error**2).mean() < 0.7 * (np.abs(y - true)[rest] ** 2).mean()
+
+
+@pytest.mark.parametrize(
+    ("effect", "joint", "parameter", "size"),
+    [
+        ("coulomb:1(level=0.4)", "shoulder", "coulomb.level", 0.4),
+        (HELD, "arm", "payload.mass", 0.8),
+    ],
+)
+def test_a_change_is_found_where_it_is(effect, joint, parameter, size):
+    before, after = (
+        deviations(baseline(), logs(x, seed=9), TRACK, tool=(0.2, 0.0, 0.0)).rows
+        for x in ("", effect)
+    )
+    gap = found(after, joint, parameter).change - found(before, joint, parameter).change
+    std = found(after, joint, parameter).std
+    assert abs(gap - size) < 2 * std
+    others = [
+        abs(x.change - y.change) / x.std
+        for x, y in zip(after, before, strict=True)
+        if (x.joint, x.parameter) != (joint, parameter)
+    ]
+    assert gap / std > max(others)
+
+
+def test_a_payload_that_the_arm_was_told_of_is_no_change():
+    (effect,) = effects_from_text(
+        HELD, ("shoulder", "elbow"), joint_scales(Robot.load(SCARA))
+    )
+    told, loaded = effect.gain_values.tolist(), logs(HELD, seed=9)
+    x = found(
+        deviations(baseline(), loaded, TRACK, payload=told).rows, "arm", "payload.mass"
+    )
+    assert abs(x.change) < 2 * x.std
+
+
+def test_one_and_two_workers_write_the_same_and_a_rerun_does_nothing_twice(
+    tmp_path, monkeypatch
+):
+    plan = folder_of_arms(tmp_path)
+    bad = tmp_path / "logs" / "arm1" / "2026-01-12.parquet"
+    bad.write_bytes(b"no log")
+    results = [fleet(plan, tmp_path / str(n), workers=n) for n in (1, 2)]
+    files = [(tmp_path / str(n) / "fleet.parquet").read_bytes() for n in (1, 2)]
+    assert files[0] == files[1]
+    (refused,) = results[0].refused
+    assert (refused["arm"], refused["status"]) == ("arm1", "refused")
+    assert str(bad) in refused["reason"]
+    assert 'hybrid_fleet_refused_periods{arm="arm1"} 1' in prometheus_text(results[0])
+
+    def no_child(self):
+        raise AssertionError("everything was there already")
+
+    monkeypatch.setattr(workers.Child, "__init__", no_child)
+    fleet(plan, tmp_path / "1", workers=1)
+    assert (tmp_path / "1" / "fleet.parquet").read_bytes() == files[0]
+
+
+def test_a_log_elsewhere_is_fetched_and_gives_the_same_rows(tmp_path):
+    path = tmp_path / "2026-01-05.parquet"
+    write(logs()[0], path)
+    question = {
+        "task": "period", "model": json.dumps(content_from_model(baseline())),
+        "track": list(TRACK), "payload": [], "tool": [], "map": None, "diagnose": False,
+    }  # fmt: skip
+    here, there = (
+        answer({**question, "logs": [where]}) for where in (str(path), path.as_uri())
+    )
+    assert json.dumps(here) == json.dumps(there)
+    assert len(here["rows"]) == 9
+    missing = answer({**question, "logs": ["file:///nowhere/2026-01-05.csv"]})
+    assert missing["rows"][0]["status"] == "refused"
+
+
+def test_a_child_that_was_killed_is_replaced_and_one_that_hangs_is_ended():
+    start = {"task": "baseline", "robot": str(SCARA), "joints": [], "map": None}
+    try:
+        none = workers.ask({**start, "periods": []}, None, 60.0)
+        (killed,) = workers._children.values()
+        killed.process.kill()
+        assert workers.ask({**start, "periods": []}, None, 60.0) == none
+        (hangs,) = workers._children.values()
+        os.kill(hangs.process.pid, signal.SIGSTOP)
+        found = workers.ask({**start, "periods": []}, None, 1.0)
+        assert found == {"failed": "late", "reason": "no result within 1 s"}
+        assert hangs.process.poll() is not None
+    finally:
+        workers.end_children()
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        ({"arms": {"a": {}}}, "arm a: no robot and no logs"),
+        ({"arms": "nowhere", "robot": "scara.xml"}, "no such folder of arms"),
+        ({"arms": {}, "colour": 1}, "colour is not valid; valid are"),
+        ({"arms": {"a": {"logs": "x", "robot": "r", "payload": "heavy"}}}, "numbers"),
+        ({"arms": {"a": {"logs": "x", "robot": "r"}}, "period": "hour"}, "valid are"),
+        ({"arms": {"a": {"logs": "x", "robot": "r"}}, "track": ["rust"]}, "rust"),
+    ],
+)
+def test_a_plan_that_is_not_valid_is_refused_in_one_line(content, line):
+    with pytest.raises(HybridError, match=line):
+        plan_from_dict(content)
+
+
+@pytest.mark.parametrize("library", ["distributed", "fsspec"])
+def test_without_the_extra_one_line_says_what_to_install(
+    library, tmp_path, capsys, monkeypatch
+):
+    folder_of_arms(tmp_path, arms=1, weeks=1)
+
+    def find_spec(name):
+        return None if name == library else True
+
+    monkeypatch.setattr("hybrid.extras.find_spec", find_spec)
+    words = ["fleet", str(tmp_path / "logs"), "--robot", str(SCARA)]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    assert "pip install 'hybrid-arm[fleet]'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_log_without_a_date_is_refused_before_any_work(tmp_path, capsys):
+    (tmp_path / "logs" / "arm").mkdir(parents=True)
+    (tmp_path / "logs" / "arm" / "monday.csv").write_text("t\n", encoding="utf-8")
+    words = ["fleet", str(tmp_path / "logs"), "--robot", str(SCARA)]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    assert "monday.csv has no date in its name" in capsys.readouterr().err
