@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import LIFT, MODELS, public_arm
-from test_export import full_model, model_of, networks
+from test_export import full_model, model_of
 
 from hybrid.effects import Scale
 from hybrid.effects.actuator_lag import ActuatorLag
@@ -105,14 +105,13 @@ def models():
     ]
     return {
         "mixtures": full_model(),
-        "networks": networks(),
         "memory": model_of(ur10, effects),
     }
 
 
 @pytest.mark.parametrize("compiler", compilers())
 @pytest.mark.parametrize("single", [False, True])
-@pytest.mark.parametrize("kind", ["mixtures", "networks", "memory"])
+@pytest.mark.parametrize("kind", ["mixtures", "memory"])
 def test_no_input_breaks_it_or_brings_a_torque_that_is_none(
     tmp_path, compiler, single, kind
 ):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from learners import NetworkRegression
 from simulated import (
     arm,
     coloured,
@@ -14,7 +15,6 @@ from simulated import (
     with_torque,
 )
 
-from hybrid.compensator import NetworkRegression
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.identify import identify, validate
 from hybrid.identify.data import Data

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from hybrid.compensator.checks import check_pair, draw
-from hybrid.compensator.envelope import Envelope
 from hybrid.errors import ModelFileError
+from learners.envelope import Envelope
 
 if TYPE_CHECKING:
     from learners.modules import RandomFeatureModule

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hybrid.compensator.gmr import GaussianMixtureRegression
-from hybrid.compensator.network import NetworkRegression
 
 if TYPE_CHECKING:
     import torch
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
 __all__ = [
     "REMAINDERS",
     "GaussianMixtureRegression",
-    "NetworkRegression",
     "Remainder",
 ]
 
@@ -60,9 +58,5 @@ class Remainder(Protocol):
 
 # Kind, as written in a model file -> the class whose ``from_arrays`` reads it.
 REMAINDERS: dict[str, type[Remainder]] = {
-    cls.kind: cls
-    for cls in (
-        GaussianMixtureRegression,
-        NetworkRegression,
-    )
+    GaussianMixtureRegression.kind: GaussianMixtureRegression
 }

@@ -24,7 +24,6 @@ from hybrid.arrays import Array
 from hybrid.compensator.checks import check_matrix, check_mixture
 from hybrid.compensator.conditional import FARTHEST as FARTHEST
 from hybrid.compensator.conditional import Conditional, soft_minimum
-from hybrid.compensator.em import Structure
 from hybrid.errors import HybridError, ModelFileError
 from hybrid.extras import check_extra
 
@@ -102,9 +101,6 @@ class GaussianMixtureRegression:
         covariance_floor: float = 1e-4,
         max_samples: int = 20_000,
         bound: ArrayLike | None = None,
-        structure: Structure = "full",
-        rank: int = 2,
-        passes: int = 0,
     ) -> GaussianMixtureRegression:
         """Learn the mixture by expectation maximisation.
 
@@ -123,11 +119,6 @@ class GaussianMixtureRegression:
             max_samples: Rows to learn from at most, drawn without replacement.
             bound: Largest absolute output, shape (m,) or scalar, [N·m], for instance a
                 fraction of the rated torque; None takes the largest residual in ``y``.
-            structure: What covariances may be: ``full``, ``diagonal``, or ``low_rank``:
-                some directions and one variance for all others.
-            rank: Number of directions of a low rank.
-            passes: Further passes over all samples, ``max_samples`` or not, on a GPU if
-                there is one.
 
         Returns:
             The learned regression.
@@ -148,30 +139,7 @@ class GaussianMixtureRegression:
             covariance_floor=covariance_floor,
             max_samples=max_samples,
             bound=bound,
-            structure=structure,
-            rank=rank,
-            passes=passes,
         )
-
-    def updated(
-        self, x: ArrayLike, y: ArrayLike, *, known: float, passes: int = 3
-    ) -> GaussianMixtureRegression:
-        """The regression with new samples added to those it was learned from.
-
-        What it knows stands for earlier samples, which are not needed again; after each
-        of a few passes over the new ones only the sums of both are kept.
-
-        Source: Neal and Hinton 1998, doi 10.1007/978-94-011-5014-9_12.
-
-        Args:
-            x: New inputs, shape (N, d), [unit of the training inputs].
-            y: New remaining torque, shape (N, m), [N·m].
-            known: Number of samples that what it knows counts as; few forget fast.
-            passes: Passes over the new samples.
-        """
-        from hybrid.compensator.gmr_fit import update_gmr
-
-        return update_gmr(self, x, y, known=known, passes=passes)
 
     def predict(self, x: ArrayLike) -> Array:
         """Expected remaining torque.

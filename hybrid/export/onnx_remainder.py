@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybrid.compensator import GaussianMixtureRegression, NetworkRegression
+from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.gmr import FARTHEST
-from hybrid.compensator.network import LOG_VARIANCE
 from hybrid.errors import HybridError
 from hybrid.robot.chain import Array
 
@@ -29,12 +28,10 @@ def regression_nodes(graph: Graph, regression: object, x: str) -> tuple[str, str
     """
     if isinstance(regression, GaussianMixtureRegression):
         return _mixture(graph, regression, x)
-    if isinstance(regression, NetworkRegression) and regression.history == 1:
-        return _network(graph, regression, x)
     kind = getattr(regression, "kind", type(regression).__name__)
     raise HybridError(
-        f"a remainder of kind {kind} has no ONNX; valid are gmr and network without a "
-        "history, and the format torchscript takes every kind"
+        f"a remainder of kind {kind} has no ONNX; valid is gmr, and the format "
+        "torchscript takes every kind"
     )
 
 
@@ -57,27 +54,6 @@ def _mixture(
     spread = graph.sum(node("Mul", share, spread), 1)
     trust = _trust(graph, nearest, closeness, mixture.fade)
     return _blended(graph, trust, mean, spread, mixture.prior_variance)
-
-
-def _network(graph: Graph, network: NetworkRegression, x: str) -> tuple[str, str]:
-    node, constant, e = graph.node, graph.constant, network.envelope
-    z = _standardised(graph, x, e.offset, e.scale)
-    out = z
-    for k, (weight, bias) in enumerate(network.layers):
-        out = node("Tanh", out) if k else out
-        out = node("Add", node("MatMul", out, constant(weight)), constant(bias))
-    mean, spread = (
-        node("Gather", out, constant([k], np.int64), axis=1) for k in range(2)
-    )
-    bound = float(e.bound[0])
-    mean = _within(graph, node("Mul", mean, constant(network.scale)), -bound, bound)
-    spread = node("Exp", _within(graph, spread, *LOG_VARIANCE))
-    spread = node("Mul", spread, constant(network.scale**2))
-    nearest, closeness = _closeness(
-        graph, _distances(graph, z, e.whitening, e.centre)[1]
-    )
-    trust = _trust(graph, nearest, closeness, e.fade)
-    return _blended(graph, trust, mean, spread, e.prior_variance)
 
 
 def _standardised(graph: Graph, x: str, offset: Array, scale: Array) -> str:

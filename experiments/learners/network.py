@@ -18,13 +18,12 @@ from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from hybrid.compensator.checks import check_pair, draw
-from hybrid.compensator.envelope import LOG_VARIANCE as LOG_VARIANCE
-from hybrid.compensator.envelope import Envelope
 from hybrid.errors import HybridError, ModelFileError
 from hybrid.extras import check_extra
+from learners.envelope import LOG_VARIANCE, Envelope
 
 if TYPE_CHECKING:
-    from hybrid.compensator.modules import NetworkModule
+    from learners.modules import NetworkModule
 
 
 _ROWS = 4096  # samples at a time
@@ -76,7 +75,7 @@ class NetworkRegression:
             max_samples: Rows to learn from at most.
         """
         check_extra("torch", "learn", "Training a network")
-        from hybrid.compensator.modules import train
+        from learners.modules import train
 
         rng = np.random.default_rng(rng)
         x, y = draw(*check_pair(x, y), max_samples, rng)
@@ -168,7 +167,7 @@ class NetworkRegression:
     def to_torch(self) -> NetworkModule:
         """The same regression as a float64 torch module (loads torch)."""
         check_extra("torch", "learn", "A torch module")
-        from hybrid.compensator.modules import NetworkModule
+        from learners.modules import NetworkModule
 
         return NetworkModule(self)
 

@@ -1,4 +1,4 @@
-"""Expectation maximisation on any number of samples, and with any device.
+"""Mixtures whose covariances have a structure, by expectation maximisation in torch.
 
 Sources: Dempster, Laird and Rubin 1977, doi 10.1111/j.2517-6161.1977.tb01600.x; low
 rank after Tipping and Bishop 1999, doi 10.1162/089976699300016728 (a closed M-step).
@@ -6,17 +6,18 @@ rank after Tipping and Bishop 1999, doi 10.1162/089976699300016728 (a closed M-s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.extras import check_extra
+from hybrid.compensator import GaussianMixtureRegression
 
 Structure = Literal["full", "diagonal", "low_rank"]
 
 _CHUNK_BYTES = 2**21  # of the largest temporary array, so that it stays in the cache
+_PASSES, _FLOOR = 20, 1e-4
 _LEAST_WEIGHT = 1e-6  # of a component, so that none dies
 
 
@@ -43,36 +44,59 @@ def run_em(
     floor: float,
     structure: Structure = "full",
     rank: int = 2,
-    known: float = 0.0,
     device: str | None = None,
 ) -> Mixture:
     """Passes of expectation maximisation over all samples.
 
     Args:
         joint: Standardised variables, shape (N, D).
-        start: Mixture to start from; with ``known`` also what earlier samples said.
+        start: Mixture to start from.
         passes: Number of passes.
         floor: Added to every variance.
         structure: What covariances may be: ``full``, ``diagonal``, or ``low_rank``:
             some directions and one variance for all others.
         rank: Number of directions.
-        known: Weight of ``start`` as data, in samples.
         device: A torch device; by default a GPU if there is one.
     """
-    check_extra("torch", "learn", "Learning in passes over all samples")
     import torch
 
     if device is None:
         device = "cuda" if torch.cuda.is_available() else "cpu"
     data = torch.from_numpy(np.ascontiguousarray(joint)).to(device)
-    old = _sums_of(start, known)
     mixture = start
     for _ in range(passes):
-        sums = [
-            new + before for new, before in zip(_sums(data, mixture), old, strict=True)
-        ]
+        sums = _sums(data, mixture)
         mixture = _maximised(*sums, floor=floor, structure=structure, rank=rank)
     return mixture
+
+
+def fit_structured(
+    x: Array, y: Array, *, structure: Structure, rank: int = 2, **options: Any
+) -> GaussianMixtureRegression:
+    """A regression with covariances of a structure, by passes from free ones.
+
+    Args:
+        x: Inputs, shape (N, d).
+        y: Torque that is left, shape (N, m), [N·m].
+        structure: What covariances may be.
+        rank: Number of directions of a low rank.
+        **options: As for :meth:`GaussianMixtureRegression.fit`.
+    """
+    free = GaussianMixtureRegression.fit(x, y, **options)
+    size = np.sqrt(free.prior_variance)
+    scale = np.concatenate([np.ones(free.inputs), size])
+    joint = np.hstack([(x - free.input_offset) / free.input_scale, y / size])
+    area = np.outer(scale, scale)
+    start = Mixture(free.weights, free.means / scale, free.covariances / area)
+    found = run_em(
+        joint, start, passes=_PASSES, floor=_FLOOR, structure=structure, rank=rank
+    )
+    return replace(
+        free,
+        weights=found.weights,
+        means=found.means * scale,
+        covariances=found.covariances * area,
+    )
 
 
 def log_likelihood(joint: Array, mixture: Mixture) -> float:
@@ -115,15 +139,6 @@ def _sums(data: Any, mixture: Mixture) -> tuple[Array, Array, Array]:
         second += weighted.T @ part
     second = second.reshape(count, size, size)
     return n.cpu().numpy(), first.cpu().numpy(), second.cpu().numpy()
-
-
-def _sums_of(mixture: Mixture, samples: float) -> tuple[Array, Array, Array]:
-    """The sums that so many samples of a mixture have."""
-    n = samples * mixture.weights
-    square = mixture.means[:, :, None] * mixture.means[:, None, :]
-    return n, n[:, None] * mixture.means, n[:, None, None] * (
-        mixture.covariances + square
-    )  # fmt: skip
 
 
 def _maximised(
