@@ -21,13 +21,12 @@ import numpy as np
 from excitation_fit import READINGS, error, fit
 from excitation_published import PopulationProgram, niche_design
 from excitation_report import Comparison, readings_table
+from series import FourierQuintic, PlainFourier
 
 from hybrid.effects import effects_from_text
 from hybrid.excitation import (
     Condition,
-    FourierQuintic,
     Limits,
-    PlainFourier,
     observe,
 )
 from hybrid.excitation.design import design

@@ -574,7 +574,7 @@ class TestBadInput:
         def full(*_):
             raise OSError(28, "No space left on device", "tau.csv")
 
-        monkeypatch.setitem(sys.modules["hybrid.report.columns"].WRITERS, ".csv", full)
+        monkeypatch.setitem(sys.modules["hybrid.recording.write"].WRITERS, ".csv", full)
         text = complaint(
             capsys,
             f"predict --model {chain.model} --recording {chain.fit}/trajectory_1.csv "
@@ -624,7 +624,7 @@ class TestInterrupt:
             path.write_text("time,tau_sh")
             raise KeyboardInterrupt
 
-        monkeypatch.setitem(sys.modules["hybrid.report.columns"].WRITERS, ".csv", half)
+        monkeypatch.setitem(sys.modules["hybrid.recording.write"].WRITERS, ".csv", half)
         out = tmp_path / "tau.csv"
         out.write_text("old")
         complaint(

@@ -36,7 +36,7 @@ from hybrid.names import (
     xml_comment,
 )
 from hybrid.report import Section, markdown_table, render_page
-from hybrid.report.figures import friction_figure
+from hybrid.report.figures import torque_figure
 from hybrid.report.output import figure_bytes
 from hybrid.report.table import Table
 from hybrid.robot import Robot
@@ -211,7 +211,7 @@ def test_html_shows_the_name_and_nothing_of_it_becomes_a_tag(name):
 @example(name="机器人")
 def test_a_figure_shows_any_name(name):
     x = np.linspace(-1, 1, 9)
-    figure = friction_figure(x[:, None], x[:, None], [(x, x)], (name,))
+    figure = torque_figure(x, x[:, None], {"": x[:, None]}, (name,))
     svg = figure_bytes(figure).decode("utf-8")
     comments = re.findall(r"<!-- (.*?) -->", svg)  # matplotlib names every text in one
     assert ElementTree.fromstring(svg) is not None

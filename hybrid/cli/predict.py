@@ -44,7 +44,7 @@ def run(args: Namespace, screen: Screen) -> None:
 
     from hybrid.identify import DynamicModel, predict
     from hybrid.inspect import check_recordings
-    from hybrid.report.columns import write_columns, writer_of
+    from hybrid.recording.write import write_columns, writer_of
 
     writer_of(args.out)
     model = DynamicModel.load(args.model)

@@ -65,7 +65,7 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.identify import DynamicModel
     from hybrid.inspect import inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
-    from hybrid.report.columns import write_columns, writer_of
+    from hybrid.recording.write import write_columns, writer_of
 
     writer_of(args.out)
     model = DynamicModel.load(args.model)

@@ -18,7 +18,7 @@ from hybrid.excitation.constraints import (
     MotionLimits,
     TorqueLimits,
 )
-from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition, normalised
+from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition
 from hybrid.excitation.expected_error import ExpectedError
 from hybrid.excitation.folder import write_design
 from hybrid.excitation.observation import Observation
@@ -82,11 +82,6 @@ class Design(Shown):
         return rigid_conditions(self.robot.chain, whole)
 
     @property
-    def normalised_condition(self) -> float:
-        """Condition number with columns of unit length."""
-        return gram_condition(normalised(self.gram))
-
-    @property
     def log_det(self) -> float:
         """Natural logarithm of the determinant of the whitened information."""
         return float(np.linalg.slogdet(self.gram)[1])
@@ -138,7 +133,6 @@ class Design(Shown):
             "value": self.value,
             "condition": self.condition,
             "rigid_conditions": dict(self.rigid_conditions),
-            "condition_of_normalised_columns": self.normalised_condition,
             "log_det": self.log_det,
             "singular_values": self.singular_values.tolist(),
             "unknowns": list(base.names),

@@ -62,16 +62,6 @@ class Observation:
         """Effect and gain of each column behind the 10n inertial ones."""
         return effect_gains(self.effects)
 
-    @cached_property
-    def gravity_columns(self) -> Array:
-        """True for unknowns that move a torque at rest, shape (b,)."""
-        n = self.chain.size
-        q = np.random.default_rng(0).uniform(-np.pi, np.pi, (50, n))
-        rest = np.zeros_like(q)
-        still = self.matrix(Path(np.arange(50.0), q, rest, rest, rest))
-        size = np.abs(still).max(axis=(0, 1))
-        return np.asarray(size > 1e-9 * size.max())
-
     def matrix(self, path: Path, *, turning_speed: float = TURNING_SPEED) -> Array:
         """The observation matrix, shape (N, n, b).
 

@@ -26,9 +26,8 @@ from hybrid.report.diagnosis_text import (
     verdict_sentence,
     words,
 )
-from hybrid.report.output import write_results
+from hybrid.report.output import provenance, write_results
 from hybrid.report.page import render_template
-from hybrid.report.provenance import provenance
 
 if TYPE_CHECKING:
     from hybrid.diagnose.diagnosis import Advice, Diagnosis, Finding, Shrink

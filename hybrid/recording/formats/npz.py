@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.names import printable
-from hybrid.recording.recording import Recording
 from hybrid.recording.table import LARGEST_FILE, Table, table_of_arrays
 from hybrid.recording.words import is_time, meaning, split_unit
 
@@ -78,12 +77,6 @@ def table_of_named(
         else:
             columns |= _split(label, values, joints, source)
     return table_of_arrays(columns, source, joints=joints, kind=kind, name=name)
-
-
-def write_npz(recording: Recording, path: Path) -> None:
-    """Write a log as arrays ``t``, ``q``, ... and the names ``joints``."""
-    arrays = {"t": recording.t, "joints": np.array(recording.joints)}
-    np.savez(path, **(arrays | recording.channels))  # type: ignore[arg-type]
 
 
 def _split(

@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.recording import Recording
 from hybrid.recording.table import (
     LARGEST_FILE,
     MOST_COLUMNS,
     Table,
-    labels_of,
     named_labels,
 )
 
@@ -151,11 +149,3 @@ def column_of(
             f"{source}: column {label!r} holds {kind}; valid are numbers"
         )
     return np.asarray(values.to_numpy())
-
-
-def write_parquet(recording: Recording, path: Path) -> None:
-    """Write a log so that every number reads back to the last bit."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    parquet.write_table(pa.table(labels_of(recording)), path)

@@ -1,4 +1,4 @@
-"""The report of one identification: a page, its figures, and the numbers."""
+"""The report of the demo: a page, its figures, and the numbers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,28 @@ from hybrid.arrays import Array
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.viscous import Viscous
-from hybrid.report.figures import friction_figure, rms_figure, torque_figure
+from hybrid.names import figure_text
+from hybrid.report import (
+    Section,
+    save_figure,
+    table_from_validation,
+    write_page,
+    write_results,
+)
+from hybrid.report.figures import excerpt_figure, seen_by
 from hybrid.report.fit import content_from_fit, effects_table
-from hybrid.report.output import save_figure, write_results
-from hybrid.report.page import Section, write_page
-from hybrid.report.table import table_from_validation
-from hybrid.signals import Motion, Sampler, motion_from_recording
+from hybrid.report.style import (
+    BLUE,
+    GREY,
+    RED,
+    clean,
+    finish,
+    legend,
+    new_figure,
+    panels,
+    stage_inks,
+)
+from hybrid.signals import Motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,8 +43,8 @@ if TYPE_CHECKING:
 
 
 _LAWS = (Coulomb, Viscous, ThresholdFriction)  # of speed alone, to be drawn over it
-_EXCERPT_SECONDS = 3.0  # of a recording: more is not to be made out
 _POINTS = 8000
+MOST_POINTS = 3000  # more than this hide each other
 
 
 def write_identification(
@@ -117,24 +133,48 @@ def _sections(
     ]
 
 
-def excerpt_figure(model: DynamicModel, recording: Recording) -> Figure:
-    """Torque in the middle of a recording, and what models predict of it.
+def rms_figure(validation: Validation) -> Figure:
+    """Torque error of every stage, per joint and mean: in N·m above, in % below.
 
     Args:
-        model: The model, with its plain version among the simpler ones.
-        recording: A log of the arm.
+        validation: Errors of every stage on motions that no fit has seen.
+
+    Returns:
+        Figure of two axes.
     """
-    motion, sampler = _prepared(model, recording)
-    half = round(_EXCERPT_SECONDS * motion.rate / 2)
-    middle = len(motion.t) // 2
-    part = slice(max(0, middle - half), middle + half)
-    torques = {"measured": motion.tau, "all stages": model.predict(motion)}
-    if "LS" in model.simpler:
-        plain = model.simpler["LS"].predict(motion)
-        torques = {"measured": motion.tau, "plain least squares": plain} | torques
-    shown = {name: sampler(tau)[part] for name, tau in torques.items()}
-    measured = shown.pop("measured")
-    return torque_figure(motion.t[part], measured, shown, model.robot.joints)
+    figure = new_figure(height=4.6)
+    above, below = figure.subplots(2, 1, sharex=True)
+    rms = np.array([np.append(row.rms, row.mean) for row in validation.rows])
+    inks = stage_inks([row.name for row in validation.rows])
+    share = np.array([row.relative for row in validation.rows])
+    share = 100 * np.column_stack([share, share.mean(axis=1)])  # (stages, n + 1)
+    # The last group, the mean, stands apart from the joints.
+    x = np.append(np.arange(len(validation.joints)), len(validation.joints) + 0.4)
+    width = 0.84 / len(rms)
+    for axes, values in ((above, rms), (below, share)):
+        clean(axes, grid="y")
+        bars = []
+        for k, (row, height) in enumerate(zip(validation.rows, values, strict=True)):
+            ink = inks[row.name]
+            left = x - 0.42 + k * width
+            bars.append(
+                axes.bar(
+                    left, height, 0.92 * width, align="edge", color=ink, label=row.name
+                )
+            )
+    handles: list[Any] = bars
+    if validation.noise_floor is not None:
+        floor = np.append(validation.noise_floor, validation.noise_floor.mean())
+        ends = np.stack([x - 0.45, x + 0.43])
+        lines = above.plot(ends, np.stack([floor, floor]), color=RED, linewidth=1.4)
+        lines[0].set_label("noise floor")
+        handles.append(lines[0])
+    above.margins(x=0.01)
+    above.set_ylabel("RMS error [N·m]")
+    below.set_ylabel("relative error [%]")
+    below.set_xticks(x, [*map(figure_text, validation.joints), "mean"])
+    legend(figure, handles)
+    return figure
 
 
 def laws_figure(model: DynamicModel, recordings: Sequence[Recording]) -> Figure:
@@ -146,7 +186,7 @@ def laws_figure(model: DynamicModel, recordings: Sequence[Recording]) -> Figure:
     """
     speeds, rest = [], []
     for recording in recordings:
-        motion, sampler = _prepared(model, recording)
+        motion, sampler = seen_by(model, recording)
         others = model.predict(motion) - _friction(model, motion)
         speeds.append(motion.v[motion.mask])
         rest.append(sampler(motion.tau - others)[motion.mask])
@@ -159,12 +199,6 @@ def laws_figure(model: DynamicModel, recordings: Sequence[Recording]) -> Figure:
     law = _friction(model, _moving_at(speed, model.robot.joints))
     curves = [(speed[:, j], law[:, j]) for j in range(model.robot.size)]
     return friction_figure(v[::step], left[::step], curves, model.robot.joints)
-
-
-def _prepared(model: DynamicModel, recording: Recording) -> tuple[Motion, Sampler]:
-    """Motion as the identification sees it, and its filter without decimation."""
-    motion = motion_from_recording(recording, cutoff=2 * model.cutoff)
-    return motion, Sampler(motion.rate, model.cutoff, 1)
 
 
 def _friction(model: DynamicModel, motion: Motion) -> Array:
@@ -181,3 +215,40 @@ def _moving_at(speed: Array, joints: tuple[str, ...]) -> Motion:
     t, zero = np.arange(len(speed)) / 100.0, np.zeros_like(speed)
     everywhere = np.ones(len(t), dtype=bool)
     return Motion(t, zero, speed, zero, zero, everywhere, joints=joints)
+
+
+def friction_figure(
+    v: Array,
+    residual: Array,
+    curves: Sequence[tuple[Array, Array]],
+    joints: Sequence[str],
+) -> Figure:
+    """Torque that other terms leave, against speed, and the law fitted to it.
+
+    Args:
+        v: Joint speed, shape (N, n), in [rad/s].
+        residual: Measured torque less all terms but the law, shape (N, n), in [N·m].
+        curves: Per joint the fitted law: speed, shape (m,), in [rad/s], and torque,
+            shape (m,), in [N·m]. NaN breaks the line.
+        joints: Joint names, n of them.
+
+    Returns:
+        Figure of n axes.
+    """
+    figure, cells = panels(len(joints), height=1.9)
+    step = -(-len(v) // MOST_POINTS)
+    for j, ((axes,), (speed, torque)) in enumerate(zip(cells, curves, strict=True)):
+        clean(axes, grid="both")
+        axes.plot(
+            v[::step, j], residual[::step, j], ".", color=GREY, markersize=2.5,
+            alpha=0.5, markeredgewidth=0, rasterized=True,
+            label="measured − other terms",
+        )  # fmt: skip
+        axes.plot(speed, torque, color=BLUE, linewidth=1.6, label="fitted law")
+        axes.set_title(
+            figure_text(joints[j]), loc="left", fontsize=9, fontweight="bold"
+        )
+        axes.set_ylabel("torque [N·m]")
+    finish(figure, [axes for (axes,) in cells], "speed [rad/s]")
+    legend(figure, cells[0][0].get_legend_handles_labels()[0])
+    return figure
