@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from hybrid.arrays import Array
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import effects_from_text
 from hybrid.files import atomic_path
@@ -33,7 +34,6 @@ from hybrid.recording import Recording
 from hybrid.report import numbers_table, provenance, write_results
 from hybrid.report.table import Table, markdown_table
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 ROOT = Path(__file__).parents[1]
 ARM = Robot.load(ROOT / "models" / "coman_like.xml")

@@ -16,13 +16,13 @@ from hose_and_grease import unmodelled
 from published_chain import Chain, beside, published_chain
 
 from hybrid import Fit, Motion, Robot, identify, validate
+from hybrid.arrays import Array
 from hybrid.effects import effects_from_text
 from hybrid.errors import HybridWarning
 from hybrid.excitation import Fourier, Limits, design, observe
 from hybrid.identify import DynamicModel, Validation
 from hybrid.plant import Noise, Plant, Reference, load_truth, random_fourier
 from hybrid.plant.scale import joint_scales
-from hybrid.robot.chain import Array
 
 _FAMILY = Fourier(5, 0.1)
 _DESIGNED, _FILL = 0.8, 0.7  # share of the limits that either kind of motion may use

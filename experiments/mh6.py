@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.calibrate import Measurements
 from hybrid.calibrate.geometry import steps_from_dh
 from hybrid.calibrate.model import KinematicModel
 from hybrid.calibrate.steps import Frame
-from hybrid.robot.chain import Array
 
 _Q = np.pi / 2
 ROWS = (

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import hybrid
+from hybrid.arrays import Array
 from hybrid.calibrate import (
     Measurements,
     build_setup,
@@ -30,7 +31,7 @@ from hybrid.calibrate.steps import follow, start
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 
 NOISE = 5e-5  # m and rad
 KINDS = ("pose", "position", "reflectors", "distance")

@@ -28,7 +28,7 @@ from hybrid.robot import Robot
 PLANAR = str(MODELS / "planar.xml")
 HEAVY = "torch mujoco pinocchio sklearn scipy matplotlib numpy".split()
 VERBS = ("simulate", "identify", "validate", "predict", "effects")
-EVERY_VERB = tuple(sys.modules["hybrid.cli.command"]._VERBS)
+EVERY_VERB = tuple(sys.modules["hybrid.cli"]._VERBS)
 SHORT = "--trajectories 1 --duration 2"
 
 

@@ -212,7 +212,7 @@ def test_a_simulation_of_another_arm_is_refused():
 
 
 def test_the_command_line_writes_the_file_it_is_given(tmp_path, monkeypatch):
-    from hybrid.cli.command import main
+    from hybrid.cli import main
 
     robot = Robot.load(MODELS / "planar.xml")
     model = model_of(robot, [Coulomb((0,), {"level": 0.5})])

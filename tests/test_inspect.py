@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wrong_logs import WRONG, about, healthy
 
-from hybrid.cli.command import main
+from hybrid.cli import main
 from hybrid.diagnose.diagnose import examine
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.deadzone import Deadzone

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.calibrate.measurements import Measurements
 from hybrid.calibrate.steps import Fixed, Frame
-from hybrid.robot.chain import Array
 
 IDENTITY = Fixed(np.eye(3), np.zeros(3))
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 _ALONE = 1e-9  # share of a measurement's noise that reaches its residual
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.calibrate.steps import Fixed, Step, follow, start
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.robot.spatial import rotation_from_axis_angle
 
 PARALLEL = 0.1  # sine of the angle below which two axes count as parallel

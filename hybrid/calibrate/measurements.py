@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.errors import CalibrationError
-from hybrid.robot.chain import Array
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from hybrid.arrays import Array
 from hybrid.calibrate.measurements import Measurements
 from hybrid.calibrate.steps import Fixed, Frame, Step, Values, follow, start
-from hybrid.robot.chain import Array
 
 Steps = tuple[Fixed | Step, ...]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 from scipy.stats import f as fisher
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 OUTSIDE = 5e-4  # share of good measurements that the rejection costs
 _SINGULAR = 1e-9  # of the noise: what a unit alone tells leaves no residual

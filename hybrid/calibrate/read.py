@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.calibrate.measurements import Measurements
 from hybrid.errors import CalibrationError
-from hybrid.robot.chain import Array
 
 _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 _SCALE = {

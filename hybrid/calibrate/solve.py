@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
+from hybrid.arrays import Array
 from hybrid.calibrate.covariance import clustered_covariance
 from hybrid.calibrate.measurements import Measurements
 from hybrid.calibrate.model import Block, KinematicModel
 from hybrid.calibrate.outliers import misfit
 from hybrid.dynamics.base import BaseParameters, base_parameters
 from hybrid.errors import CalibrationError
-from hybrid.robot.chain import Array
 
 USUAL_NOISE = 1e-4  # m or rad: weights before anything is known
 LEAST_NOISE = 1e-9  # m or rad: below it weights would come from rounding

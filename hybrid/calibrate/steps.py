@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 Values = Mapping[str, float | Array]
 

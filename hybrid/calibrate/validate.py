@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.calibrate.calibrate import USUAL, build_setup, calibrate
 from hybrid.calibrate.measurements import Measurements
 from hybrid.errors import CalibrationError
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import ExcitationError, HybridWarning
 from hybrid.excitation.constraints import Index, Limits
 from hybrid.excitation.path import Path
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.robot.geometry import Capsules, capsules_from_robot
 from hybrid.robot.robot import Robot
 

@@ -11,9 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg import qr
 
+from hybrid.arrays import Array
 from hybrid.dynamics import regressor, stacked_base
 from hybrid.excitation.path import Path
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 
 FIRST = "first independent columns"
 PIVOTED = "columns by pivoted QR"

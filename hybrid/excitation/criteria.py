@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 # Eigenvalues below this part of the largest are rounding.
 _FLOOR = 1e-15

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
 from hybrid.excitation.columns import rigid_conditions
 from hybrid.excitation.constraints import (
@@ -26,7 +27,6 @@ from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import PENALTY, Solution, solve
 from hybrid.excitation.stack import StackProgram
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 from hybrid.shown import Shown
 

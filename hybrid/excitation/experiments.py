@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import BPoly
 
+from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
 from hybrid.excitation.constraints import Limits, MotionLimits, TorqueLimits
 from hybrid.excitation.knots import Walk
 from hybrid.excitation.path import Path, uniform
 from hybrid.plant.reference import Reference
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 _PAUSE = 0.5  # s, at rest between two parts of an experiment

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import block_diag, null_space
 
+from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
-from hybrid.robot.chain import Array
 
 _DEGREE = 5  # of the splines: jerk is continuous
 

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from hybrid.arrays import Array
 from hybrid.dynamics import (
     BaseParameters,
     RigidBody,
@@ -21,7 +22,7 @@ from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.effects import Effect, JointEffect, JointState
 from hybrid.errors import ExcitationError
 from hybrid.excitation.path import Path
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
 # Dry friction turns its direction within this speed: a step has no gradient.

@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.excitation.constraints import Constraint, Limits
 from hybrid.excitation.criteria import Criterion
 from hybrid.excitation.observation import Observation
 from hybrid.excitation.path import Family, Grid, Path, Trajectory, uniform
-from hybrid.robot.chain import Array
 
 FINER = 10  # times as fine as the design grid is the one on which limits are verified
 _NEAR = 0.5  # conditions within this part of their limit enter a step

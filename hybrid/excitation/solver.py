@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 PENALTY = 5.0  # of the largest excess, against an objective of order 1
 _FIRST_REACH, _MOST_REACH, _LEAST_REACH = 0.1, 0.5, 1e-5

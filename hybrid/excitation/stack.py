@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.excitation.path import Trajectory
 from hybrid.excitation.program import MotionProgram
-from hybrid.robot.chain import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
@@ -20,7 +21,6 @@ from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import OUTLYING, settle, without_folds
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 _HIDDEN = 0.05  # relative fall of the error that is worth half of the bandwidth

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag, eigh
 
+from hybrid.arrays import Array
 from hybrid.dynamics.cone import nearest_above
 from hybrid.dynamics.pseudo_inertia import (
     inertial_per_stacked,
@@ -26,7 +27,6 @@ from hybrid.dynamics.pseudo_inertia import (
 )
 from hybrid.errors import IdentificationError
 from hybrid.regression.problem import Problem
-from hybrid.robot.chain import Array
 
 # Curvatures are relative to that of the direction which the data see best.
 _UNSEEN = 1e-12  # curvature at which there is nothing but rounding

@@ -9,6 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Scale
 from hybrid.errors import IdentificationError, RecordingError
@@ -21,7 +22,6 @@ from hybrid.regression.cross_products import (
 )
 from hybrid.regression.problem import Problem, part
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
 
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.intervals import Estimate, weak_directions
 from hybrid.regression.problem import Problem
-from hybrid.robot.chain import Array
 from hybrid.shown import Shown
 
 # Gautier and Khalil 1992, doi 10.1177/027836499201100408: motions that identify well

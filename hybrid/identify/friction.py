@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, eigh
 from scipy.optimize import nnls
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.identify.data import FOLDS, Data
 from hybrid.regression.cross_products import sampled_chunks
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 
 _THRESHOLDS = 16

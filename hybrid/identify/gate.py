@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 _CHANCE = 0.025  # that noise alone passes, however many terms were tried
 

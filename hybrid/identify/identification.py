@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
@@ -38,7 +39,6 @@ from hybrid.model.dynamic_model import DynamicModel
 from hybrid.regression.least_squares import Estimator, without_folds
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 _FRICTION = (

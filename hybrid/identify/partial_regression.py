@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, eigh
 from scipy.stats import f as fisher
 
+from hybrid.arrays import Array
 from hybrid.identify.solution import Solution
-from hybrid.robot.chain import Array
 
 _RANK = 1e-13  # smallest scaled eigenvalue that still counts
 

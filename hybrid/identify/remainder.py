@@ -9,11 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.compensator import GaussianMixtureRegression, Remainder
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.identify.data import Data, Rest
 from hybrid.identify.gate import lowers
-from hybrid.robot.chain import Array
 
 _FEWEST_SAMPLES = 200
 _WORTH = 0.01  # least relative fall of squares for anything to be learned

@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identify.data import Data
@@ -23,7 +24,6 @@ from hybrid.identify.partial_regression import PartialRegression
 from hybrid.identify.solution import Solution
 from hybrid.regression.cross_products import sampled_chunks
 from hybrid.regression.problem import part
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler, butterworth_gain
 
 _MOST_PERIODS = 400

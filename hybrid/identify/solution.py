@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
+from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.effects import Effect
 from hybrid.identify.data import Data, visited
@@ -19,7 +20,6 @@ from hybrid.regression.least_squares import Settled, residual_covariance
 from hybrid.regression.prior import Prior
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 
 @dataclass(frozen=True)

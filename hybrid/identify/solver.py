@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.identify.bandwidth import scored, total
@@ -27,7 +28,6 @@ from hybrid.regression.least_squares import (
 from hybrid.regression.prior import Prior, file_prior
 from hybrid.regression.problem import Problem, build_problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 # How many samples the prior is worth: noise that lasts lets a hundred count for one.
 _STRENGTHS = (0.0, 1.0, 10.0, 100.0, 1e3, 1e9)

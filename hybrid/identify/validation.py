@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.identify.data import prepare_motions
 from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 
 

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.inspect.doubt import Doubt
 from hybrid.inspect.masses import Columns, unit_masses
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 
 _TOUCHES = 0.1  # of the largest torque: one that never comes near zero has one sign
 _SURE = 0.5  # half the logarithm of the share that signs take off what is left

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics import Law, RigidBody, Tape, inverse_dynamics
 from hybrid.effects import Effect, JointState
 from hybrid.errors import HybridError
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
 

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.dynamics.sample import SampleRegressor
 from hybrid.effects import Effect
@@ -15,7 +16,6 @@ from hybrid.online.laws import STEP, InstantLaws, Numbered
 from hybrid.online.layout import PAYLOAD, Layout
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.online.layout import Indices, Layout
 from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import PayloadChange
 from hybrid.online.square_root import SquareRootFilter
-from hybrid.robot.chain import Array
 
 _SURPRISE = 5.0  # standard deviations to which an error is cut
 

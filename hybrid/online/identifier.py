@@ -18,6 +18,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
 from hybrid.model.dynamic_model import DynamicModel
@@ -35,7 +36,6 @@ from hybrid.parameters import Parameter
 from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 _STANDING = 0.01  # of a joint's rated speed

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.online.health import Health
-from hybrid.robot.chain import Array
 from hybrid.signals.streaming import STRETCH
 
 _FATES = ("used", "not_finite", "implausible", "repeated", "late", "jumped")

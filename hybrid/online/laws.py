@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics import Law, Tape
 from hybrid.effects import Effect, JointEffect, JointState
 from hybrid.errors import HybridError
 from hybrid.online.layout import Indices, Layout
-from hybrid.robot.chain import Array
 
 STEP = 1e-4  # relative, for slopes of the shapes
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.regression.problem import Problem
-from hybrid.robot.chain import Array
 
 Indices = NDArray[np.intp]
 

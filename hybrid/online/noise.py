@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 _MEMORY = 5.0  # s
 _FIRST = 20  # updates over which the first guess counts

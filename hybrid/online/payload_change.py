@@ -12,8 +12,8 @@ from itertools import repeat
 import numpy as np
 from scipy.linalg import lapack
 
+from hybrid.arrays import Array
 from hybrid.online.layout import PAYLOAD
-from hybrid.robot.chain import Array
 
 _THRESHOLD = 50.0
 _HOLD = 1.0  # s after a change in which none is looked for

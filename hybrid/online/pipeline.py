@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.online.columns import Columns
 from hybrid.online.layout import Layout
-from hybrid.robot.chain import Array
 from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 

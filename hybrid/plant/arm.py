@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointEffect, Port
 from hybrid.errors import EffectError, HybridError
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 Index = NDArray[np.intp]

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
 from hybrid.plant.arm import has_hook, overrides
 from hybrid.plant.laws import Laws, part
 from hybrid.plant.native import split_effects, springs
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.errors import HybridError
 from hybrid.plant.arm import Arm, drives, overrides
 from hybrid.plant.laws import Laws, part
-from hybrid.robot.chain import Array
 
 # Nothing real turns this fast: the simulation has diverged.
 _FASTEST = 1e3  # rad/s

@@ -6,13 +6,13 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.spring import Spring
 from hybrid.effects.viscous import Viscous
-from hybrid.robot.chain import Array
 
 # Of a joint with a preload and no spring, [N·m/rad]: the spring that has the preload
 # pulls no differently wherever the joint is.

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.plant.arm import Arm, build_arm, drives, overrides
@@ -16,7 +17,6 @@ from hybrid.plant.noise import Noise
 from hybrid.plant.reference import Reference
 from hybrid.plant.servo import Servo
 from hybrid.recording.recording import Recording
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 # The arm waits this long at the start of a motion, so that the servo has taken up

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.plant.arm import Arm, Index, build_arm, overrides
 from hybrid.plant.lockstep import Lockstep
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 from hybrid.signals import Motion
 

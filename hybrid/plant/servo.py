@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from hybrid.plant.arm import Arm, inverse_dynamics
 from hybrid.plant.noise import rated_torque
 from hybrid.plant.reference import Reference
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 # Damping times period over rotor inertia: a sampled servo is unstable at 2.

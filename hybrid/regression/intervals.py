@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.stats import t as student
 
+from hybrid.arrays import Array
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import (
     RANK,
@@ -24,7 +25,6 @@ from hybrid.regression.least_squares import (
     unit_columns,
 )
 from hybrid.regression.prior import Prior
-from hybrid.robot.chain import Array
 
 _FEWEST_BLOCKS = 24
 _UNCORRELATED = 0.05

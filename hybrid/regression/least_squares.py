@@ -16,10 +16,10 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.prior import Prior
-from hybrid.robot.chain import Array
 
 Estimator = Literal["ls", "wls", "irls"]
 ESTIMATORS: tuple[Estimator, ...] = ("ls", "wls", "irls")

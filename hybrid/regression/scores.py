@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.regression.problem import Problem
-from hybrid.robot.chain import Array
 
 
 @dataclass(frozen=True)

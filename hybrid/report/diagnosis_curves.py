@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.units import units
-from hybrid.robot.chain import Array
 
 if TYPE_CHECKING:
     from hybrid.diagnose.explanation import Explanation

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.robot.compiled import compiled
 from hybrid.robot.mjcf import joint_names
 from hybrid.robot.mjcf import start as mujoco_start

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.files import atomic_path
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.robot.compiled import compiled_without_files
 from hybrid.robot.edit.document import Document, element
 from hybrid.robot.spatial import rotation_from_axis_angle

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.chain import Array
 from hybrid.robot.mjcf import joint_names, start
 
 if TYPE_CHECKING:

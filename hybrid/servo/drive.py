@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 _FAR = 20.0  # logarithm of a number in SI units that no servo has
 PRESLIDING = 1e-3  # rad: how far bristles bend before a joint breaks loose, mostly

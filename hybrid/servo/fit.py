@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 from hybrid.servo.drive import QUANTITIES, Drive
 from hybrid.servo.simulator import Simulator
 from hybrid.servo.stretch import Stretch

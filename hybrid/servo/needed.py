@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 from hybrid.servo.drive import Drive
 from hybrid.servo.fit import Estimate
 from hybrid.servo.simulator import Simulator

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive
 from hybrid.servo.finding import Finding
 from hybrid.servo.fit import Estimate, fitted, resolution

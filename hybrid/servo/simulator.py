@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.servo.drive import Drive
 from hybrid.servo.stretch import Stretch
 

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.servo.drive import PRESLIDING, Drive
 from hybrid.servo.simulator import Simulator
 from hybrid.servo.stretch import Stretch

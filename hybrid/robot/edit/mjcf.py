@@ -10,9 +10,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.robot.build import simulable, spec_text
-from hybrid.robot.chain import Array
 from hybrid.robot.compiled import compiled_spec
 from hybrid.robot.edit.change import Change, Structure
 from hybrid.robot.edit.document import Document, Tag, element, moved_path

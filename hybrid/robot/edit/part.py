@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.chain import Array
 from hybrid.robot.mjcf import joint_names, start
 from hybrid.robot.robot import Robot
 from hybrid.robot.spatial import central_inertia, inertia_fault, inertial_about

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 from hybrid.robot.edit.change import Change
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.part import Part, changed_parts, urdf_parts
