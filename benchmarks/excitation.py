@@ -123,7 +123,7 @@ def run(task: tuple[Any, ...], seeds: int) -> Iterator[dict[str, Any]]:
         start = time.process_time()
         kept, _ = obstacles(robot, kind)
         result = design(
-            robot, observation, family, rng=np.random.default_rng(seed),
+            robot, observation, family, seed=np.random.default_rng(seed),
             criterion=Condition(), starts=starts, constraints=kept,
         )  # fmt: skip
         found["seconds"].append(time.process_time() - start)

@@ -87,7 +87,7 @@ def full_model(robot: Robot, motion: Motion) -> DynamicModel:
     for j in joints:
         x = np.column_stack([motion.q[few, j], motion.v[few, j]])
         regression = GaussianMixtureRegression.fit(
-            x, rng.standard_normal((len(few), 1)), components=8, rng=0
+            x, rng.standard_normal((len(few), 1)), components=8, seed=0
         )
         parts.append(JointRemainder(j, (j,), (j,), regression))
     base = build_problem(robot.chain, ()).base

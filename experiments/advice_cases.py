@@ -37,8 +37,8 @@ def true_effect(robot: Robot, effect_id: str, joint: int, size: float) -> Effect
 
 def recorded(robot: Robot, true: Effect, rng: np.random.Generator) -> list[Recording]:
     """One short and slow motion of the true arm."""
-    short = random_fourier(robot, duration=SECONDS, rate=RATE, rng=rng, fill=FILL)
-    return Plant(robot, [true], nominal=robot, log_rate=RATE).run([short], rng=rng)
+    short = random_fourier(robot, duration=SECONDS, rate=RATE, seed=rng, fill=FILL)
+    return Plant(robot, [true], nominal=robot, log_rate=RATE).run([short], seed=rng)
 
 
 def class_at(result: Result, joint: str) -> set[str]:
@@ -61,6 +61,6 @@ def repeated(
         left = np.exp(-warm / true.values["time_constant"])
         true = true.at({"cold": left * true.values["cold"]})
     new = Plant(robot, [true], nominal=robot, log_rate=RATE).run(
-        [ask], rng=np.random.default_rng(1)
+        [ask], seed=np.random.default_rng(1)
     )
     return examine(robot, [*logs, *(replace(x, t=x.t + warm) for x in new)])

@@ -41,10 +41,10 @@ def measure(seed: int, kept: Path) -> dict[str, Any]:
     models = fitted_models(robot, logs, diagnosed_effects(robot, plant, kept))
     motions, noise, pushes = np.random.default_rng((seed, 1)).spawn(3)
     references = [
-        random_fourier(robot, duration=5.0, rate=CONTROL, rng=motions, fill=0.6)
+        random_fourier(robot, duration=5.0, rate=CONTROL, seed=motions, fill=0.6)
         for _ in range(2)
     ]
-    slow = random_fourier(robot, duration=5.0, rate=CONTROL, rng=motions, fill=0.2)
+    slow = random_fourier(robot, duration=5.0, rate=CONTROL, seed=motions, fill=0.2)
     log = track(plant, list(models.values()), references)
     error = (log["q"] - log["q_ref"]) ** 2
     fast = [CompiledModel(m).predict for m in models.values()]

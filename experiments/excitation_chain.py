@@ -82,7 +82,7 @@ def run(robot, seed):
     for family, count, starts in OURS:
         begin = time.process_time()
         ours = design(
-            robot, white, family, rng=rng, criterion=Condition(), limits=limits,
+            robot, white, family, seed=rng, criterion=Condition(), limits=limits,
             trajectories=count, starts=starts, together=True,
         )  # fmt: skip
         found.append((ours.trajectories, time.process_time() - begin))

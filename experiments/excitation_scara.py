@@ -89,7 +89,7 @@ def run(plants, observation, seed):
     others = [random_fourier(plants[0].robot, **options) for _ in range(TESTS)]
     rms = []
     for plant in plants:
-        logs = plant.run([*(x.reference(rate) for x in five), *others], rng=rng)
+        logs = plant.run([*(x.reference(rate) for x in five), *others], seed=rng)
         known, held_out = logs[:-TESTS], logs[-TESTS:]
         rms.append(
             [
@@ -117,7 +117,7 @@ def designs(robot, observation, rng):
         found.append(niche_design(program, rng=rng))
         seconds.append(time.process_time())
     ours = design(
-        robot, observation, family, rng=rng, criterion=Condition(), limits=limits
+        robot, observation, family, seed=rng, criterion=Condition(), limits=limits
     )
     seconds.append(time.process_time())
     return [*found, ours.trajectories[0]], np.diff(seconds)

@@ -33,7 +33,7 @@ def visits(
         rng: Source of poses and rests.
         one: Whether one joint moves at a time, the first one first.
     """
-    free = random_fourier(robot, duration=duration, rate=rate, rng=rng)
+    free = random_fourier(robot, duration=duration, rate=rate, seed=rng)
     low, high = free.q.min(axis=0), free.q.max(axis=0)
     top, pose, n = PART * np.abs(free.v).max(axis=0), free.q[0], robot.size
     parts: list[np.ndarray] = []

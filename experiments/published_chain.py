@@ -312,7 +312,7 @@ def mixtures(rest: Rest, counts: Sequence[int | None], seed: int) -> ArmRemainde
             rest.tau[moving, joint, None],
             components=count,
             candidates=COMPONENTS,
-            rng=seed,
+            seed=seed,
         )
         parts.append(JointRemainder(joint, (joint,), (joint,), regression))
     return ArmRemainder(n, tuple(parts))

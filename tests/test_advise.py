@@ -43,8 +43,8 @@ def plant_with(name, joint, size):
 def poorly_recorded(name, joint, size):
     """One short and slow motion of a planar arm with an effect, and its diagnosis."""
     rng = np.random.default_rng([0, joint, sum(map(ord, name))])
-    short = random_fourier(arm("planar"), duration=8.0, rate=RATE, rng=rng, fill=0.3)
-    logs = plant_with(name, joint, size).run([short], rng=rng)
+    short = random_fourier(arm("planar"), duration=8.0, rate=RATE, seed=rng, fill=0.3)
+    logs = plant_with(name, joint, size).run([short], seed=rng)
     return examine(arm("planar"), logs), logs
 
 
@@ -70,7 +70,7 @@ def test_the_advised_experiment_splits_the_class(tmp_path):
     assert {"coulomb", "presliding"} <= promised
     assert all("load_friction" in advice.splits for advice in advised)
     ask = read_reference(tmp_path / advised[0].file)
-    new = plant_with("load_friction", 0, 0.3).run([ask], rng=rng)
+    new = plant_with("load_friction", 0, 0.3).run([ask], seed=rng)
     after = class_at(examine(arm("planar"), [*logs, *new]), 0)
     assert "load_friction" in after
     assert not after & promised
@@ -97,7 +97,7 @@ def pair():
 
 def fast(result, seed=0):
     rng = np.random.default_rng(seed)
-    path = random_fourier(arm("planar"), duration=5.0, rate=RATE, rng=rng, fill=0.8)
+    path = random_fourier(arm("planar"), duration=5.0, rate=RATE, seed=rng, fill=0.8)
     return path, gap_along(result.gap, Experiment("a fast motion", path))
 
 

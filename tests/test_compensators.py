@@ -67,7 +67,7 @@ def samples(kind, count=2500, seed=0):
 
 @cache
 def learned(kind):
-    return KINDS[kind](*samples(kind), bound=BOUND, rng=0)
+    return KINDS[kind](*samples(kind), bound=BOUND, seed=0)
 
 
 def rms(x):
@@ -153,7 +153,7 @@ def test_damaged_arrays_are_refused(kind):
 @each
 def test_equal_seeds_give_equal_models(kind):
     x, y = samples(kind, 600)
-    models = [KINDS[kind](x, y, rng=4) for _ in range(2)]
+    models = [KINDS[kind](x, y, seed=4) for _ in range(2)]
     assert np.array_equal(models[0].predict(x), models[1].predict(x))
 
 

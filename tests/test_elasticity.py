@@ -96,8 +96,8 @@ def slow():
     robot, rng = arm("planar"), np.random.default_rng(0)
     plant = Plant(robot, [Elasticity((0,), STIFF)], nominal=robot)
     slowly = {"duration": 20.0, "rate": 500.0, "order": 3, "fill": 0.5}
-    references = [random_fourier(robot, rng=rng, **slowly) for _ in range(2)]
-    return measure_gap(robot, plant.run(references, rng=np.random.default_rng(1)))
+    references = [random_fourier(robot, seed=rng, **slowly) for _ in range(2)]
+    return measure_gap(robot, plant.run(references, seed=np.random.default_rng(1)))
 
 
 def test_a_swing_faster_than_the_log_shows_is_not_made_of_noise(slow):

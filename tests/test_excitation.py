@@ -68,7 +68,7 @@ def simple_design(seed: int = 0, **options):
     observation = observe(robot.chain, friction(robot))
     rng = np.random.default_rng(seed)
     options = {"criterion": Condition(), "starts": 1} | options
-    return design(robot, observation, Fourier(4, 0.1), rng=rng, **options)
+    return design(robot, observation, Fourier(4, 0.1), seed=rng, **options)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -270,7 +270,7 @@ def test_what_cannot_be_met_is_named():
             planar,
             observation,
             Fourier(3, 0.2),
-            rng=np.random.default_rng(0),
+            seed=np.random.default_rng(0),
             starts=1,
             limits=weak,
         )

@@ -74,7 +74,7 @@ def test_the_error_of_both_fits_is_that_of_repeated_ones():
 
 def test_the_default_design_is_expected_to_err_less_than_random_motions():
     found = design(
-        SCARA, OBSERVATION, FAMILY, rng=np.random.default_rng(0), starts=1, rate=10.0
+        SCARA, OBSERVATION, FAMILY, seed=np.random.default_rng(0), starts=1, rate=10.0
     )
     measure = found.criterion
     assert isinstance(measure, ExpectedError)

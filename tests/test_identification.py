@@ -25,10 +25,10 @@ RIGID = {"stages": ("rigid",)}
 def logs(robot, effects=(), *, count=2, duration=6.0, seed=0, fill=0.7):
     rng = np.random.default_rng(seed)
     references = [
-        random_fourier(robot, duration=duration, rate=1000, rng=rng, fill=fill)
+        random_fourier(robot, duration=duration, rate=1000, seed=rng, fill=fill)
         for _ in range(count)
     ]
-    return Plant(robot, effects).run(references, rng=rng)
+    return Plant(robot, effects).run(references, seed=rng)
 
 
 @cache

@@ -25,7 +25,7 @@ def still_gap():
     robot, rng = arm("planar"), np.random.default_rng(3)
     logs = []
     for _ in range(4):
-        r = random_fourier(robot, duration=8.0, rate=200.0, rng=rng)
+        r = random_fourier(robot, duration=8.0, rate=200.0, seed=rng)
         log = Recording(t=r.t, q=r.q, tau=0 * r.q, joints=robot.joints)
         logs.append(motion_from_recording(log, cutoff=15.0))
     return measure_gap(robot, logs, cutoff=15.0)

@@ -46,14 +46,14 @@ def logs(effects, noisy=False, trajectories=4, fundamental=None):
     robot, rng = arm("planar"), np.random.default_rng(4)
     references = [
         random_fourier(
-            robot, duration=6.0, rate=500.0, rng=rng, fundamental=fundamental
+            robot, duration=6.0, rate=500.0, seed=rng, fundamental=fundamental
         )
         for _ in range(trajectories)
     ]
     noise = None if noisy else Noise.none(robot.size)
     present = [effect_of(name) for name in effects]
     plant = Plant(robot, present, nominal=robot, noise=noise)
-    return tuple(plant.run(references, rng=rng))
+    return tuple(plant.run(references, seed=rng))
 
 
 @cache

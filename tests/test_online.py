@@ -44,7 +44,7 @@ def effects():
 def log(seconds=30.0, seed=0, mass=0.0, at=np.inf, noise=0.3):
     """Clock, position, torque and true links of an arm 15 % off its file."""
     rng = np.random.default_rng(seed)
-    ref = random_fourier(arm(), duration=seconds, rate=RATE, rng=rng)
+    ref = random_fourier(arm(), duration=seconds, rate=RATE, seed=rng)
     off = np.random.default_rng(0).uniform(0.85, 1.15, (6, 1))
     links = arm().chain.inertial * off
     loaded = links.copy()

@@ -23,8 +23,8 @@ def log():
     robot, rng = arm("planar"), np.random.default_rng(0)
     effects = [TorqueGain((0,), {"gain": GAIN}), Coulomb((0,), {"level": LEVEL})]
     plant = Plant(robot, effects, noise=Noise.none(2))
-    reference = random_fourier(robot, duration=5, rate=1000, rng=rng)
-    (recording,) = plant.run([reference], rng=rng)
+    reference = random_fourier(robot, duration=5, rate=1000, seed=rng)
+    (recording,) = plant.run([reference], seed=rng)
     return motion_from_recording(recording, cutoff=40.0)
 
 

@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
     effects = effects_from_text("coulomb,viscous", robot.joints, joint_scales(robot))
     OnlineIdentifier(robot, effects, rate=200.0).model.save(path / "model.json")
     rng = np.random.default_rng(0)
-    ref = random_fourier(robot, duration=20.0, rate=200.0, rng=rng)
+    ref = random_fourier(robot, duration=20.0, rate=200.0, seed=rng)
     loaded = robot.chain.inertial.copy()
     loaded[-1] += 1.5 * np.array([1, 0.05, 0, 0, 0, 0, 0.01, 0, 0, 0.01])
     before, after = (

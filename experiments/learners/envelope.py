@@ -60,7 +60,7 @@ class Envelope:
         """
         mixture = GaussianMixtureRegression.fit(
             x, y, components=min(_COMPONENTS, len(x) // (x.shape[1] + y.shape[1] + 1)),
-            rng=rng, bound=bound, covariance_floor=1e-3,
+            seed=rng, bound=bound, covariance_floor=1e-3,
         )  # fmt: skip
         conditional = mixture.conditional
         return cls(

@@ -57,7 +57,7 @@ class NetworkRegression:
         history: int = 1,
         width: int = 32,
         epochs: int = 60,
-        rng: np.random.Generator | int = 0,
+        seed: int | np.random.Generator = 0,
         bound: ArrayLike | None = None,
         max_samples: int = 20_000,
     ) -> NetworkRegression:
@@ -70,14 +70,14 @@ class NetworkRegression:
             history: Samples in one input row: 1, or a power of 4.
             width: Width of the hidden layers.
             epochs: Passes over the data.
-            rng: Generator or seed.
+            seed: Seed or generator.
             bound: Largest absolute output, [N·m]; the largest of ``y`` by default.
             max_samples: Rows to learn from at most.
         """
         check_extra("torch", "learn", "Training a network")
         from learners.modules import train
 
-        rng = np.random.default_rng(rng)
+        rng = np.random.default_rng(seed)
         x, y = draw(*check_pair(x, y), max_samples, rng)
         if x.shape[1] % history or groups(history) is None:
             raise HybridError(

@@ -18,7 +18,9 @@ from hybrid.robot import Robot
 _ROUNDS = 20  # of exchanges; three or four are usual
 
 
-def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Array:
+def random_poses(
+    robot: Robot, count: int, seed: int | np.random.Generator = 0
+) -> Array:
     """Poses spread evenly over the joint limits, shape (count, n), [rad or m].
 
     A joint without limits gets a full turn. Collisions are not looked at.
@@ -32,7 +34,7 @@ def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Array:
         joint = robot.joints[int(np.flatnonzero(free & ~robot.chain.revolute)[0])]
         raise CalibrationError(f"{robot.name}: linear joint {joint!r} has no limits")
     low[free], high[free] = -np.pi, np.pi
-    return rng.uniform(low, high, (count, robot.size))
+    return np.random.default_rng(seed).uniform(low, high, (count, robot.size))
 
 
 def choose_poses(

@@ -101,8 +101,7 @@ def _choose(args: Namespace, robot: Robot, screen: Screen) -> None:
     path = args.out / "poses.csv"
     check_outputs([path, args.json], [args.robot])
     how = record(args, [args.robot])
-    rng = np.random.default_rng(args.seed)
-    candidates = random_poses(robot, _CANDIDATES, rng)
+    candidates = random_poses(robot, _CANDIDATES, args.seed)
     with screen.working(f"choosing poses of {robot.name}"):
         rows = choose_poses(
             robot, candidates, args.choose, kind=args.measure, free=args.free

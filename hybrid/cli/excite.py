@@ -127,7 +127,7 @@ def run(args: Namespace, screen: Screen) -> None:
             robot,
             observation,
             _family(args),
-            rng=np.random.default_rng(args.seed),
+            seed=args.seed,
             criterion=_criterion(args.criterion),
             limits=limits,
             constraints=_constraints(args, robot, limits),

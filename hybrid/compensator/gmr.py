@@ -97,7 +97,7 @@ class GaussianMixtureRegression:
         components: int | None = None,
         candidates: Sequence[int] = (1, 2, 4, 8, 16),
         validation: tuple[ArrayLike, ArrayLike] | None = None,
-        rng: np.random.Generator | int = 0,
+        seed: int | np.random.Generator = 0,
         covariance_floor: float = 1e-4,
         max_samples: int = 20_000,
         bound: ArrayLike | None = None,
@@ -112,7 +112,7 @@ class GaussianMixtureRegression:
             validation: Held-out ``(x, y)``, best whole motions that were not fitted;
                 they choose K by predictive likelihood. Without them BIC does, which
                 takes samples for independent and so tends to choose too many.
-            rng: Generator or seed; equal seeds give equal models.
+            seed: Seed or generator; equal seeds give equal models.
             covariance_floor: Added to every variance, as a fraction of the variance of
                 its channel. Keeps components from collapsing onto a stand-still, at
                 whose border the torque would jump.
@@ -135,7 +135,7 @@ class GaussianMixtureRegression:
             y,
             candidates=candidates if components is None else (components,),
             validation=validation,
-            rng=np.random.default_rng(rng),
+            rng=np.random.default_rng(seed),
             covariance_floor=covariance_floor,
             max_samples=max_samples,
             bound=bound,

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from math import isfinite
+from pathlib import Path
 from typing import Any, Literal
+
+from hybrid.files import write_json
+from hybrid.shown import Shown
 
 SCHEMA = "hybrid.diagnosis/1"
 
@@ -153,7 +157,7 @@ class Unseen:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Shown):
     """What a simulator lacks.
 
     Attributes:
@@ -192,6 +196,10 @@ class Diagnosis:
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     unseen: Unseen | None = None
+
+    def save(self, path: str | Path) -> None:
+        """Write it to a JSON file."""
+        write_json(path, self.as_dict())
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content in the form of ``hybrid.diagnosis/1``."""

@@ -134,7 +134,7 @@ class Menu:
 
         def tones(k: int) -> Reference:
             fill, posture = 0.5 * _SMALLER**k, self._posture(k)
-            return multisine(robot, fill=fill, posture=posture, rng=rng, rate=rate)
+            return multisine(robot, fill=fill, posture=posture, seed=rng, rate=rate)
 
         plain = self._served(
             ("one path of all joints at 0.5, 1 and 2 times its speed", speeds),
@@ -198,7 +198,7 @@ class Menu:
             self._robot,
             duration=duration,
             rate=self._rate,
-            rng=self._rng,
+            seed=self._rng,
             fill=fill * _SMALLER**k,
             fundamental=0.1,
         )

@@ -149,7 +149,7 @@ def design(
     observation: Observation,
     family: Family,
     *,
-    rng: np.random.Generator,
+    seed: int | np.random.Generator = 0,
     criterion: Criterion | None = None,
     limits: Limits | None = None,
     constraints: Sequence[Constraint] = (),
@@ -164,7 +164,7 @@ def design(
         robot: The arm, whose nominal torque shall stay within the limits.
         observation: What is to be identified, see :func:`observe`.
         family: Motions to choose from.
-        rng: Source of the starts.
+        seed: Seed or generator of the starts.
         criterion: What makes a motion good; by default the expected torque error on
             random motions of the family within the limits.
         limits: Limits of the joints; 80 % of the robot file's by default.
@@ -181,6 +181,7 @@ def design(
     """
     if min(trajectories, starts) < 1:
         raise ExcitationError("trajectories and starts need to be 1 or more")
+    rng = np.random.default_rng(seed)
     bounds = Limits.of(robot) if limits is None else limits
     kept: tuple[Constraint, ...] = (
         MotionLimits(bounds, robot.joints),

@@ -185,7 +185,7 @@ def multisine(
     duration: float = 20.0,
     fill: float = 0.5,
     posture: Array | None = None,
-    rng: np.random.Generator,
+    seed: int | np.random.Generator = 0,
     rate: float = 500.0,
     limits: Limits | None = None,
 ) -> Reference:
@@ -202,7 +202,7 @@ def multisine(
         duration: Length, [s].
         fill: Part of the limits to use.
         posture: Middle of the motion, shape (n,), [rad]; by default of the range.
-        rng: Source of the phases.
+        seed: Seed or generator of the phases.
         rate: Samples per second, [Hz].
         limits: Limits to keep; 80 % of the robot file's by default.
     """
@@ -214,7 +214,7 @@ def multisine(
             "valid is one tone or more for each joint, above 0 and below half the rate "
             f"{rate:g} Hz"
         )
-    t = uniform(duration, rate)
+    rng, t = np.random.default_rng(seed), uniform(duration, rate)
     fade = min(1.0, duration / 4)
     window = _window(t, duration, fade)
     sizes = [fill * x for x in (bounds.speed, bounds.usable_acceleration)]

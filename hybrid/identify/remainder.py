@@ -44,7 +44,7 @@ class Learner(Protocol):
             y: Torque that is left, shape (N, 1), [N·m].
             like: A regression whose size to take; without one, choose a size.
             validation: Held-out samples to choose by; perhaps none.
-            **options: ``bound``, ``max_samples`` and ``rng``.
+            **options: ``bound``, ``max_samples`` and ``seed``.
         """
 
 
@@ -228,6 +228,6 @@ class _Fitting:
             validation=(x[scoring], y[scoring]),
             bound=min(self.bound, float(np.abs(y[fitting]).max())),
             max_samples=_MOST_SAMPLES if scoring.any() else 20_000,
-            rng=self.seed,
+            seed=self.seed,
         )
         return JointRemainder(self.joint, positions, speeds, regression)

@@ -102,13 +102,16 @@ class Plant:
         return self.servo
 
     def run(
-        self, references: Sequence[Reference], *, rng: np.random.Generator
+        self,
+        references: Sequence[Reference],
+        *,
+        seed: int | np.random.Generator = 0,
     ) -> list[Recording]:
         """Follow references, all in lockstep, and log.
 
         Args:
             references: Motions to follow, B of them, of any lengths.
-            rng: Source of the noise; the motion itself is not random.
+            seed: Seed or generator of the noise; the motion itself is not random.
 
         Returns:
             One recording for each reference.
@@ -123,6 +126,7 @@ class Plant:
         if not references or any(r.q.shape[1] != n for r in references):
             raise HybridError(f"one reference or more of {n} joints is needed")
         clock, signals = self._simulate(references)
+        rng = np.random.default_rng(seed)
         return [
             self._record(k, reference, clock, signals, child)
             for k, (reference, child) in enumerate(

@@ -32,6 +32,7 @@ from hybrid.servo.replay import Replay
 from hybrid.servo.simulator import Simulator, converged
 from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
+from hybrid.shown import Shown
 from hybrid.threads import one_thread
 
 _COST = 5.0  # nats: prior odds of one number, among some hundred, to be wrong
@@ -48,7 +49,7 @@ _SHAPES = ("stribeck_speed", "bristle")
 
 
 @dataclass(frozen=True, eq=False)
-class ServoFit:
+class ServoFit(Shown):
     """Servos of an arm, from logs of command and position.
 
     Attributes:
@@ -123,6 +124,12 @@ class ServoFit:
         )
         t = np.arange(len(longest.q), dtype=np.float64) * longest.step
         return Replay(t, longest.command, longest.q, before, after, longest.source)
+
+    def save(self, path: str | Path) -> None:
+        """Write the robot's own file with these servos, as MJCF."""
+        from hybrid.servo.write import write_servos
+
+        write_servos(self.robot, self.drive, path)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content."""

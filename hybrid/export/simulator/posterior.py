@@ -20,7 +20,7 @@ _THIN = 1e-6  # smallest width of a drawn link, as a share of the usual one, squ
 
 
 def sample(
-    model: DynamicModel, n: int, rng: np.random.Generator
+    model: DynamicModel, n: int, seed: int | np.random.Generator = 0
 ) -> tuple[DynamicModel, ...]:
     """Draw models from the posterior of an identified one.
 
@@ -31,7 +31,7 @@ def sample(
     Args:
         model: An identified model with links that could be built.
         n: How many.
-        rng: Source of randomness.
+        seed: Seed or generator.
 
     Raises:
         HybridError: The model has no such links, or was saved without a covariance.
@@ -43,6 +43,7 @@ def sample(
         )
     factor = _factor(model.covariance)
     spread = _spread(model)
+    rng = np.random.default_rng(seed)
     return tuple(_draw(model, factor, spread, rng) for _ in range(n))
 
 

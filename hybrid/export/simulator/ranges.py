@@ -73,7 +73,7 @@ class Ranges:
 
 def ranges(
     model: DynamicModel,
-    rng: np.random.Generator,
+    seed: int | np.random.Generator = 0,
     *,
     kind: str = "mjcf",
     draws: int = 400,
@@ -82,14 +82,14 @@ def ranges(
 
     Args:
         model: An identified model with links that could be built.
-        rng: Source of randomness.
+        seed: Seed or generator.
         kind: ``mjcf`` or ``urdf``: the places that the simulator has.
         draws: How many simulators are drawn.
 
     Raises:
         HybridError: The model has no such links, or was saved without a covariance.
     """
-    drawn = sample(model, draws, rng)
+    drawn = sample(model, draws, seed)
     motions = (usual_motion(model),)
     nominal = _numbers(fields_of_model(model, motions, kind))
     values = np.array(
