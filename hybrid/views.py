@@ -89,7 +89,8 @@ def draw(result: Any, ax: Axes) -> None:
 @singledispatch
 def write_page(result: Any, path: str | Path) -> None:
     """Write a result as a page."""
-    shown, figure = table(result), plot(result).figure
+    shown, figure = table(result), new_figure(_HEIGHT)
+    draw(result, figure.subplots())
     title, kind = type(result).__name__, "What was found"
     sections = [Section(kind, table=shown, figure=figure, caption=shown.caption)]
     report.write_page(path, title, sections, provenance=provenance())
