@@ -1,4 +1,4 @@
-"""Where instrument, base and tool stand, before anything is known of them.
+"""First guesses of where instrument, base and tool are.
 
 Linear least squares in the entries of an arbitrary matrix, of which the nearest
 rotation is kept, after Shah 2013, doi 10.1115/1.4024473; it needs no first guess.

@@ -1,4 +1,4 @@
-"""What was measured of an arm that stands still: poses, points or distances."""
+"""Measurements of an arm at rest: poses, points or distances."""
 
 from __future__ import annotations
 

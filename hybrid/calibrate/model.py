@@ -1,4 +1,4 @@
-"""What an instrument should see of an arm, and how that changes with its parameters."""
+"""Predicted measurements of an arm, and their derivatives by its parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How badly a measurement fits what the others say of it.
+"""Test how badly each measurement fits the others.
 
 Where parameters are many, a fit bends towards each measurement, so that its residual
 says little. The rule is that of prediction: with S = I − H the covariance of a fitted

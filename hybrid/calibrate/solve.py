@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on the identifiable parameters, with outliers found and left out.
+"""Levenberg-Marquardt on the identifiable parameters, without outliers.
 
 Residuals are weighed by the noise of their kind, which is estimated with them. A robust
 loss finds the scale of the noise; what then lies beyond its distribution is left out by

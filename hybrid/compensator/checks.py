@@ -1,4 +1,4 @@
-"""What a learned remainder refuses, in one readable line each."""
+"""Checks of the data of a learned remainder."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ class BaseParameters:
 
     @cached_property
     def dropped(self) -> dict[str, str]:
-        """Parameters with an effect of their own on no motion, and what they join.
+        """Parameters that no motion tells apart, and the combinations that they join.
 
         Maps the label to the kept parameters whose combinations it is part of; empty
         text when it never moves any torque.

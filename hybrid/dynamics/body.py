@@ -1,4 +1,4 @@
-"""Rigid-body quantities along one motion, as far as effects need them."""
+"""Rigid-body quantities along one motion that effects need."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Columns of rigid body and effects, and what of them any motion can tell apart."""
+"""Columns of rigid body and effects, and their independent combinations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Distance between links, and to what stands around the arm."""
+"""Constraints on the distance between links, and from their surroundings."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Clearance:
 
     @classmethod
     def of(cls, robot: Robot, limits: Limits, *, margin: float = 0.01) -> Clearance:
-        """All pairs of links that can be apart at all and are not neighbours.
+        """Keep apart all links that are not neighbours and do not always touch.
 
         Args:
             robot: The arm; its file has to hold collision geometry.
@@ -259,7 +259,7 @@ def ends_in_world(chain: Chain, capsules: Capsules, q: Array) -> Array:
 def point_change(
     chain: Chain, q: Array, link: Index | int, point: Array, direction: Array
 ) -> Array:
-    """Derivative by the joints of links' points along a direction, shape (N, n).
+    """Derivative by the joints of points on links along a direction, (N, n).
 
     Args:
         chain: The arm.

@@ -1,4 +1,4 @@
-"""Condition numbers of the rigid body, in columns that are named.
+"""Condition numbers of the rigid body for named choices of columns.
 
 Of the inertial parameters only combinations can be told, and which parameters stand for
 them is a choice: the same motion has another condition number in each.

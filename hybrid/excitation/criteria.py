@@ -77,7 +77,7 @@ def gram_condition(gram: Array) -> float:
 
 
 def spectrum(gram: Array) -> tuple[Array, Array]:
-    """Eigenvalues, none of them rounding, and eigenvectors."""
+    """Eigenvalues, raised above rounding errors, and eigenvectors."""
     eigenvalues, vectors = np.linalg.eigh(gram)
     return np.maximum(eigenvalues, _FLOOR * eigenvalues[-1]), vectors
 

@@ -1,4 +1,4 @@
-"""The motion to run: designed, verified, and what it will tell."""
+"""Design excitation motions, verify their limits, predict standard errors."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Design(Shown):
 
     @property
     def singular_values(self) -> Array:
-        """Of the observation matrix, largest first, shape (b,)."""
+        """Singular values of the observation matrix, largest first, shape (b,)."""
         return np.asarray(np.sqrt(np.linalg.eigvalsh(self.gram)[::-1]))
 
     def standard_errors(self, independent_rate: float | None = None) -> Array:
@@ -105,7 +105,7 @@ class Design(Shown):
 
     @property
     def additions(self) -> Array:
-        """Part by which each motion lowers the mean axis of the confidence ellipsoid.
+        """Relative reduction of the mean axis of the confidence ellipsoid, by motion.
 
         Shape (T,); the first, which starts from nothing, counts 1.
         """
@@ -215,7 +215,7 @@ def _program(
     limits: Limits,
     rate: float,
 ) -> MotionProgram:
-    """The best motion, with nothing known of other motions."""
+    """The optimisation problem of the first motion."""
     nothing = np.zeros((observation.size, observation.size))
     return MotionProgram(
         observation, criterion, family, constraints, limits, nothing, rate, 1.0, _MARGIN

@@ -63,7 +63,7 @@ class ExpectedError:
     def of(
         cls, robot: Robot, observation: Observation, usage: Sequence[Path]
     ) -> ExpectedError:
-        """For the structure that arms usually have.
+        """Build the criterion for the structure that arms usually have.
 
         Args:
             robot: The arm.

@@ -1,4 +1,4 @@
-"""Ready-made experiments: references that show one thing each, within the limits.
+"""Ready-made experiments: each reference reveals one kind of effect.
 
 A ladder of speeds shows friction, micro-reversals show presliding and backlash, static
 poses show gravity, a multisine shows delay and elasticity, and one path at several
@@ -236,7 +236,7 @@ def multisine(
 def checked(
     robot: Robot, reference: Reference, limits: Limits | None = None
 ) -> Reference:
-    """The reference, if it keeps the limits.
+    """Check a reference against the limits, and return it.
 
     Args:
         robot: The arm.

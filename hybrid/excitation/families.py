@@ -143,7 +143,7 @@ def harmonics(t: Array, order: int, fundamental: float, derivative: int) -> Arra
 
 
 def check_series(order: int, fundamental: float, periods: int, *, least: int) -> None:
-    """Refuse a series that is none.
+    """Refuse a Fourier series with invalid options.
 
     Raises:
         ExcitationError: An argument is out of range.

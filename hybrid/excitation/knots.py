@@ -1,4 +1,4 @@
-"""Motions from knot to knot, of which ready-made experiments are put together."""
+"""Motions through knots, the building blocks of ready-made experiments."""
 
 from __future__ import annotations
 

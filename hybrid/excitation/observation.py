@@ -108,7 +108,7 @@ class Observation:
         return by[0] + own[0], by[1] + own[1], by[2] + own[2]
 
     def with_structure(self, effects: Sequence[Effect], sizes: Array) -> Observation:
-        """The same columns, and behind them those of what a fit does not have.
+        """Append the columns of effects that the fit leaves out.
 
         Args:
             effects: Effects that the arm may have; a gain that the columns can express

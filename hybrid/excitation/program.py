@@ -1,4 +1,4 @@
-"""The program to be solved for one motion: criterion, limits, and the grids of both."""
+"""The optimisation problem of one motion: criterion, limits, and their grids."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class MotionProgram:
 
     @cached_property
     def scale(self) -> Array:
-        """Coefficients that fill a limit by themselves, shape (m, n)."""
+        """Coefficients that each reach a limit alone, shape (m, n)."""
         x = self.limits
         sizes = ((x.high - x.low) / 2, x.speed, x.acceleration, x.jerk)
         reach = np.abs(self.fine.bases).max(axis=1)  # (4, m)
@@ -127,7 +127,7 @@ class MotionProgram:
         return np.asarray(start)
 
     def usage(self, rng: np.random.Generator) -> list[Path]:
-        """Random motions as an arm with these limits may run them."""
+        """Random motions within the limits, as the arm may run them in use."""
         points = [self.random(child, fill=1.0) for child in rng.spawn(_USAGE)]
         return [self.grid.path(self.coefficients(x)) for x in points]
 
@@ -229,7 +229,7 @@ class MotionProgram:
         return {}
 
     def impossible(self) -> tuple[str, ...]:
-        """Conditions that no posture keeps, out of some hundred random ones."""
+        """Conditions that none of some hundred random postures satisfies."""
         still = self._postures(np.random.default_rng(0), _POSTURES)
         found = [
             name

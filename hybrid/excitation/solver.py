@@ -109,7 +109,7 @@ def quadratic_program(
     reach: float,
     penalty: float,
 ) -> Array:
-    """The step within ``reach`` that lowers the model; excess is paid for.
+    """Step within ``reach`` that minimises the quadratic model plus the penalty.
 
     Minimises gᵀs + ½ sᵀBs + c·max(0, limits + slopes·s) with every |sᵢ| ≤ reach.
     """

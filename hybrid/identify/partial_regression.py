@@ -1,4 +1,4 @@
-"""Whether one more term of a joint earns its place beside those that are there.
+"""Test whether one more term of a joint lowers the error beside the others.
 
 A new column may look much like a sum of others, a slow ripple like gravity. Its gain
 and its worth are those that remain once all other terms, at all joints, have been

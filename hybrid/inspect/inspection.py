@@ -1,4 +1,4 @@
-"""All that is known of a log before anything is fitted to it."""
+"""The result of an inspection: clock, excitation and doubts of a log."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ _TURNS = 8  # rounds in which signs and torques are found from each other
 def doubts_of_magnitude(
     recording: Recording, chain: Chain, state: State
 ) -> Iterator[Doubt]:
-    """Torques that are never negative, though they are if masses explain them.
+    """Detect torques whose sign was not logged.
 
     Signs are those of the torque that the arm explains, which is found with them.
 

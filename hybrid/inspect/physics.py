@@ -1,4 +1,4 @@
-"""Order, sign, unit of angle and clock of a log, held against what arms can do.
+"""Test order, signs, angle unit and clock of a log by rigid-body dynamics.
 
 Of all ways to read a log the right one leaves least torque that no arm of real masses
 explains. With s the share of its variance that is left of each joint's torque, a

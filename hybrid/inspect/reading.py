@@ -1,4 +1,4 @@
-"""Ways in which a log may have been written, other than its columns say."""
+"""Alternative readings of a log: other order, signs, units or clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The torque of a model's effects, worked out together where they are laws.
+"""Torque of a model's effects; laws of one instant are evaluated together.
 
 Laws of one instant are written down once for a model, so that what is common to them is
 worked out once. Effects that look at a whole motion are asked one by one.

@@ -51,7 +51,7 @@ class Health:
 
     @property
     def ok(self) -> bool:
-        """Whether the stream is as it was promised: nothing is lost, the rate right."""
+        """Whether hardly any sample is lost and the rate is as stated."""
         return self.lost <= _LOST and self.rate_is_right
 
     @property

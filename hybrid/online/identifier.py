@@ -210,10 +210,10 @@ class OnlineIdentifier:
 
     @property
     def taken(self) -> Array:
-        """What the last link carries more than before the last change, shape (10,).
+        """Payload that the last change added to the last link, shape (10,).
 
-        Mass, first moments and inertia about its frame origin; what the torque cannot
-        tell of them is as small as it can be.
+        Mass, first moments and inertia about the origin of its frame. What the torque
+        cannot tell is as small as possible.
         """
         mean, covariance = self._estimate.before
         change = self._estimate.filter.mean - mean

@@ -15,7 +15,7 @@ _MOST_CORRELATED = 0.98
 
 
 class TorqueNoise:
-    """Fading mean square of the errors of each joint, and how far one repeats itself.
+    """Size and correlation in time of the errors of each joint, with fading memory.
 
     Args:
         std: First guess of the standard deviation, shape (n,), [N·m].

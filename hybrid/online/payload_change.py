@@ -1,4 +1,4 @@
-"""Noticing that the last link has taken or lost a payload.
+"""Detect that the last link has taken or lost a payload.
 
 Source: Willsky and Jones 1976, doi 10.1109/TAC.1976.1101146 (generalised likelihood
 ratio of a jump, here with fading memory).

@@ -134,7 +134,7 @@ def has_hook(effect: Effect) -> bool:
 
 
 def drives(effect: Effect) -> bool:
-    """Whether the drive delivers another torque than it believes to."""
+    """Whether the drive delivers a torque that differs from the commanded one."""
     return overrides(effect, "deliver") or overrides(effect, "follow")
 
 

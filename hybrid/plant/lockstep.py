@@ -146,7 +146,7 @@ class Lockstep:
             self._push()
 
     def _resist(self, motor: JointState) -> None:
-        """Add the torque of effects with a past to that of the drives' laws."""
+        """Add the torque of effects with memory to that of the drives' laws."""
         step = self._arm.model.opt.timestep
         for k, effect in enumerate(self._resisting):
             j = list(effect.joints)

@@ -136,7 +136,7 @@ class _Moving(Lockstep):
         self.a, self.load = start.a.copy(), load.copy()
 
     def bend(self, torques: Sequence[Array]) -> None:
-        """Set what effects with a past resist with, shape (B, k) each, [N·m]."""
+        """Set the torque of effects with memory, shape (B, k) each, [N·m]."""
         self._resisted = [np.array(x) for x in torques]
 
     def _read(self) -> None:

@@ -1,4 +1,4 @@
-"""A documented truth: the plant that a YAML file describes."""
+"""Read a simulated truth, the plant that a YAML file describes."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ def named_labels(labels: Sequence[str], texts: Mapping[str, str]) -> tuple[str, 
 
 
 def labels_of(recording: Recording) -> dict[str, NDArray[np.float64]]:
-    """The columns of a recording under the labels that read back to it.
+    """Columns of a recording, under labels that the readers understand.
 
     Args:
         recording: Joint log.
@@ -120,4 +120,4 @@ def labels_of(recording: Recording) -> dict[str, NDArray[np.float64]]:
 
 
 class NoJointsError(RecordingError):
-    """A valid file in which no channel of any joint is; the message says what is."""
+    """A valid file without any joint channel; the message says what it has."""

@@ -125,7 +125,7 @@ def estimated(
 
 
 def _held(A: Array, prior: Prior | None) -> tuple[int, ...]:
-    """Unknowns whose value would follow data by less than half of any change."""
+    """Unknowns that follow a change in the data by less than half of it."""
     if prior is None:
         return ()
     follows = np.diag(pseudo_inverse(A + prior.precision) @ A)

@@ -52,7 +52,7 @@ def settle(
     robust: bool = False,
     prior: Prior | None = None,
 ) -> Settled:
-    """Unknowns and weights of :func:`solve`, without saying how sure they are."""
+    """Unknowns and weights, without their covariance."""
     n, p = len(products.problem.support), products.problem.size
     if products.samples * n <= p:
         raise IdentificationError(

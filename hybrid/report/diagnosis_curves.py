@@ -1,4 +1,4 @@
-"""What a diagnosis draws of each joint: few enough points for a page.
+"""Curves of each joint for the page of a diagnosis, with few points.
 
 All of it is on samples that no step of the diagnosis has seen.
 """
@@ -145,7 +145,7 @@ def _clouds(
 
 
 def _clearest(over: Mapping[str, Array], y: Array) -> list[str]:
-    """What y is most clearly a function of, first."""
+    """Sort variables by how clearly y depends on them, the clearest first."""
     return sorted(over, key=lambda name: _roughness(over[name], y))
 
 

@@ -1,4 +1,4 @@
-"""What the links look like to a collision check: capsules that cover their geometry."""
+"""Capsules that cover the collision geometry of the links."""
 
 from __future__ import annotations
 

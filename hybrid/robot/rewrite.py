@@ -1,4 +1,4 @@
-"""A robot file with other joint placements, and every other byte as it was."""
+"""Rewrite the joint placements of a robot file; every other byte stays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages of ROS as they lie in a bag: where each number of a message is.
+"""Layout of serialised ROS messages: the byte offset of each number.
 
 A bag's own definitions say how a message is laid out. They are walked as data and never
 become code. Messages of one length whose lengths and texts agree have one layout, so

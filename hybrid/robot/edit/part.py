@@ -1,4 +1,4 @@
-"""The bodies of a file of which each link of an arm is made."""
+"""The bodies of a robot file that make up each link of the arm."""
 
 from __future__ import annotations
 
