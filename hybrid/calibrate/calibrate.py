@@ -35,7 +35,7 @@ USUAL = ("base", "tool", "geometry")
 
 @dataclass(frozen=True)
 class Setup:
-    """An arm before an instrument: the problem that :func:`calibrate` solves.
+    """The problem that :func:`calibrate` solves: an arm in front of an instrument.
 
     Attributes:
         robot: Nominal arm.
@@ -101,7 +101,7 @@ class Calibration(Shown):
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:
-        """Corrections that these measurements cannot tell, and what they join."""
+        """Corrections that these measurements cannot tell apart, in words."""
         chain = self.setup.robot.chain
         lines = [
             f"{label}: joins {joined}" if joined else f"{label}: moves nothing measured"

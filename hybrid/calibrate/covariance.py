@@ -25,7 +25,7 @@ _ALONE = 1e-9  # share of a measurement's noise that reaches its residual
 def clustered_covariance(
     jacobian: Array, residual: Array, pose: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """Covariance of least-squares estimates, and how well each variance is known.
+    """Covariance of least-squares estimates, and the degrees of freedom of each.
 
     What one pose alone tells leaves no residual there; it has the noise of its kind.
 

@@ -1,4 +1,4 @@
-"""Which poses to measure: those that tell most about the parameters."""
+"""Choose the poses that tell most about the parameters."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def _jacobians(robot: Robot, q: Array, kind: str, free: tuple[str, ...]) -> Arra
 
 
 def _nominal(robot: Robot, q: Array, kind: str) -> Measurements:
-    """What would be seen of a point beside the flange of the nominal arm."""
+    """Simulated measurements of a point beside the flange of the nominal arm."""
     flange = follow(start(q), geometry_from_chain(robot.chain).steps, q, {})
     # A tool in general position: a point on the last axis would hide its turns.
     point = flange.origin + flange.rotation @ np.array([0.05, 0.07, 0.1])

@@ -1,4 +1,4 @@
-"""Errors of an arm on poses left out of its calibration."""
+"""Cross-validate a calibration on poses left out of it."""
 
 from __future__ import annotations
 

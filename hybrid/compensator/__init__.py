@@ -21,7 +21,7 @@ __all__ = [
 
 
 class Remainder(Protocol):
-    """What every learned remainder can do, whatever it is made of.
+    """The interface of every learned remainder.
 
     A class also has ``fit(x, y, ...)``. Each is bounded, fades to zero outside its data
     and refuses NaN.

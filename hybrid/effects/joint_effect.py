@@ -47,7 +47,7 @@ class JointEffect(Effect):
 
 
 class _StateAlong(JointState):
-    """A joint's state along a motion; the load is worked out if a law asks for it."""
+    """A joint's state along a motion; the load is computed on demand."""
 
     def __init__(self, motion: Motion, body: Body, joint: int) -> None:
         v, warm = motion.v[:, joint], motion.temperature

@@ -1,4 +1,4 @@
-"""The controller's side of a gap: from command to torque."""
+"""The position controller: from command to commanded torque."""
 
 from __future__ import annotations
 

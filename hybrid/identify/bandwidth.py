@@ -1,4 +1,4 @@
-"""Up to which frequency torque is fitted, and how held-out squares are summed."""
+"""Choose the cut-off of the fit, and sum held-out squares."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def prepared(
 
 
 def total(squares: Array, robust: bool) -> Array:
-    """Squares of all blocks, shape (n,); if robust, none counts far more than most."""
+    """Sum of squares over blocks, shape (n,); if robust, outlying blocks count less."""
     if robust:
         squares = np.minimum(squares, OUTLYING * np.median(squares, axis=0))
     return np.asarray(squares.sum(axis=0))

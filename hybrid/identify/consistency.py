@@ -37,7 +37,7 @@ _SMALLEST_SCALE = 1e-5  # curvature of a link, so that the solver's tolerances s
 
 @dataclass(frozen=True)
 class Consistent:
-    """Links that could exist, as near to the data as they can be.
+    """Physically consistent links that are nearest to the data.
 
     Attributes:
         inertial: Link parameters, every link physically consistent, shape (n, 10).

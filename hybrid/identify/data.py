@@ -1,4 +1,4 @@
-"""What a fit works on: motions, folds, blocks, filter and standstill."""
+"""Data of a fit: motions, folds, blocks, filter and standstill."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Data:
                 )
 
     def less(self, known: Sequence[Array] | None) -> Data:
-        """The same data less torque that is explained, (N, n) for each motion."""
+        """The same data minus an explained torque, (N, n) for each motion."""
         if known is None:
             return self
         pairs = zip(self.motions, known, strict=True)
@@ -225,7 +225,7 @@ def prepare_motions(
 def taken(
     robot: Robot, recordings: Sequence[Recording | Motion]
 ) -> list[Recording | Motion]:
-    """Logs as every verb takes them, see :func:`check_recordings`; motions as are."""
+    """Check logs (see :func:`check_recordings`); motions pass as they are."""
     if not recordings:
         raise IdentificationError("no recording given; at least one is needed")
     logs: list[Recording | Motion] = []
@@ -262,7 +262,7 @@ def prepare(
     *,
     highest: float | None = None,
 ) -> Data:
-    """Motions dealt into folds, each of which scores what the others fitted.
+    """Deal motions into folds for cross-validation.
 
     Whole recordings make the folds where there are four or more, else the quarters of
     each: neighbouring samples are too alike to score on, and a model has to hold on

@@ -1,4 +1,4 @@
-"""What an identification gives: a model, how far to trust it, and what is open."""
+"""The result of an identification: model, uncertainty, and open questions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HEAVY = 0.1  # share of an unknown in the weak directions from which it is name
 
 @dataclass(frozen=True)
 class Fit(Shown):
-    """A model and how far to trust it.
+    """An identified model with its uncertainty.
 
     Attributes:
         model: The identified model.
@@ -77,7 +77,7 @@ class Fit(Shown):
 
 
 def unidentifiable(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
-    """What no motion could tell apart, then what these recordings leave open."""
+    """Parameters that no motion tells apart, then those these logs leave open."""
     base, rigid = problem.base, 10 * problem.chain.size
     found = []
     for label, joined in base.dropped.items():

@@ -1,4 +1,4 @@
-"""The one gate of the ladder: whether a rung lowers the error on unseen samples.
+"""The gate of the ladder: a rung must lower the error on unseen samples.
 
 For each joint, the held-out squares of the torque that leaves ``predict`` are compared
 block by block, with and without the rung, so that noise common to both cancels. A rung
@@ -17,7 +17,7 @@ _CHANCE = 0.025  # that noise alone passes, however many terms were tried
 
 
 def lowers(before: Array, after: Array, *, tried: int = 1) -> NDArray[np.bool_]:
-    """Whether the held-out squares of each joint fall, and not by chance.
+    """Whether the held-out squares of each joint fall significantly.
 
     Args:
         before: Squares of each block without the rung, shape (B, n), [N²·m²].

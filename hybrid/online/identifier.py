@@ -46,7 +46,7 @@ _SETTLING = 1.5  # periods of the cut-off for which rows mix what was with what 
 
 
 class OnlineIdentifier:
-    """Base parameters and the gains and shapes of effects, always up to date.
+    """Tracks base parameters, and the gains and shapes of effects, sample by sample.
 
     Positions are differentiated by local polynomials, columns and torque pass the same
     low-pass, and an extended square-root filter takes them in, a few times per period
@@ -152,7 +152,7 @@ class OnlineIdentifier:
 
     @property
     def delay(self) -> float:
-        """How long ago the newest sample was that is in a new estimate, [s]."""
+        """Delay of the estimate behind the newest sample, [s]."""
         margin = self._derive.margin if self._derive else 0
         return (margin + self._block - 1) / self.rate
 

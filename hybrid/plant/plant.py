@@ -178,7 +178,7 @@ class Plant:
         return signal
 
     def _gains(self) -> tuple[Array, Array]:
-        """Stiffness and damping of the servo as they really are, shape (n,)."""
+        """True stiffness and damping of the servo, shape (n,)."""
         kp, kd = self._servo.kp.copy(), self._servo.kd.copy()
         for effect in self.effects:
             j = list(effect.joints)

@@ -40,14 +40,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class Matrix:
-    """Rows of cells, strongest first, and the effects for which nothing speaks."""
+    """Rows of cells, strongest first, and the effects without evidence."""
 
     rows: tuple[tuple[str, tuple[Cell, ...]], ...]
     silent: tuple[str, ...]
 
 
 def evidence_matrix(result: Result) -> Matrix:
-    """What speaks for every effect at every joint.
+    """Collect the evidence for every effect at every joint.
 
     Args:
         result: A diagnosis with the search that found its terms.

@@ -1,4 +1,4 @@
-"""Figures and JSON on disk, whole or not at all, and with what they were made."""
+"""Write figures and JSON, whole or not at all; record versions and inputs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What became of servos that were fitted by replay: tables, a picture and a page."""
+"""Tables, figure and page of servos that were fitted by replay."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def gap_table(fit: ServoFit) -> Table:
 
 
 def findings_table(fit: ServoFit) -> Table:
-    """What the file has wrong, the most worthy first."""
+    """Wrong numbers of the robot's file, the most important first."""
     rows = [
         (
             x.joint,

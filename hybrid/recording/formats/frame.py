@@ -15,7 +15,7 @@ from hybrid.recording.table import Table
 
 
 def table_of_frame(frame: Any) -> Table:
-    """A table of one of any library that speaks Arrow's or the interchange protocol.
+    """A table of a library with Arrow's protocol or the interchange protocol.
 
     Args:
         frame: pandas, polars or pyarrow table, or label -> array.

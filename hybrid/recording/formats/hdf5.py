@@ -24,7 +24,7 @@ _EPISODE = re.compile(
 
 
 def read_hdf5(path: Path) -> list[tuple[Table]]:
-    """The arrays of a file; of each group named like an episode, if there are such.
+    """The arrays of a file, or of each group that is named like an episode.
 
     Args:
         path: File.

@@ -45,7 +45,7 @@ def read_mat(path: Path) -> list[tuple[Table]]:
 
 
 def _upright(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Rows are samples: what lies along the other side than time is turned."""
+    """Transpose arrays so that rows are samples."""
     times = [x for k, x in arrays.items() if is_time(split_unit(k)[0])]
     rows = max((x.size for x in times), default=0)
     found = {}

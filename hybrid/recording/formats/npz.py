@@ -130,7 +130,7 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
-    """Refuse an archive that would unpack to more than any log."""
+    """Refuse an archive that unpacks to more than any log."""
     total = sum(info.file_size for info in archive.infolist())
     if total > LARGEST_FILE:
         raise RecordingError(
@@ -142,7 +142,7 @@ def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
 def _member(
     archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path
 ) -> NDArray[Any]:
-    """One array, whose header must not ask for more than the archive holds."""
+    """Read one array; its header must not claim more than the archive holds."""
     with archive.open(info) as file:
         version = np.lib.format.read_magic(file)
         shape, _, dtype = _header(version, file)

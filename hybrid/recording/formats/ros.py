@@ -40,7 +40,7 @@ def is_bag(folder: Path) -> bool:
 def read_ros(
     path: Path, *, tell: Callable[[int, int], None] | None = None
 ) -> Iterator[tuple[Table, ...]]:
-    """The topics of a bag that have lists of real numbers.
+    """Read the topics of a bag that have lists of real numbers.
 
     Args:
         path: Bag of ROS 2 as folder or file, or of ROS 1.
