@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hybrid.diagnose.diagnose import diagnose
     from hybrid.diagnose.diagnosis import Diagnosis
     from hybrid.effects import Effect
-    from hybrid.effects import effect_classes as effects
+    from hybrid.effects import effect_classes
     from hybrid.excitation import design as excite
     from hybrid.export.export import export
     from hybrid.identify import DynamicModel, Fit, identify, predict, validate
@@ -51,7 +51,7 @@ __all__ = [
     "__version__",
     "calibrate",
     "diagnose",
-    "effects",
+    "effect_classes",
     "excite",
     "export",
     "fit_servo",
@@ -79,7 +79,7 @@ _HOME = {
     "ServoFit": "hybrid.servo",
     "calibrate": "hybrid.calibrate",
     "diagnose": "hybrid.diagnose.diagnose",
-    "effects": "hybrid.effects:effect_classes",
+    "effect_classes": "hybrid.effects",
     "excite": "hybrid.excitation:design",
     "export": "hybrid.export",
     "fit_servo": "hybrid.servo",
@@ -107,7 +107,7 @@ def __dir__() -> list[str]:
 
 
 class _Package(ModuleType):
-    # The folders `identify` and `effects` share their name with a public function. The
+    # Folders such as `identify` share their name with a public function. The
     # import system binds a folder to its parent when it loads it; the function stays.
     def __setattr__(self, name: str, value: Any) -> None:
         if not (name in _HOME and isinstance(value, ModuleType)):
