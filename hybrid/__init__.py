@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from hybrid.calibrate import calibrate
     from hybrid.diagnose.diagnose import diagnose
     from hybrid.diagnose.diagnosis import Diagnosis
-    from hybrid.effects import Effect
-    from hybrid.effects import effect_classes
+    from hybrid.effects import Effect, effect_classes
     from hybrid.excitation import design as excite
     from hybrid.export.export import export
     from hybrid.identify import DynamicModel, Fit, identify, predict, validate
