@@ -57,7 +57,8 @@ def run(kind: str, seed: int, quiet: bool) -> Run:
     assert servo is not None
     if quiet:
         noise = replace(noise, torque_covariance=0.01 * noise.torque_covariance)
-    plant = Plant(robot, effects, servo=servo.without_feedforward(), noise=noise)
+    servo = replace(servo, feedforward=None)
+    plant = Plant(robot, effects, servo=servo, noise=noise)
     log, other = simulate(plant, trajectories=2, duration=10.0, seed=seed)
     start = process_time()
     result = examine(robot, [log])

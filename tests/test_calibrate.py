@@ -8,6 +8,7 @@ import pytest
 from arms import MODELS, public_arm, random_arm, random_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mh6 import steps_from_dh
 from scipy.spatial.transform import Rotation
 
 import hybrid
@@ -23,7 +24,6 @@ from hybrid.calibrate import (
 from hybrid.calibrate.geometry import (
     chain_from_values,
     geometry_from_chain,
-    steps_from_dh,
 )
 from hybrid.calibrate.model import KinematicModel
 from hybrid.calibrate.solve import solve

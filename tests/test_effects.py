@@ -322,7 +322,8 @@ def test_effects_on_signals_are_exact_where_their_columns_are_first_order():
 def closed_loop(name):
     """The loop as the controller thinks it is, the torque logged, and the residual."""
     # Without feed-forward there is something left for the servo to do.
-    servo = Plant(robot(), noise=Noise.none(3)).servo.without_feedforward()
+    servo = Plant(robot(), noise=Noise.none(3)).servo
+    servo = replace(servo, feedforward=None)
     plant = Plant(robot(), [typical(name)], noise=Noise.none(3), servo=servo)
     (log,) = plant.run([reference()], seed=np.random.default_rng(0))
     plan = servo.plan(reference(), log.t)

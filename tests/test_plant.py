@@ -523,7 +523,7 @@ def test_late_commands_make_a_late_motion(two_links):
 
 
 def test_a_softer_servo_sags_more(pendulum):
-    stiff = Plant(pendulum).servo.without_feedforward()
+    stiff = replace(Plant(pendulum).servo, feedforward=None)
     sag = [
         run(pendulum, effects, [hold([0.0], 2.0)], servo=stiff)[0].q[-1, 0]
         for effects in ([], [effect("controller_gain", stiffness=-0.5, damping=-0.3)])

@@ -8,14 +8,14 @@ first axis' d: Hayati and Mirmirani 1985, doi 10.1002/rob.4620020406.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.calibrate.steps import Fixed, Step, follow, start
-from hybrid.robot.chain import Chain
+from hybrid.robot.chain import Chain, zero_frames
 from hybrid.robot.spatial import rotation_from_axis_angle
 
 PARALLEL = 0.1  # sine of the angle below which two axes count as parallel
@@ -47,7 +47,8 @@ def geometry_from_chain(chain: Chain) -> Geometry:
     Args:
         chain: Any serial chain; its file's own frames need follow no convention.
     """
-    axis, point, rotation = _axes(chain)
+    rotation, point = zero_frames(chain)
+    axis = np.einsum("kij,kj->ki", rotation, chain.axis)
     rows: list[tuple[Fixed | Step, ...]] = []
     frames = _frames(axis, point, rotation[-1])
     R, origin = frames[0].rotation, point[0]
@@ -79,7 +80,7 @@ def chain_from_values(
     """
     q = np.zeros((1, chain.size))
     old = new = start(q)
-    _, origins, rotations = _axes(chain)
+    rotations, origins = zero_frames(chain)
     rotation, translation = np.empty((chain.size, 3, 3)), np.empty((chain.size, 3))
     parent, parent_origin = np.eye(3), np.zeros(3)
     for k, row in enumerate(geometry.rows):
@@ -93,26 +94,6 @@ def chain_from_values(
     return replace(chain, rotation=rotation, translation=translation)
 
 
-def steps_from_dh(rows: Sequence[Mapping[str, float]]) -> tuple[Step, ...]:
-    """A chain of revolute joints from a table of the classical (distal) convention.
-
-    A row turns by θ and shifts by d along z, then shifts by a and turns by α along x; a
-    row with ``beta`` in place of ``d`` turns by β about y at its end.
-
-    Args:
-        rows: For each joint its nominal ``theta``, ``d`` or ``beta``, ``a``, ``alpha``,
-            in [rad] and [m]; the unknown parts are named ``theta_1``, ``d_1`` ...
-    """
-    axes = {"theta": (2, True), "d": (2, False), "a": (0, False), "alpha": (0, True)}
-    axes["beta"] = (1, True)
-    return tuple(
-        Step(*axes[name], row[name], f"{name}_{k + 1}", k if name == "theta" else None)
-        for k, row in enumerate(rows)
-        for name in axes
-        if name in row
-    )
-
-
 @dataclass(frozen=True)
 class _RowFrame:
     """A frame on a joint axis, x along the normal to the next axis, at q = 0."""
@@ -122,18 +103,6 @@ class _RowFrame:
     a: float = 0.0
     alpha: float = 0.0
     beta: float | None = None
-
-
-def _axes(chain: Chain) -> tuple[Array, Array, Array]:
-    """Axes, points on them and link orientations in the base frame at q = 0."""
-    R, p = np.eye(3), np.zeros(3)
-    axis, point = np.empty((2, chain.size, 3))
-    rotation = np.empty((chain.size, 3, 3))
-    for k in range(chain.size):
-        p = p + R @ chain.translation[k]
-        R = R @ chain.rotation[k]
-        axis[k], point[k], rotation[k] = R @ chain.axis[k], p, R
-    return axis, point, rotation
 
 
 def _frames(axis: Array, point: Array, last: Array) -> list[_RowFrame]:

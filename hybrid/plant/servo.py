@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -89,10 +89,6 @@ class Servo:
             limit=robot.tau_max,
             feedforward=robot,
         )
-
-    def without_feedforward(self) -> Servo:
-        """The same gains, PD only."""
-        return replace(self, feedforward=None)
 
     def plan(self, reference: Reference, t: Array) -> tuple[Array, Array, Array]:
         """Position, speed and feed-forward torque at the control samples.
