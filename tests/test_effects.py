@@ -3,6 +3,7 @@
 import re
 import string
 import sys
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
