@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.bayes import coloured
 from hybrid.diagnose.explanations.cause import Cause
 from hybrid.diagnose.explanations.search import Search
-from hybrid.robot.chain import Array
 
 
 @dataclass(frozen=True)

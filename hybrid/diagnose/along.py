@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.background import background, clocks, rest
 from hybrid.diagnose.candidates import Candidate
 from hybrid.diagnose.gap import Columns, Gap
@@ -15,7 +16,6 @@ from hybrid.diagnose.products import Index
 from hybrid.diagnose.shapes import nudges
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 

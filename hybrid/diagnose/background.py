@@ -9,13 +9,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.spring import Spring
 from hybrid.effects.viscous import Viscous
-from hybrid.robot.chain import Array
 from hybrid.robot.spatial import central_inertia
 
 _KNEES = (0.003, 0.01, 0.017, 0.03)  # rad/s

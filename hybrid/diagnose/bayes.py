@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 from hybrid.signals import butterworth
 
 _OWN = 0.3  # of the gain that columns are of, or it of that; noise lessens it

@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.background import link_spread
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.effects import Effect, effect_classes
@@ -15,7 +16,6 @@ from hybrid.effects.effect import Port, Quantity, Scale
 from hybrid.effects.payload import LinkInertia, Payload
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 Place = tuple[str, tuple[int, ...]]  # id of an effect, and its joints
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.convention import Convention
 from hybrid.diagnose.diagnosis import Finding
 from hybrid.diagnose.explanation import Explanation
@@ -18,7 +19,6 @@ from hybrid.diagnose.findings import fall, listed, values
 from hybrid.diagnose.gap import Gap
 from hybrid.effects import Effect
 from hybrid.effects.delay import Delay
-from hybrid.robot.chain import Array
 
 
 @dataclass(frozen=True, eq=False)

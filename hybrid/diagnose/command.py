@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.diagnosis import Finding, Shrink
 from hybrid.diagnose.findings import listed, values
 from hybrid.diagnose.gap import Gap
@@ -23,7 +24,6 @@ from hybrid.effects import Effect
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
 from hybrid.recording import Recording
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 _EXPLAINED = 0.95  # of the torque's squares, or the servo is of another kind

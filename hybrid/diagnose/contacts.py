@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.bayes import loudness
 from hybrid.diagnose.gap import Gap
 from hybrid.effects import Effect
 from hybrid.effects.contact import Contact
-from hybrid.robot.chain import Array
 
 _CHUNK = 0.05  # s
 _LENGTHS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192)  # chunks

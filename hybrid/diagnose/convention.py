@@ -16,6 +16,7 @@ from functools import partial
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.background import background, rest
 from hybrid.diagnose.candidates import Candidate, candidate
 from hybrid.diagnose.evidence import Evidence
@@ -31,7 +32,6 @@ from hybrid.effects.viscous import Viscous
 from hybrid.identify.data import FEWEST_PERIODS
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 _BESIDE = (Viscous, Coulomb, TorqueOffset)

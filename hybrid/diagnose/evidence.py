@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from hybrid.arrays import Array
 from hybrid.diagnose.bayes import log_bayes, memory, quiet
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.diagnose.products import Index, Products
-from hybrid.robot.chain import Array
 
 _EXACT = 0.002  # of the torque: nearer than that no two solvers are
 # For columns of unit length.

@@ -9,13 +9,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.candidates import instead
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.explanations.search import Search
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.term import Term
-from hybrid.robot.chain import Array
 
 _BLOCK_SECONDS = 1.0
 _TAIL = 0.02  # of a term's squares: no more than a filter spreads

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.inspect.samples import usual_step
 from hybrid.recording import Recording
-from hybrid.robot.chain import Array
 
 _LONGEST_REPEAT = 0.2  # s; quantised torque repeats for less while an arm moves
 _FEWEST = 10  # samples

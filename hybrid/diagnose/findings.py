@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.candidates import candidate
 from hybrid.diagnose.diagnosis import Finding, Shrink, Value
 from hybrid.diagnose.explanation import Explanation
@@ -14,7 +15,6 @@ from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.shapes import part_of_range
 from hybrid.diagnose.units import unit_at, units
 from hybrid.effects import Effect
-from hybrid.robot.chain import Array
 
 _RESAMPLES = 400
 _NORMAL = 1.96

@@ -9,12 +9,12 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.effect import Scale
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 from hybrid.signals.filters import butterworth
 

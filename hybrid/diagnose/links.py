@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.account import Account
 from hybrid.diagnose.command import Link
 from hybrid.diagnose.diagnosis import Diagnosis, Region, Verdict
 from hybrid.diagnose.gap import Gap
-from hybrid.robot.chain import Array
 
 COMMAND_TO_TORQUE = "command to torque"
 

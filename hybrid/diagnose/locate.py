@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from hybrid.arrays import Array
 from hybrid.diagnose.diagnosis import Region
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.units import units
-from hybrid.robot.chain import Array
 
 TORQUE_TO_MOTION = "torque to motion"
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.faults import Faults, find_faults
 from hybrid.diagnose.gap import Gap, simulated_torque
 from hybrid.dynamics import RigidBody
@@ -16,7 +17,6 @@ from hybrid.errors import RecordingError
 from hybrid.identify.data import motions_of
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 from hybrid.signals.filters import butterworth, filter_reach
 

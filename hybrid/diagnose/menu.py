@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.envelope import Envelope
 from hybrid.diagnose.gap import Gap, simulated_torque
 from hybrid.dynamics import RigidBody
@@ -22,7 +23,6 @@ from hybrid.excitation.experiments import (
 from hybrid.excitation.knots import Walk
 from hybrid.plant.reference import Reference, random_fourier
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 
 _EDGE = 0.2  # s, at both ends of a motion, that filters spoil

@@ -11,11 +11,11 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.diagnosis import Shrink
 from hybrid.diagnose.replay import Replay
 from hybrid.diagnose.units import units
 from hybrid.effects import Effect
-from hybrid.robot.chain import Array
 
 _RESAMPLES = 400
 _BYPRODUCT = 0.05  # of the largest fall in torque; joints below are merely touched

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.gap import Columns, Gap
-from hybrid.robot.chain import Array
 
 Index = NDArray[np.intp]
 

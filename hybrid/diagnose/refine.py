@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from hybrid.arrays import Array
 from hybrid.diagnose.candidates import Candidate, scale_of, with_gains
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.products import Index
 from hybrid.diagnose.shapes import fit_shapes, nudges, price
 from hybrid.effects import Effect
-from hybrid.robot.chain import Array
 
 _EXACT_PASSES = 4
 _SHAPE_SPREAD = 0.3  # prior deviation of a shape, of its range

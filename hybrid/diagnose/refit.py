@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2, qmc
 
+from hybrid.arrays import Array
 from hybrid.diagnose.candidates import Candidate, with_gains
 from hybrid.diagnose.evidence import Evidence, Solution
 from hybrid.diagnose.explanations.elsewhere import Elsewhere
@@ -17,7 +18,6 @@ from hybrid.diagnose.products import Index
 from hybrid.diagnose.refine import shifted, take_nudges
 from hybrid.diagnose.shapes import at_places, places, shape_units
 from hybrid.effects import Effect
-from hybrid.robot.chain import Array
 
 _NORMAL = 1.96
 _OPEN = 10.0  # times a gain's prior deviation

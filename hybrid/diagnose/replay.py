@@ -15,12 +15,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.explanation import Explanation
 from hybrid.diagnose.simulator import corrected, scored_effects
 from hybrid.diagnose.split import between, split
 from hybrid.effects import Effect
 from hybrid.plant.rollout import Windows, rollout
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 HORIZONS = (0.1, 0.5, 2.0)  # s

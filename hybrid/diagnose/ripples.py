@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 _MOST_PERIODS = 400
 _FILTER_ORDER = 5

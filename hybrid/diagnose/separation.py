@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from hybrid.arrays import Array
 from hybrid.diagnose.along import Along
 from hybrid.diagnose.bayes import log_bayes
 from hybrid.diagnose.candidates import Candidate, scale_of, with_gains
@@ -26,7 +27,6 @@ from hybrid.diagnose.shapes import fit_shapes, nudges, price
 from hybrid.diagnose.term import Term
 from hybrid.effects import Effect
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.robot.chain import Array
 
 _EXACT_PASSES = 4
 _LONG_WAVES = 6  # per turn

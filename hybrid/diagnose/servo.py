@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from hybrid.arrays import Array
 from hybrid.diagnose.gap import Gap
 from hybrid.dynamics import RigidBody
 from hybrid.errors import HybridWarning
 from hybrid.recording import Recording
 from hybrid.recording.clock import resample
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion, motion_from_recording
 from hybrid.signals.filters import butterworth
 

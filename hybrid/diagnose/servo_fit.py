@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.bayes import memory, most_noise
 from hybrid.diagnose.servo import LATENCIES, MOST_SHIFT, SIGNALS, SLOPE, Law, ServoLog
-from hybrid.robot.chain import Array
 
 WORTH = 14.0  # nat, with the price of a shape
 _ROUNDS, _LONGEST, _CONVERGED = 12, 0.004, 1e-6  # s

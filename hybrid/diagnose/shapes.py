@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
+from hybrid.arrays import Array
 from hybrid.diagnose.gap import Columns, Gap
 from hybrid.effects import Effect
 from hybrid.effects.effect import Quantity
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.robot.chain import Array
 
 _PRICE = 2.0  # of choosing one shape; the logarithm of how many differ in effect
 _SHAPE_PRICE = {"torque_ripple": 6.0, "contact": 8.0}  # of hundreds, of thousands

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
+from hybrid.arrays import Array
 from hybrid.diagnose.candidates import with_gains
 from hybrid.diagnose.explanation import Explanation
 from hybrid.dynamics import inverse_dynamics
@@ -24,7 +25,6 @@ from hybrid.effects.backlash import Backlash
 from hybrid.effects.elasticity import Elasticity
 from hybrid.effects.payload import LinkInertia
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 _MARGIN = 1e-4  # smallest pseudo-inertia of a link, as a share of the file's
 # A spring or a play needs a rotor before it. One that the file does not know is taken

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.measure import block_seconds
-from hybrid.robot.chain import Array
 
 _FAR_LARGER = 10.0  # times the mean squares
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.account import Account
 from hybrid.diagnose.background import background
 from hybrid.diagnose.candidates import candidate
@@ -15,7 +16,6 @@ from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
-from hybrid.robot.chain import Array
 
 _FREE = 1e3  # times the size of a number: nothing is known of it before
 _USUAL = Coulomb, Viscous, TorqueOffset, Armature  # that least squares fits at a joint

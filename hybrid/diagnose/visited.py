@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.units import units
-from hybrid.robot.chain import Array
 
 _STILL = 0.005  # rad; what a joint at rest seems to move, by noise and servo
 _FEWEST_SECONDS = 0.2

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.compensator.gmr import FARTHEST, GaussianMixtureRegression
-from hybrid.robot.chain import Array
 
 _FUNCTION = """
 /* A Gaussian mixture conditioned on its inputs; matrices row by row, the whitening of

@@ -10,11 +10,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from hybrid.export.export import export
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.names import c_identifier
-from hybrid.robot.chain import Array
 
 _COMPILERS = ("cc", "gcc", "clang")
 _FLAGS = ("-std=c99", "-O3", "-fno-math-errno", "-shared", "-fPIC")

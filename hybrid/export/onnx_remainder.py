@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.gmr import FARTHEST
 from hybrid.errors import HybridError
-from hybrid.robot.chain import Array
 
 if TYPE_CHECKING:
     from hybrid.export.onnx_graph import Graph

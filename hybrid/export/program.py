@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics.newton_euler import newton_euler
 from hybrid.dynamics.tape import Tape
 from hybrid.effects import Effect, JointState
 from hybrid.errors import EffectError, HybridError
 from hybrid.model.dynamic_model import DynamicModel
-from hybrid.robot.chain import Array
 
 _ROWS = 2048  # samples at a time, so that what is on the tape stays in the cache
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array as Array
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.names import name_fault
 

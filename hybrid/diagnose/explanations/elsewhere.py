@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.background import background, clocks, rest
 from hybrid.diagnose.evidence import Evidence
 from hybrid.diagnose.explanations.cause import Cause
 from hybrid.diagnose.products import Index
-from hybrid.robot.chain import Array
 
 if TYPE_CHECKING:
     from hybrid.diagnose.explanations.search import Search

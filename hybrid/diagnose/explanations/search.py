@@ -22,6 +22,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.background import background, clocks, rest
 from hybrid.diagnose.bayes import memory
 from hybrid.diagnose.candidates import Candidate, Place, same
@@ -39,7 +40,6 @@ from hybrid.diagnose.refine import refine
 from hybrid.diagnose.shapes import price
 from hybrid.diagnose.split import between
 from hybrid.diagnose.term import Term
-from hybrid.robot.chain import Array
 
 _RIPPLES = 9  # orders at each joint, of which noise is estimated
 _ROUNDS = 4  # of adding, exchanging and widening

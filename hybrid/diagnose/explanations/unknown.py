@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.diagnose.gap import Gap
 from hybrid.diagnose.ripples import ripple_orders
-from hybrid.robot.chain import Array
 from hybrid.signals.filters import butterworth
 
 _KNOTS = 14

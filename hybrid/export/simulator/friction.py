@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
+from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.instant import FRICTION
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 _BENDS = np.geomspace(0.25, 4.0, 9)  # w, of the highest speed

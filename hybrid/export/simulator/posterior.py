@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics.pseudo_inertia import (
     inertial_from_pseudo,
     nominal_bodies,
@@ -14,7 +15,6 @@ from hybrid.dynamics.pseudo_inertia import (
 from hybrid.effects import Effect
 from hybrid.errors import HybridError
 from hybrid.model.dynamic_model import DynamicModel
-from hybrid.robot.chain import Array
 
 _THIN = 1e-6  # smallest width of a drawn link, as a share of the usual one, squared
 

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.export.simulator.model import fields_of_model, usual_motion
 from hybrid.export.simulator.posterior import sample
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
-from hybrid.robot.chain import INERTIAL_NAMES, INERTIAL_UNITS, Array
+from hybrid.robot.chain import INERTIAL_NAMES, INERTIAL_UNITS
 
 _LEVEL = 0.95
 _UNITS = {

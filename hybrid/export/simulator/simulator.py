@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.instant import FIELDS
@@ -27,7 +28,6 @@ from hybrid.names import xml_comment
 from hybrid.plant.arm import overrides
 from hybrid.plant.native import effects_of_fields, split_effects, springs
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.robot.edit.actuator import Actuator
 from hybrid.robot.edit.change import Change
 from hybrid.robot.edit.mjcf import edit_mjcf, move_assets

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.export.simulator.model import model_simulator
 from hybrid.export.simulator.ranges import Ranges
 from hybrid.model.dynamic_model import DynamicModel
-from hybrid.robot.chain import Array
 from hybrid.robot.edit.actuator import Actuator
 from hybrid.signals import Motion
 
