@@ -28,9 +28,10 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from hybrid import Motion, Recording, Robot
+from hybrid.arrays import Array
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
-from hybrid.effects import Array, Effect, JointEffect, JointState, Port, Quantity
+from hybrid.effects import Effect, JointEffect, JointState, Port, Quantity
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_offset import TorqueOffset

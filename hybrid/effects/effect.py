@@ -10,16 +10,16 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects.in_plant import InPlant
 from hybrid.effects.instant import Instant
 from hybrid.effects.quantity import Quantity, Scale
-from hybrid.effects.state import Array, Body, JointState
+from hybrid.effects.state import Body, JointState
 from hybrid.errors import EffectError
 from hybrid.parameters import Parameter
 from hybrid.signals import Motion
 
 __all__ = [
-    "Array",
     "Body",
     "Effect",
     "JointState",

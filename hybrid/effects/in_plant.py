@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybrid.effects.state import Array, JointState
+from hybrid.arrays import Array
+from hybrid.effects.state import JointState
 
 if TYPE_CHECKING:
     import mujoco

@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from hybrid.effects.state import Array, JointState
+from hybrid.arrays import Array
+from hybrid.effects.state import JointState
 from hybrid.errors import EffectError
 
 Scalar = Any  # float, array or symbol

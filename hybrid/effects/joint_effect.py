@@ -8,9 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects.effect import Effect
 from hybrid.effects.instant import Memory, Scalar
-from hybrid.effects.state import Array, Body, JointState
+from hybrid.effects.state import Body, JointState
 from hybrid.signals import Motion
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from hybrid.effects.effect import Array, Effect
+from hybrid.arrays import Array
+from hybrid.effects.effect import Effect
 
 
 @dataclass(frozen=True, eq=False)
