@@ -26,7 +26,7 @@ from hybrid.arrays import Array
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import effects_from_text
 from hybrid.files import atomic_path
-from hybrid.identify import identify
+from hybrid.identification import identify
 from hybrid.online import OnlineIdentifier, Sample
 from hybrid.plant import Noise, load_truth, random_fourier
 from hybrid.plant.scale import joint_scales

@@ -22,7 +22,7 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import Estimate, solve
 from hybrid.regression.problem import build_problem

@@ -25,7 +25,7 @@ from outputs import command_line
 from rich.console import Console
 
 from hybrid import simulate
-from hybrid.export import CompiledModel
+from hybrid.exports import CompiledModel
 from hybrid.files import atomic_path
 from hybrid.plant import random_fourier
 from hybrid.report import markdown_table, numbers_table, provenance, save_figure

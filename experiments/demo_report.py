@@ -38,7 +38,7 @@ from hybrid.signals import Motion
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hybrid.identify import DynamicModel, Fit, Validation
+    from hybrid.identification import DynamicModel, Fit, Validation
     from hybrid.recording import Recording
 
 

@@ -20,7 +20,7 @@ from hybrid.arrays import Array
 from hybrid.effects import effects_from_text
 from hybrid.errors import HybridWarning
 from hybrid.excitation import Fourier, Limits, design, observe
-from hybrid.identify import DynamicModel, Validation
+from hybrid.identification import DynamicModel, Validation
 from hybrid.plant import Noise, Plant, Reference, load_truth, random_fourier
 from hybrid.plant.scale import joint_scales
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mh6 import pose_errors
 
-from hybrid.calibrate import Measurements
-from hybrid.calibrate.solve import Solution
+from hybrid.calibration import Measurements
+from hybrid.calibration.solve import Solution
 from hybrid.report.style import BLUE, GREY, RED, clean, new_figure
 
 if TYPE_CHECKING:

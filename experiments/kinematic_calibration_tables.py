@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from mh6 import LABELS, LENGTH, PUBLISHED, SHOWN, TRUE, pose_errors
 
-from hybrid.calibrate import Measurements
-from hybrid.calibrate.solve import Solution
+from hybrid.calibration import Measurements
+from hybrid.calibration.solve import Solution
 from hybrid.report.table import Table
 
 USED = "tabu 3%"  # the radius that was taken; see kinematic_calibration.py

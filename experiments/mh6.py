@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.calibrate import Measurements
-from hybrid.calibrate.model import KinematicModel
-from hybrid.calibrate.steps import Frame, Step
+from hybrid.calibration import Measurements
+from hybrid.calibration.model import KinematicModel
+from hybrid.calibration.steps import Frame, Step
 
 _Q = np.pi / 2
 ROWS = (

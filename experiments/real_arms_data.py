@@ -13,7 +13,7 @@ from hybrid import Fit, Motion
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.transmission_coupling import TransmissionCoupling
-from hybrid.identify import Validation, ValidationRow
+from hybrid.identification import Validation, ValidationRow
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from hybrid import report
-from hybrid.calibrate import Calibration
-from hybrid.diagnose.diagnosis import Diagnosis
+from hybrid.calibration import Calibration
+from hybrid.diagnosis.diagnosis import Diagnosis
 from hybrid.excitation import Design
-from hybrid.identify import Fit
+from hybrid.identification import Fit
 from hybrid.inspect import Inspection
 from hybrid.names import figure_text
 from hybrid.report.calibration import corrections_table

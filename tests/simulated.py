@@ -13,7 +13,7 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning
-from hybrid.identify import Fit, Validation, identify, validate
+from hybrid.identification import Fit, Validation, identify, validate
 from hybrid.plant import load_truth, random_fourier, simulate
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot

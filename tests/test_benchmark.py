@@ -23,7 +23,7 @@ from diagnosed import RIPPLE, STRIBECK, planar
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybrid.diagnose.diagnose import examine
+from hybrid.diagnosis.diagnose import examine
 from hybrid.effects import effect_classes
 from hybrid.effects.effect import JointState
 from hybrid.effects.viscous import Viscous

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import hybrid
 from hybrid.arrays import Array
-from hybrid.calibrate import (
+from hybrid.calibration import (
     Measurements,
     build_setup,
     calibrate,
@@ -21,13 +21,13 @@ from hybrid.calibrate import (
     cross_validate,
     random_poses,
 )
-from hybrid.calibrate.geometry import (
+from hybrid.calibration.geometry import (
     chain_from_values,
     geometry_from_chain,
 )
-from hybrid.calibrate.model import KinematicModel
-from hybrid.calibrate.solve import solve
-from hybrid.calibrate.steps import follow, start
+from hybrid.calibration.model import KinematicModel
+from hybrid.calibration.solve import solve
+from hybrid.calibration.steps import follow, start
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError
 from hybrid.robot import Robot

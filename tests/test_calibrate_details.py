@@ -10,20 +10,20 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 from test_calibrate import coman, disturbed, flange, measured
 
-from hybrid.calibrate import calibrate
-from hybrid.calibrate.align import _linear, _nearest_rotation, _stations, align
-from hybrid.calibrate.calibrate import _group, _load, _rank, _unit
-from hybrid.calibrate.covariance import clustered_covariance
-from hybrid.calibrate.geometry import geometry_from_chain
-from hybrid.calibrate.measurements import Measurements
-from hybrid.calibrate.observability import observability_index
-from hybrid.calibrate.outliers import OUTSIDE, misfit
-from hybrid.calibrate.poses import (
+from hybrid.calibration import calibrate
+from hybrid.calibration.align import _linear, _nearest_rotation, _stations, align
+from hybrid.calibration.calibrate import _group, _load, _rank, _unit
+from hybrid.calibration.covariance import clustered_covariance
+from hybrid.calibration.geometry import geometry_from_chain
+from hybrid.calibration.measurements import Measurements
+from hybrid.calibration.observability import observability_index
+from hybrid.calibration.outliers import OUTSIDE, misfit
+from hybrid.calibration.poses import (
     _gain,
     choose_poses,
     random_poses,
 )
-from hybrid.calibrate.steps import Frame
+from hybrid.calibration.steps import Frame
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError
 from hybrid.robot import Robot

@@ -17,8 +17,8 @@ from hybrid import __version__
 from hybrid.cli import main, options
 from hybrid.effects import effect_classes, registry
 from hybrid.errors import HybridWarning
-from hybrid.identify import DynamicModel, predict, validate
-from hybrid.identify.three_stage import STAGES
+from hybrid.identification import DynamicModel, predict, validate
+from hybrid.identification.three_stage import STAGES
 from hybrid.plant import simulate
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording, read, read_all, write
@@ -607,7 +607,9 @@ class TestInterrupt:
         def interrupted(*_, **__):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(sys.modules["hybrid.identify"], "identify", interrupted)
+        monkeypatch.setattr(
+            sys.modules["hybrid.identification"], "identify", interrupted
+        )
         text = complaint(
             capsys,
             f"identify --robot {PLANAR} --recordings {chain.fit} --out "

@@ -10,16 +10,16 @@ from arms import LIFT, MODELS
 from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from simulated import arm, quiet
 
-from hybrid.diagnose.advise import advise
-from hybrid.diagnose.background import rest, soft_friction
-from hybrid.diagnose.candidates import candidate
-from hybrid.diagnose.contacts import Contacts, witnessed
-from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.gap import simulated_torque
-from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.replayed import replayed
-from hybrid.diagnose.shapes import nudges, shape_units
-from hybrid.diagnose.split import between, split
+from hybrid.diagnosis.advise import advise
+from hybrid.diagnosis.background import rest, soft_friction
+from hybrid.diagnosis.candidates import candidate
+from hybrid.diagnosis.contacts import Contacts, witnessed
+from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.gap import simulated_torque
+from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.replayed import replayed
+from hybrid.diagnosis.shapes import nudges, shape_units
+from hybrid.diagnosis.split import between, split
 from hybrid.dynamics import RigidBody
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash

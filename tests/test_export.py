@@ -28,9 +28,9 @@ from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.presliding import Presliding
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, ModelFileError
-from hybrid.export import FORMATS, export, program_from_model, read_manifest
-from hybrid.export.manifest import model_digest
-from hybrid.identify import DynamicModel
+from hybrid.exports import FORMATS, export, program_from_model, read_manifest
+from hybrid.exports.manifest import model_digest
+from hybrid.identification import DynamicModel
 from hybrid.model.model_file import content_from_model
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
@@ -419,7 +419,7 @@ def test_an_archive_names_no_file_of_this_computer(folders):
 def test_a_torch_module_hands_its_memory_back():
     import torch
 
-    from hybrid.export.torch_module import ProgramModule
+    from hybrid.exports.torch_module import ProgramModule
 
     robot = public_arm("ur10")
     model = model_of(robot, [Presliding((1,), {"level": 3.0, "distance": 0.02})])
@@ -508,7 +508,7 @@ def test_the_command_exports_and_says_what_is_missing(folders, tmp_path, capsys)
 
 
 def test_every_operation_of_a_tape_has_its_c_onnx_and_torch():
-    from hybrid.export import c_code, onnx_graph, torch_module
+    from hybrid.exports import c_code, onnx_graph, torch_module
 
     for name in OPERATIONS:
         assert name in onnx_graph._NAMES

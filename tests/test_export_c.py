@@ -15,8 +15,8 @@ from hybrid.effects.presliding import Presliding
 from hybrid.effects.thermal_friction import ThermalFriction
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
-from hybrid.export import export, read_manifest
-from hybrid.export.c_code import c_number
+from hybrid.exports import export, read_manifest
+from hybrid.exports.c_code import c_number
 from hybrid.robot import Robot
 
 PLANAR = MODELS / "planar.xml"

@@ -16,7 +16,7 @@ from hybrid.effects.payload import Payload
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
-from hybrid.export import CompiledModel, export, missing_model, model_simulator
+from hybrid.exports import CompiledModel, export, missing_model, model_simulator
 from hybrid.plant import install, load_truth
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.native import split_effects

@@ -11,13 +11,13 @@ import pytest
 from scipy.interpolate import CubicSpline
 from simulated import arm
 
-from hybrid.diagnose.fixed import fixed_model, fixed_simulator, write_fixed
-from hybrid.diagnose.measure import measure_gap
+from hybrid.diagnosis.fixed import fixed_model, fixed_simulator, write_fixed
+from hybrid.diagnosis.measure import measure_gap
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
 from hybrid.errors import HybridWarning
-from hybrid.export import build_simulator
-from hybrid.identify import DynamicModel
+from hybrid.exports import build_simulator
+from hybrid.identification import DynamicModel
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot

@@ -14,7 +14,7 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, IdentificationError, RecordingError
-from hybrid.identify import identify, predict, validate
+from hybrid.identification import identify, predict, validate
 from hybrid.plant import Plant, random_fourier
 from hybrid.recording import Recording
 from hybrid.robot import Robot

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnose.locate import locate, time_since_reversal
-from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.visited import not_excited, reversals
+from hybrid.diagnosis.locate import locate, time_since_reversal
+from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.visited import not_excited, reversals
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.spring import Spring
 from hybrid.plant import random_fourier

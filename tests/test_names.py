@@ -23,8 +23,8 @@ from test_export import model_of
 
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import RobotError
-from hybrid.export import FORMATS, export, read_manifest
-from hybrid.identify import DynamicModel
+from hybrid.exports import FORMATS, export, read_manifest
+from hybrid.identification import DynamicModel
 from hybrid.names import (
     LONGEST,
     c_comment,
@@ -72,7 +72,7 @@ def model(arm: str, joint: str) -> DynamicModel:
 def few_draws():
     """Ranges of few draws: what matters here is what they are called."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(import_module("hybrid.export.simulator.write"), "_DRAWS", 8)
+        patch.setattr(import_module("hybrid.exports.simulator.write"), "_DRAWS", 8)
         yield
 
 

@@ -16,7 +16,7 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.errors import IdentificationError, RecordingError
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.online import OnlineIdentifier, Sample
 from hybrid.online.columns import Columns
 from hybrid.online.layout import Layout

@@ -9,7 +9,7 @@ from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.viscous import Viscous
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.regression.problem import build_problem
 from hybrid.signals import motion_from_recording

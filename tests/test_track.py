@@ -9,7 +9,7 @@ from arms import MODELS
 from hybrid.cli import main
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import effects_from_text
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.online import OnlineIdentifier
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from test_calibrate import coman, disturbed, measured
 
 from hybrid import Recording, Robot, identify, inspect_recording, simulate
-from hybrid.calibrate import calibrate, random_poses
-from hybrid.diagnose.diagnosis import Diagnosis, Finding, Unseen, Value
+from hybrid.calibration import calibrate, random_poses
+from hybrid.diagnosis.diagnosis import Diagnosis, Finding, Unseen, Value
 from hybrid.excitation import Condition, Fourier, design, observe
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 
 
 @pytest.fixture(scope="module")

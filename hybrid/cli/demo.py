@@ -32,7 +32,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace, screen: Screen) -> None:
     """Read, inspect, identify, draw and show."""
     from hybrid.examples import examples_folder
-    from hybrid.identify import identify
+    from hybrid.identification import identify
     from hybrid.inspect import inspect_recording
     from hybrid.recording import read
     from hybrid.report import numbers_table, save_figure

@@ -24,7 +24,7 @@ from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
-    from hybrid.identify import Fit
+    from hybrid.identification import Fit
     from hybrid.servo import ServoFit
 
 HELP = """identify the drive torque of an arm from recordings
@@ -92,8 +92,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Identify, save and show."""
-    from hybrid.identify import identify
-    from hybrid.identify.three_stage import STAGES
+    from hybrid.identification import identify
+    from hybrid.identification.three_stage import STAGES
     from hybrid.report.fit import content_from_fit
     from hybrid.servo import fit_servo, without_torque
 

@@ -42,7 +42,7 @@ def run(args: Namespace, screen: Screen) -> None:
     """Predict and write."""
     import numpy as np
 
-    from hybrid.identify import DynamicModel, predict
+    from hybrid.identification import DynamicModel, predict
     from hybrid.inspect import check_recordings
     from hybrid.recording.write import write_columns, writer_of
 

@@ -62,7 +62,7 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.errors import HybridWarning
-    from hybrid.identify import DynamicModel
+    from hybrid.identification import DynamicModel
     from hybrid.inspect import inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
     from hybrid.recording.write import write_columns, writer_of

@@ -42,7 +42,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Validate and show."""
-    from hybrid.identify import DynamicModel, validate
+    from hybrid.identification import DynamicModel, validate
     from hybrid.model.dynamic_model import check_same_arm
     from hybrid.report import numbers_table, table_from_validation
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnose.units import units
+from hybrid.diagnosis.units import units
 
 if TYPE_CHECKING:
-    from hybrid.diagnose.explanation import Explanation
-    from hybrid.diagnose.result import Result
+    from hybrid.diagnosis.explanation import Explanation
+    from hybrid.diagnosis.result import Result
 
 MOST_POINTS = 1500  # of a curve or a cloud
 _DIGITS = 4

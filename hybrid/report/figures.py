@@ -27,7 +27,7 @@ from hybrid.signals import Motion, Sampler, motion_from_recording
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hybrid.identify import DynamicModel
+    from hybrid.identification import DynamicModel
     from hybrid.recording import Recording
 
 _EXCERPT_SECONDS = 3.0  # of a recording: more is not to be made out

@@ -10,7 +10,7 @@ from hybrid.report.table import Table, error_table
 
 if TYPE_CHECKING:
     from hybrid.effects import Effect
-    from hybrid.identify import Fit
+    from hybrid.identification import Fit
 
 
 def held_out_table(fit: Fit) -> Table:

@@ -14,7 +14,7 @@ from hybrid.names import markdown
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-    from hybrid.identify import Validation
+    from hybrid.identification import Validation
 
 
 @dataclass(frozen=True)
