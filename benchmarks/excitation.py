@@ -43,8 +43,8 @@ from hybrid.excitation import (
     design,
     observe,
 )
-from hybrid.excitation.columns import FIRST, PIVOTED
 from hybrid.excitation.constraints import Constraint
+from hybrid.excitation.observation import FIRST, PIVOTED
 from hybrid.excitation.path import uniform
 from hybrid.files import atomic_path
 from hybrid.plant.noise import Noise

@@ -7,9 +7,9 @@ from arms import MODELS
 from hybrid.dynamics import regressor
 from hybrid.effects import effects_from_text
 from hybrid.excitation import Condition, ExpectedError, Fourier, Limits, design, observe
-from hybrid.excitation.columns import FIRST, PIVOTED, condition, rigid_columns
 from hybrid.excitation.constraints import MotionLimits
 from hybrid.excitation.expected_error import usual_structure
+from hybrid.excitation.observation import FIRST, PIVOTED, condition, rigid_columns
 from hybrid.excitation.program import MotionProgram
 from hybrid.plant import Noise
 from hybrid.plant.scale import joint_scales

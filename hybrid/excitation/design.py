@@ -12,7 +12,6 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
-from hybrid.excitation.columns import rigid_conditions
 from hybrid.excitation.constraints import (
     Constraint,
     Limits,
@@ -22,7 +21,7 @@ from hybrid.excitation.constraints import (
 from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition
 from hybrid.excitation.expected_error import ExpectedError
 from hybrid.excitation.folder import write_design
-from hybrid.excitation.observation import Observation
+from hybrid.excitation.observation import Observation, rigid_conditions
 from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import PENALTY, Solution, solve

@@ -1,4 +1,8 @@
-"""The observation matrix of a motion: whitened, scaled, and its gradient."""
+"""The observation matrix of a motion: whitened, scaled, and its gradient.
+
+Of the inertial parameters only combinations can be told, and which parameters stand for
+them is a choice: the same motion has another condition number in each.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import qr, solve_triangular
 
 from hybrid.arrays import Array
 from hybrid.dynamics import (
@@ -28,6 +32,8 @@ from hybrid.signals import Motion
 # Dry friction turns its direction within this speed: a step has no gradient.
 TURNING_SPEED = 0.02  # rad/s
 _STEP = 1e-5
+FIRST = "first independent columns"
+PIVOTED = "columns by pivoted QR"
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +217,43 @@ def observe(
         raise ExcitationError("the noise covariance must be positive") from error
     whitening = solve_triangular(lower, np.eye(chain.size), lower=True)
     return Observation(chain, tuple(effects), base, whitening, size)
+
+
+def condition(H: Array, columns: Sequence[int]) -> float:
+    """Condition number of an observation matrix in some of its columns.
+
+    Args:
+        H: Observation matrix, shape (rows, p).
+        columns: Indices of independent columns.
+    """
+    return float(np.linalg.cond(H[:, list(columns)]))
+
+
+def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
+    """Choices of columns among the 10n of the regressor, by name.
+
+    ``first independent columns`` goes from the base to the tip and keeps what the
+    columns before cannot express, the same for every motion. ``columns by pivoted QR``
+    takes the largest that remains each time.
+
+    Args:
+        chain: The arm.
+        H: Observation matrix of all columns, shape (rows, 10n).
+    """
+    kept = stacked_base(chain, (), ()).kept
+    _, order = qr(H, mode="r", pivoting=True)
+    return {FIRST: kept, PIVOTED: tuple(int(k) for k in order[: len(kept)])}
+
+
+def rigid_conditions(chain: Chain, path: Path) -> dict[str, float]:
+    """Condition number of a motion in each of the named columns, SI units.
+
+    Args:
+        chain: The arm.
+        path: Motion, N samples.
+    """
+    H = regressor(chain, path.q, path.v, path.a).reshape(-1, 10 * chain.size)
+    return {name: condition(H, at) for name, at in rigid_columns(chain, H).items()}
 
 
 def _states(path: Path, joint: int, load: Array) -> Array:
