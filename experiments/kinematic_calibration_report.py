@@ -11,7 +11,7 @@ from mh6 import LABELS, PUBLISHED, TRUE
 from rich.console import Console
 
 from hybrid.calibration import Measurements
-from hybrid.calibration.solve import Solution
+from hybrid.calibration.solve import KinematicSolution
 from hybrid.files import atomic_path
 from hybrid.report import numbers_table, provenance, save_figure, write_results
 from hybrid.report.table import markdown_table
@@ -20,7 +20,7 @@ from hybrid.report.table import markdown_table
 def write_report(
     out: Path,
     runs: Runs,
-    exact: tuple[Solution, float],
+    exact: tuple[KinematicSolution, float],
     test: Measurements,
     bounds: Mapping[float, Mapping[str, float]],
     options: str,

@@ -18,7 +18,7 @@ from hybrid.recording import Recording, write
 from hybrid.robot import Robot
 from hybrid.servo import Drive, fit_servo
 from hybrid.servo.drive import NAMES, QUANTITIES
-from hybrid.servo.simulator import Simulator, bristles
+from hybrid.servo.simulator import ServoSimulator, bristles
 from hybrid.servo.start import first_guess
 from hybrid.servo.stretch import chosen, stretches_of
 from hybrid.servo.write import write_servos
@@ -158,7 +158,7 @@ def test_the_written_file_moves_as_the_servos_that_were_found(folder, tmp_path):
     data = mujoco.MjData(model)
     stretch = stretches_of([log(9, seconds=6.0)])[0]
     parts = round(stretch.step / model.opt.timestep)
-    ours = Simulator(fit.robot, step=model.opt.timestep)
+    ours = ServoSimulator(fit.robot, step=model.opt.timestep)
     ((expected,),) = ours.replay([stretch], [fit.drive])
     for k in range(model.nu):
         held = np.full(int(model.actuator_history[k, 0]), stretch.command[0, k])

@@ -12,9 +12,9 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.calibration.measurements import Measurements
-from hybrid.calibration.steps import Fixed, Frame
+from hybrid.calibration.steps import FixedStep, Frame
 
-IDENTITY = Fixed(np.eye(3), np.zeros(3))
+IDENTITY = FixedStep(np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Alignment:
         stations: Stations of a distance meter in the base frame, shape (s, 3), [m].
     """
 
-    base: Fixed
-    tools: tuple[Fixed, ...]
+    base: FixedStep
+    tools: tuple[FixedStep, ...]
     stations: Array
 
 
@@ -61,8 +61,8 @@ def align(
     reached = flange.origin[:, None] + offsets @ flange.rotation.swapaxes(1, 2)
     shift = np.nanmean(data.position - reached @ turn.T, axis=(0, 1))
     return Alignment(
-        Fixed(turn, shift if base else np.zeros(3)),
-        tuple(Fixed(rotation, offset) for offset in offsets),
+        FixedStep(turn, shift if base else np.zeros(3)),
+        tuple(FixedStep(rotation, offset) for offset in offsets),
         nowhere,
     )
 

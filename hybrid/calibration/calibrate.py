@@ -20,7 +20,7 @@ from hybrid.calibration.geometry import (
 from hybrid.calibration.measurements import Measurements
 from hybrid.calibration.model import KinematicModel, Steps, station_label
 from hybrid.calibration.observability import observability_index
-from hybrid.calibration.solve import Rejected, Solution, solve
+from hybrid.calibration.solve import KinematicSolution, Rejected, solve
 from hybrid.calibration.steps import follow, free_frame, start
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError, HybridWarning, RobotError
@@ -65,7 +65,7 @@ class Calibration(Shown):
     """
 
     setup: Setup
-    solution: Solution
+    solution: KinematicSolution
     data: Measurements
 
     @cached_property

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.calibration.steps import Fixed, Step, follow, start
+from hybrid.calibration.steps import FixedStep, Step, follow, start
 from hybrid.robot.chain import Chain, zero_frames
 from hybrid.robot.spatial import rotation_from_axis_angle
 
@@ -31,12 +31,12 @@ class Geometry:
         parallel: For each joint, whether the next one's axis is parallel.
     """
 
-    rows: tuple[tuple[Fixed | Step, ...], ...]
-    last: Fixed
+    rows: tuple[tuple[FixedStep | Step, ...], ...]
+    last: FixedStep
     parallel: tuple[bool, ...]
 
     @property
-    def steps(self) -> tuple[Fixed | Step, ...]:
+    def steps(self) -> tuple[FixedStep | Step, ...]:
         """All steps in order."""
         return (*(step for row in self.rows for step in row), self.last)
 
@@ -49,10 +49,10 @@ def geometry_from_chain(chain: Chain) -> Geometry:
     """
     rotation, point = zero_frames(chain)
     axis = np.einsum("kij,kj->ki", rotation, chain.axis)
-    rows: list[tuple[Fixed | Step, ...]] = []
+    rows: list[tuple[FixedStep | Step, ...]] = []
     frames = _frames(axis, point, rotation[-1])
     R, origin = frames[0].rotation, point[0]
-    lead: list[Fixed | Step] = [Fixed(R, origin)]
+    lead: list[FixedStep | Step] = [FixedStep(R, origin)]
     parallel = []
     for k, frame in enumerate(frames):
         x, y = R.T @ frame.rotation[:, 0] @ np.eye(3)[:, :2]
@@ -64,7 +64,7 @@ def geometry_from_chain(chain: Chain) -> Geometry:
         if k + 1 < chain.size:
             lead, R, origin = _gap(frame, chain.joints[k + 1])
     D = frames[-1].rotation
-    last = Fixed(D.T @ rotation[-1], D.T @ (point[-1] - frames[-1].origin))
+    last = FixedStep(D.T @ rotation[-1], D.T @ (point[-1] - frames[-1].origin))
     return Geometry(tuple(rows), last, tuple(parallel))
 
 
@@ -137,9 +137,9 @@ def _normal(z: Array, here: Array, w: Array, there: Array) -> tuple[_RowFrame, A
     return _RowFrame(R, origin, a, float(np.arctan2(-wy, wz)), beta), target
 
 
-def _gap(frame: _RowFrame, joint: str) -> tuple[list[Fixed | Step], Array, Array]:
+def _gap(frame: _RowFrame, joint: str) -> tuple[list[FixedStep | Step], Array, Array]:
     """Steps over the common normal, and the frame that they lead to at q = 0."""
-    steps: list[Fixed | Step] = [
+    steps: list[FixedStep | Step] = [
         Step(0, False, frame.a, f"a_{joint}"),
         Step(0, True, frame.alpha, f"alpha_{joint}"),
     ]

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.calibration.measurements import Measurements
-from hybrid.calibration.steps import Fixed, Frame, Step, Values, follow, start
+from hybrid.calibration.steps import FixedStep, Frame, Step, Values, follow, start
 
-Steps = tuple[Fixed | Step, ...]
+Steps = tuple[FixedStep | Step, ...]
 
 
 @dataclass(frozen=True)

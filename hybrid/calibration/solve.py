@@ -40,7 +40,7 @@ class Rejected:
 
 
 @dataclass(frozen=True)
-class Solution:
+class KinematicSolution:
     """Estimates of the identifiable parameters.
 
     Attributes:
@@ -94,7 +94,7 @@ def solve(
     frames: int = 0,
     load: Array | None = None,
     robust: bool = True,
-) -> Solution:
+) -> KinematicSolution:
     """Estimate the parameters that these poses reveal.
 
     Args:
@@ -130,7 +130,7 @@ def solve(
             break
     residual, jacobian = fit.weighed(x)
     covariance, degrees = clustered_covariance(jacobian, residual, fit.poses(x))
-    return Solution(
+    return KinematicSolution(
         labels=reduced.kept_labels,
         x=x,
         covariance=covariance,

@@ -18,7 +18,7 @@ Values = Mapping[str, float | Array]
 
 
 @dataclass(frozen=True)
-class Fixed:
+class FixedStep:
     """A constant factor.
 
     Attributes:
@@ -93,7 +93,7 @@ def start(q: Array, batch: tuple[int, ...] = ()) -> Frame:
 
 def follow(
     frame: Frame,
-    steps: Sequence[Fixed | Step],
+    steps: Sequence[FixedStep | Step],
     q: Array,
     values: Values,
     load: Array | None = None,
@@ -110,7 +110,7 @@ def follow(
     """
     R, origin, screws = frame.rotation, frame.origin, dict(frame.screws)
     for step in steps:
-        if isinstance(step, Fixed):
+        if isinstance(step, FixedStep):
             origin = origin + R @ step.translation
             R = R @ step.rotation
             continue

@@ -24,7 +24,7 @@ from hybrid.excitation.folder import write_design
 from hybrid.excitation.observation import Observation, rigid_conditions
 from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
-from hybrid.excitation.solver import PENALTY, Solution, solve
+from hybrid.excitation.solver import PENALTY, Optimum, solve
 from hybrid.excitation.stack import StackProgram
 from hybrid.robot.robot import Robot
 from hybrid.shown import Shown
@@ -299,16 +299,16 @@ def best_point(
     return solution.x, excess
 
 
-def _merit(solution: Solution) -> tuple[bool, float]:
+def _merit(solution: Optimum) -> tuple[bool, float]:
     return solution.excess > 0.01, solution.value + 5.0 * solution.excess
 
 
 def _continued(
     program: MotionProgram | StackProgram,
-    last: Solution,
+    last: Optimum,
     iterations: int,
     penalty: float = PENALTY,
-) -> Solution:
+) -> Optimum:
     return solve(
         program,
         last.x,

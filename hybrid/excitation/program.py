@@ -160,7 +160,7 @@ class MotionProgram:
         return self.known + self.observation.gram(path)
 
     def objective(self, x: Array) -> tuple[float, Array]:
-        """See :class:`~hybrid.excitation.solver.Program`."""
+        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
         path = self.grid.path(self.coefficients(x))
         W = self.observation.matrix(path)
         rows = W.reshape(-1, self.observation.size)
@@ -179,7 +179,7 @@ class MotionProgram:
         return np.asarray((self.grid.gradient(*parts) * self.scale).ravel())
 
     def conditions(self, x: Array) -> tuple[Array, Array]:
-        """See :class:`~hybrid.excitation.solver.Program`."""
+        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
         values, slopes = [np.zeros(0)], [np.zeros((0, x.size))]
         for constraint, (path, found) in zip(
             self.constraints, self._excesses(x), strict=True
@@ -201,7 +201,7 @@ class MotionProgram:
         return np.concatenate(values), np.concatenate(slopes)
 
     def excess(self, x: Array) -> float:
-        """See :class:`~hybrid.excitation.solver.Program`."""
+        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
         every = [found.max(initial=-np.inf) for _, found in self._excesses(x)]
         return float(max(every, default=-np.inf)) + self.margin
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.online.layout import Indices, Layout
+from hybrid.online.layout import Indices, RowLayout
 from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import PayloadChange
 from hybrid.online.square_root import SquareRootFilter
@@ -27,7 +27,7 @@ class _News:
     repeats: float  # see TorqueNoise
 
 
-class Estimate:
+class OnlineEstimate:
     """Filter, noise and payload detector together, a few tasks for each row.
 
     Args:
@@ -62,7 +62,7 @@ class Estimate:
         self._news: _News | None = None
         self._seen, self._spread = np.zeros((0, len(root.mean))), np.zeros(0)
 
-    def judge(self, row: Array, layout: Layout) -> None:
+    def judge(self, row: Array, layout: RowLayout) -> None:
         """Compute the errors of a row under the present estimate.
 
         Args:

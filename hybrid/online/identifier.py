@@ -22,11 +22,11 @@ from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
 from hybrid.model.dynamic_model import DynamicModel
-from hybrid.online.columns import Columns
-from hybrid.online.estimate import Estimate
+from hybrid.online.columns import InstantColumns
+from hybrid.online.estimate import OnlineEstimate
 from hybrid.online.health import Health
 from hybrid.online.intake import Intake, Sample
-from hybrid.online.layout import Layout
+from hybrid.online.layout import RowLayout
 from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import Change, PayloadChange, likely_payload
 from hybrid.online.pipeline import Pipeline
@@ -113,11 +113,11 @@ class OnlineIdentifier:
         if np.isfinite(cutoff):
             self._derive = LocalPolynomial(rate, cutoff, self._group)
             self._smooth = BlockLowPass(rate / self._group, cutoff, rows)
-        self._layout = Layout(self.problem, shape_prior > 0)
-        self._columns = Columns(robot, self.problem, self._layout, rows)
+        self._layout = RowLayout(self.problem, shape_prior > 0)
+        self._columns = InstantColumns(robot, self.problem, self._layout, rows)
         updates, size = rate / self._block, len(start.theta)
         self._payload_sizes = payload_sizes(payload)
-        self._estimate = Estimate(
+        self._estimate = OnlineEstimate(
             SquareRootFilter(start.theta, start.root),
             bounds=start.bounds(),
             gains=problem.size,

@@ -15,7 +15,7 @@ PAYLOAD = 4
 _EXTRA = PAYLOAD + 2
 
 
-class Layout:
+class RowLayout:
     """Places of a flat row: joint after joint, the unknowns that ever move its torque.
 
     Behind them stand the joint's derivatives by mass and first moments of the last

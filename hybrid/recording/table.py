@@ -23,7 +23,7 @@ Load = Callable[[tuple[int, ...]], dict[int, NDArray[Any]]]
 
 
 @dataclass(frozen=True)
-class Table:
+class LogTable:
     """Named columns on one clock.
 
     Attributes:
@@ -64,7 +64,7 @@ class Table:
 
 def table_of_arrays(
     columns: dict[str, NDArray[Any]], source: str, **more: Any
-) -> Table:
+) -> LogTable:
     """A table of columns at hand.
 
     Args:
@@ -73,7 +73,7 @@ def table_of_arrays(
         more: Further fields of the table.
     """
     values = list(columns.values())
-    return Table(
+    return LogTable(
         source, tuple(columns), lambda used: {k: values[k] for k in used}, **more
     )
 

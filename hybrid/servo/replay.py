@@ -8,7 +8,7 @@ from hybrid.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class ServoReplay:
     """One log beside its replays, N samples.
 
     Attributes:

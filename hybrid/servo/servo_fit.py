@@ -25,11 +25,11 @@ from hybrid.errors import RecordingError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive
-from hybrid.servo.finding import Finding
-from hybrid.servo.fit import Estimate, fitted, resolution
+from hybrid.servo.finding import ServoFinding
+from hybrid.servo.fit import DriveEstimate, fitted, resolution
 from hybrid.servo.needed import missed, needed
-from hybrid.servo.replay import Replay
-from hybrid.servo.simulator import Simulator, converged
+from hybrid.servo.replay import ServoReplay
+from hybrid.servo.simulator import ServoSimulator, converged
 from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.shown import Shown
@@ -74,7 +74,7 @@ class ServoFit(Shown):
     drive: Drive
     plain_drive: Drive
     std: Array
-    findings: tuple[Finding, ...]
+    findings: tuple[ServoFinding, ...]
     before: Array
     plain: Array
     after: Array
@@ -110,7 +110,7 @@ class ServoFit(Shown):
             f"(encoder: {floor:.2f})."
         )
 
-    def replayed(self, recording: Recording) -> Replay:
+    def replayed(self, recording: Recording) -> ServoReplay:
         """A log, and what the file's servos and these make of its commands.
 
         Args:
@@ -118,12 +118,12 @@ class ServoFit(Shown):
         """
         whole = stretches_of([recording.in_order(self.robot.joints)])
         longest = max(whole, key=lambda x: x.duration)
-        simulator = Simulator(self.robot)
+        simulator = ServoSimulator(self.robot)
         (before,), (after,) = simulator.replay([longest], [None]) + simulator.replay(
             [longest], [self.drive]
         )
         t = np.arange(len(longest.q), dtype=np.float64) * longest.step
-        return Replay(t, longest.command, longest.q, before, after, longest.source)
+        return ServoReplay(t, longest.command, longest.q, before, after, longest.source)
 
     def save(self, path: str | Path) -> None:
         """Write the robot's own file with these servos, as MJCF."""
@@ -204,7 +204,7 @@ def fit_servo(
     parts, others = parts[:count], parts[count:] or parts
     moving = np.ones_like(prior.values, dtype=bool)
     moving[:, rests] = False
-    simulator = Simulator(robot)
+    simulator = ServoSimulator(robot)
     start = best_start(simulator, parts, first_guess(robot, learn), prior)
     start = Drive(np.where(moving, start.values, prior.values), prior.stall)
     simulator = converged(robot, others, start, floor)
@@ -260,11 +260,11 @@ def _resting(logs: Sequence[Stretch]) -> list[int]:
 def _findings(
     robot: Robot,
     prior: Drive,
-    found: Estimate,
+    found: DriveEstimate,
     differs: NDArray[np.bool_],
-    simulator: Simulator,
+    simulator: ServoSimulator,
     unseen: Sequence[Stretch],
-) -> tuple[Finding, ...]:
+) -> tuple[ServoFinding, ...]:
     """Numbers that differ with probability 0.95, and whose file's value is worse."""
     file, x, spread = prior.coordinates, found.drive.coordinates, prior.spread
     std = np.minimum(np.maximum(found.std, 1e-9), spread)
@@ -289,7 +289,7 @@ def _findings(
         worth = float(error[j] - errors[0, j])
         if worth > 0:
             findings.append(
-                Finding(
+                ServoFinding(
                     effect=quantity.effect,
                     joint=robot.joints[j],
                     quantity=quantity.name,

@@ -29,7 +29,7 @@ from hybrid.plant.arm import overrides
 from hybrid.plant.native import effects_of_fields, split_effects, springs
 from hybrid.robot import Robot
 from hybrid.robot.edit.actuator import Actuator
-from hybrid.robot.edit.change import Change
+from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.mjcf import edit_mjcf, move_assets
 from hybrid.robot.edit.source import read, source
 from hybrid.robot.edit.urdf import edit_urdf, move_meshes
@@ -91,7 +91,7 @@ class Simulator:
 class _Sorted:
     """Effects by how a file says them."""
 
-    change: Change
+    change: Edit
     friction: tuple[StandIn, ...]
     rest: tuple[Effect, ...]
     unsaid: tuple[Effect, ...]
@@ -192,7 +192,7 @@ def _sorted(
         rest = [e for e in rest if e not in shaped]
     new = _with_fields(replace(robot, chain=chain), values, fitted)
     missing = list(_missing(rubbing, values, fitted, n))
-    change = Change(new, drives, structure)
+    change = Edit(new, drives, structure)
     return _Sorted(change, fitted, (*rest, *missing), tuple(rest))
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.recording.recording import row_words
-from hybrid.recording.table import LARGEST_FILE, Table, named_labels
+from hybrid.recording.table import LARGEST_FILE, LogTable, named_labels
 
 DELIMITERS = (",", ";", "\t")
 
@@ -29,7 +29,7 @@ class _Dialect:
     first: tuple[str, ...] = ()  # cells of the first row
 
 
-def read_csv(path: Path) -> list[tuple[Table]]:
+def read_csv(path: Path) -> list[tuple[LogTable]]:
     """A line of column names and one line for each sample.
 
     Args:
@@ -47,7 +47,7 @@ def read_csv(path: Path) -> list[tuple[Table]]:
     texts = dict(zip(labels, dialect.first, strict=False))
     labels = named_labels(labels, texts)
     return [
-        (Table(str(path), labels, lambda used: _read_columns(path, dialect, used),
+        (LogTable(str(path), labels, lambda used: _read_columns(path, dialect, used),
                kind="CSV"),)
     ]  # fmt: skip
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.mat_elements import check_elements
 from hybrid.recording.formats.npz import table_of_named
-from hybrid.recording.table import Table
+from hybrid.recording.table import LogTable
 from hybrid.recording.words import is_time, split_unit
 
 
-def read_mat(path: Path) -> list[tuple[Table]]:
+def read_mat(path: Path) -> list[tuple[LogTable]]:
     """The variables of a file, or the fields of its struct.
 
     Args:

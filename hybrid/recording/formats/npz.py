@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.names import printable
-from hybrid.recording.table import LARGEST_FILE, Table, table_of_arrays
+from hybrid.recording.table import LARGEST_FILE, LogTable, table_of_arrays
 from hybrid.recording.words import is_time, meaning, split_unit
 
 _DAMAGE = (
@@ -33,7 +33,7 @@ _DAMAGE = (
 )
 
 
-def read_npz(path: Path) -> list[tuple[Table]]:
+def read_npz(path: Path) -> list[tuple[LogTable]]:
     """Arrays ``t``, ``q``, ``tau``, ..., or one for each column.
 
     Args:
@@ -55,7 +55,7 @@ def table_of_named(
     source: str,
     kind: str,
     name: str = "",
-) -> Table:
+) -> LogTable:
     """A table of arrays by name, whose matrices have a column for each joint.
 
     Args:

@@ -12,12 +12,12 @@ from hybrid.errors import RecordingError
 from hybrid.recording.table import (
     LARGEST_FILE,
     MOST_COLUMNS,
-    Table,
+    LogTable,
     named_labels,
 )
 
 
-def read_parquet(path: Path) -> list[tuple[Table]]:
+def read_parquet(path: Path) -> list[tuple[LogTable]]:
     """A table with a column for each channel of each joint, or lists of them.
 
     Args:
@@ -55,7 +55,7 @@ def read_parquet(path: Path) -> list[tuple[Table]]:
             raise damaged(source, error) from error
         return {k: column_of(table, spread[k], source) for k in used}
 
-    return [(Table(source, labels, load, kind="Parquet"),)]
+    return [(LogTable(source, labels, load, kind="Parquet"),)]
 
 
 def damaged(source: str, error: Exception) -> RecordingError:

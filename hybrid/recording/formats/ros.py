@@ -15,7 +15,7 @@ from typing import Any
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.names import printable
 from hybrid.recording.formats.topic import Topic
-from hybrid.recording.table import LARGEST_FILE, NoJointsError, Table
+from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
 
 _LARGEST_DEFINITION = 200_000  # bytes of text
 _MOST_TOPICS = 10_000
@@ -39,7 +39,7 @@ def is_bag(folder: Path) -> bool:
 
 def read_ros(
     path: Path, *, tell: Callable[[int, int], None] | None = None
-) -> Iterator[tuple[Table, ...]]:
+) -> Iterator[tuple[LogTable, ...]]:
     """Read the topics of a bag that have lists of real numbers.
 
     Args:

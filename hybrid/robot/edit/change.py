@@ -16,7 +16,7 @@ Structure = Callable[["mujoco.MjSpec", Sequence[str]], Any]
 
 
 @dataclass(frozen=True)
-class Change:
+class Edit:
     """The arm that the edited file must describe.
 
     Attributes:

@@ -14,7 +14,7 @@ from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.robot.build import simulable, spec_text
 from hybrid.robot.compiled import compiled_spec
-from hybrid.robot.edit.change import Change, Structure
+from hybrid.robot.edit.change import Edit, Structure
 from hybrid.robot.edit.document import Document, Tag, element, moved_path
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.part import Part, changed_parts, mjcf_parts
@@ -32,7 +32,7 @@ _USUAL = {
 }  # fmt: skip  # what a default class of the file may have otherwise
 
 
-def edit_mjcf(document: Document, change: Change, old: Robot) -> tuple[str, ...]:
+def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     """Change an MJCF file.
 
     Args:

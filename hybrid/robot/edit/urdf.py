@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.robot.edit.change import Change
+from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.part import Part, changed_parts, urdf_parts
 from hybrid.robot.robot import Robot
@@ -17,7 +17,7 @@ from hybrid.robot.robot import Robot
 _DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
 
 
-def edit_urdf(document: Document, change: Change, old: Robot) -> tuple[str, ...]:
+def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     """Change a URDF file.
 
     Args:
