@@ -85,7 +85,7 @@ def run(plants, observation, seed):
     found, seconds = designs(plants[0].robot, observation, rng)
     rate = plants[0].log_rate
     five = [replace(x, family=replace(x.family, periods=5)) for x in found]
-    options = {"duration": 20.0, "rate": rate, "rng": rng}
+    options = {"duration": 20.0, "rate": rate, "seed": rng}
     others = [random_fourier(plants[0].robot, **options) for _ in range(TESTS)]
     rms = []
     for plant in plants:
