@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from hybrid.effects import Effect
+from hybrid.effects.registry import check_effects
 from hybrid.errors import HybridWarning, IdentificationError
 from hybrid.identification.bandwidth import prepared
 from hybrid.identification.data import prepare, taken
@@ -70,6 +71,7 @@ def identify(
             excites the arm poorly, or consistent links fit worse.
     """
     _check_choices(estimator, stages)
+    check_effects(effects)
     logs = taken(robot, recordings)
     data = (
         prepared(robot, logs, effects, robust)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.effects import Effect, JointEffect, Port
+from hybrid.effects.registry import check_effects
 from hybrid.errors import EffectError, HybridError
 from hybrid.robot.robot import Robot
 
@@ -142,8 +143,10 @@ def check_simulable(effects: Sequence[Effect], size: int) -> None:
     """Check that every effect has a realisation and joints of an arm of n joints.
 
     Raises:
-        EffectError: It has neither a hook nor a law, or a joint out of range.
+        EffectError: One is no effect, has neither a hook nor a law, or a joint out of
+            range.
     """
+    check_effects(effects)
     for effect in effects:
         if not (has_hook(effect) or isinstance(effect, JointEffect)):
             raise EffectError(
