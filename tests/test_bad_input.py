@@ -458,7 +458,5 @@ def test_real_logs_pass(folder):
 def test_names_in_place_of_effects_are_refused_with_the_way_to_make_effects(verb):
     arm = Robot.load("planar")
     given = [] if verb is simulate else [[]]
-    with pytest.raises(
-        EffectError, match="elbow' is no effect.*effects_from"
-    ):
+    with pytest.raises(EffectError, match="elbow' is no effect.*effects_from"):
         verb(arm, *given, effects=["stribeck:elbow"])
