@@ -87,8 +87,8 @@ def test_numbers_of_inputs_that_do_not_match_are_refused():
     assert again.parts[0].positions == (0,) and again.parts[0].speeds == (1,)
     with pytest.raises(ModelFileError, match="inputs do not match"):
         ArmRemainder.from_dict(2, [content[0] | {"speeds": []}], arm.arrays())
-    with pytest.raises(ModelFileError, match="remainder 0 is damaged"):
-        ArmRemainder.from_dict(2, [content[0] | {"kind": "none"}], arm.arrays())
+    with pytest.raises(ModelFileError, match="of kind 'network'; valid is gmr"):
+        ArmRemainder.from_dict(2, [content[0] | {"kind": "network"}], arm.arrays())
 
 
 def test_by_itself_a_fit_tries_powers_of_two_and_finds_two_parts():
