@@ -223,7 +223,7 @@ def test_a_figure_shows_any_name(name):
 @given(name=NAMES)
 def test_a_cell_of_markdown_is_one_cell_and_no_element(name):
     (row,) = markdown_table(Table(("a", "b"), ((name, "1"),))).splitlines()[2:]
-    plain = re.sub(r"\\.", "", row)
+    plain = re.sub(r"\\.", "·", row)
     assert plain.count("|") == 3
     assert not re.search(r"<[A-Za-z/!?]", plain)
 
