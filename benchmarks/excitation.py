@@ -43,8 +43,8 @@ from hybrid.excitation import (
     design,
     observe,
 )
-from hybrid.excitation.columns import FIRST, PIVOTED
 from hybrid.excitation.constraints import Constraint
+from hybrid.excitation.observation import FIRST, PIVOTED
 from hybrid.excitation.path import uniform
 from hybrid.files import atomic_path
 from hybrid.plant.noise import Noise
@@ -123,7 +123,7 @@ def run(task: tuple[Any, ...], seeds: int) -> Iterator[dict[str, Any]]:
         start = time.process_time()
         kept, _ = obstacles(robot, kind)
         result = design(
-            robot, observation, family, rng=np.random.default_rng(seed),
+            robot, observation, family, seed=np.random.default_rng(seed),
             criterion=Condition(), starts=starts, constraints=kept,
         )  # fmt: skip
         found["seconds"].append(time.process_time() - start)

@@ -23,7 +23,7 @@ from tables import show
 from hybrid import DynamicModel
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
-from hybrid.export import CompiledModel, export, program_from_model
+from hybrid.exports import CompiledModel, export, program_from_model
 from hybrid.plant import load_truth
 from hybrid.regression.problem import build_problem
 from hybrid.signals import Motion

@@ -22,10 +22,11 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from hybrid.arrays import Array
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import effects_from_text
 from hybrid.files import atomic_path
-from hybrid.identify import identify
+from hybrid.identification import identify
 from hybrid.online import OnlineIdentifier, Sample
 from hybrid.plant import Noise, load_truth, random_fourier
 from hybrid.plant.scale import joint_scales
@@ -33,7 +34,6 @@ from hybrid.recording import Recording
 from hybrid.report import numbers_table, provenance, write_results
 from hybrid.report.table import Table, markdown_table
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 ROOT = Path(__file__).parents[1]
 ARM = Robot.load(ROOT / "models" / "coman_like.xml")
@@ -47,7 +47,7 @@ def simulated(
 ) -> tuple[Array, Array, Array, Array]:
     """Clock, position and torque of an arm 15 % off its file, and its true links."""
     rng = np.random.default_rng(seed)
-    ref = random_fourier(ARM, duration=seconds, rate=rate, rng=rng)
+    ref = random_fourier(ARM, duration=seconds, rate=rate, seed=rng)
     links = ARM.chain.inertial * rng.uniform(0.85, 1.15, (6, 1))
     loaded = links.copy()
     loaded[-1] += mass * PAYLOAD
@@ -74,8 +74,8 @@ def logs(seconds: float, count: int, seed: int) -> list[Recording]:
     """Logs at 1 kHz of the COMAN-like plant, whose file is wrong."""
     nominal, plant = load_truth(ROOT / "models" / "coman_truth.yaml")
     rngs = [np.random.default_rng(seed + k) for k in range(count)]
-    refs = [random_fourier(nominal, duration=seconds, rate=1000, rng=r) for r in rngs]
-    return plant.run(refs, rng=rngs[0])
+    refs = [random_fourier(nominal, duration=seconds, rate=1000, seed=r) for r in rngs]
+    return plant.run(refs, seed=rngs[0])
 
 
 def time_per_sample(make: Callable[[], OnlineIdentifier], log: Recording) -> Array:
@@ -139,11 +139,11 @@ def on_a_plant(minutes: int) -> tuple[int, list[float]]:
     """
     nominal, plant = load_truth(ROOT / "models" / "coman_truth.yaml")
     rngs = [np.random.default_rng(seed) for seed in range(minutes)]
-    refs = [random_fourier(nominal, duration=60.0, rate=500.0, rng=r) for r in rngs]
+    refs = [random_fourier(nominal, duration=60.0, rate=500.0, seed=r) for r in rngs]
     count, noticed = 0, []
     load = np.zeros((6, 10))
     load[-1] = 2.0 * PAYLOAD
-    for ref, log in zip(refs, plant.run(refs, rng=rngs[0]), strict=True):
+    for ref, log in zip(refs, plant.run(refs, seed=rngs[0]), strict=True):
         tau = inverse_dynamics(ARM.chain, load, ref.q, ref.v, ref.a)
         tau = log.tau + np.where(log.t[:, None] < 30.0, 0.0, tau)
         tracker = OnlineIdentifier(ARM, EFFECTS, rate=500.0)

@@ -22,7 +22,7 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import Estimate, solve
 from hybrid.regression.problem import build_problem
@@ -87,7 +87,7 @@ def full_model(robot: Robot, motion: Motion) -> DynamicModel:
     for j in joints:
         x = np.column_stack([motion.q[few, j], motion.v[few, j]])
         regression = GaussianMixtureRegression.fit(
-            x, rng.standard_normal((len(few), 1)), components=8, rng=0
+            x, rng.standard_normal((len(few), 1)), components=8, seed=0
         )
         parts.append(JointRemainder(j, (j,), (j,), regression))
     base = build_problem(robot.chain, ()).base

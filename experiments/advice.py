@@ -24,8 +24,8 @@ from outputs import command_line
 from rich.console import Console
 
 from hybrid import Effect, Robot
-from hybrid.diagnose.advise import advise
-from hybrid.diagnose.diagnose import examine
+from hybrid.diagnosis.advise import advise
+from hybrid.diagnosis.diagnose import examine
 
 
 def pairs_of(robot: Robot, true: Effect, seed: int) -> Iterator[dict[str, Any]]:

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from hybrid import Effect, Recording, Robot
-from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.diagnosis import Advice
-from hybrid.diagnose.menu import loaded
-from hybrid.diagnose.result import Result
+from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.diagnosis import Advice
+from hybrid.diagnosis.menu import loaded
+from hybrid.diagnosis.result import Result
 from hybrid.effects import effect_classes
 from hybrid.plant import Plant, random_fourier
 from hybrid.plant.reference import Reference
@@ -37,8 +37,8 @@ def true_effect(robot: Robot, effect_id: str, joint: int, size: float) -> Effect
 
 def recorded(robot: Robot, true: Effect, rng: np.random.Generator) -> list[Recording]:
     """One short and slow motion of the true arm."""
-    short = random_fourier(robot, duration=SECONDS, rate=RATE, rng=rng, fill=FILL)
-    return Plant(robot, [true], nominal=robot, log_rate=RATE).run([short], rng=rng)
+    short = random_fourier(robot, duration=SECONDS, rate=RATE, seed=rng, fill=FILL)
+    return Plant(robot, [true], nominal=robot, log_rate=RATE).run([short], seed=rng)
 
 
 def class_at(result: Result, joint: str) -> set[str]:
@@ -61,6 +61,6 @@ def repeated(
         left = np.exp(-warm / true.values["time_constant"])
         true = true.at({"cold": left * true.values["cold"]})
     new = Plant(robot, [true], nominal=robot, log_rate=RATE).run(
-        [ask], rng=np.random.default_rng(1)
+        [ask], seed=np.random.default_rng(1)
     )
     return examine(robot, [*logs, *(replace(x, t=x.t + warm) for x in new)])

@@ -18,8 +18,8 @@ from calibration_logs import ERRORS, KINDS, Log
 from outputs import command_line
 from rich.console import Console
 
-from hybrid.calibrate import calibrate
-from hybrid.calibrate.calibrate import Calibration
+from hybrid.calibration import calibrate
+from hybrid.calibration.calibrate import Calibration
 from hybrid.files import atomic_path
 from hybrid.report import numbers_table, provenance, write_results
 from hybrid.report.table import Table, markdown_table

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hybrid.calibrate import Measurements, random_poses
-from hybrid.calibrate.geometry import geometry_from_chain
-from hybrid.calibrate.steps import follow, start
+from hybrid.calibration import Measurements, random_poses
+from hybrid.calibration.geometry import geometry_from_chain
+from hybrid.calibration.steps import follow, start
 from hybrid.robot import Robot
 
 KINDS = ("three reflectors", "position", "pose", "distances")

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hybrid import Recording, Robot, simulate
+from hybrid.arrays import Array
 from hybrid.plant import Plant, load_truth
-from hybrid.robot.chain import Array
 
 ROOT = Path(__file__).parents[1]
 TRUTH = ROOT / "models" / "coman_truth.yaml"

@@ -14,11 +14,11 @@ import numpy as np
 from coman import TRUTH
 
 from hybrid import DynamicModel, Effect, Recording, Robot, simulate
+from hybrid.arrays import Array
 from hybrid.effects import effect_class, effect_from_dict
 from hybrid.effects.payload import Payload
 from hybrid.plant import Plant, load_truth
 from hybrid.regression.problem import build_problem
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 CONTROL, FREQUENCY, SETTLE = 1000.0, 3.0, 0.5  # Hz, Hz of the feedback, s

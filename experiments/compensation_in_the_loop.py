@@ -25,7 +25,7 @@ from outputs import command_line
 from rich.console import Console
 
 from hybrid import simulate
-from hybrid.export import CompiledModel
+from hybrid.exports import CompiledModel
 from hybrid.files import atomic_path
 from hybrid.plant import random_fourier
 from hybrid.report import markdown_table, numbers_table, provenance, save_figure
@@ -41,10 +41,10 @@ def measure(seed: int, kept: Path) -> dict[str, Any]:
     models = fitted_models(robot, logs, diagnosed_effects(robot, plant, kept))
     motions, noise, pushes = np.random.default_rng((seed, 1)).spawn(3)
     references = [
-        random_fourier(robot, duration=5.0, rate=CONTROL, rng=motions, fill=0.6)
+        random_fourier(robot, duration=5.0, rate=CONTROL, seed=motions, fill=0.6)
         for _ in range(2)
     ]
-    slow = random_fourier(robot, duration=5.0, rate=CONTROL, rng=motions, fill=0.2)
+    slow = random_fourier(robot, duration=5.0, rate=CONTROL, seed=motions, fill=0.2)
     log = track(plant, list(models.values()), references)
     error = (log["q"] - log["q_ref"]) ** 2
     fast = [CompiledModel(m).predict for m in models.values()]

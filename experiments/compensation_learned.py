@@ -31,7 +31,7 @@ def learned(model: DynamicModel, logs: list[Recording]) -> DynamicModel:
         near = tuple(k for k in (j - 1, j, j + 1) if 0 <= k < n)
         part = JointRemainder(j, near, (j,), None)  # type: ignore[arg-type]
         fitted = GaussianMixtureRegression.fit(
-            part.inputs(q, v), rest[:, j : j + 1], components=8, rng=0
+            part.inputs(q, v), rest[:, j : j + 1], components=8, seed=0
         )
         parts.append(replace(part, regression=fitted))
     return replace(model, remainder=ArmRemainder(n, tuple(parts)), inertial=None)

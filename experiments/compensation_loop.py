@@ -8,9 +8,9 @@ import numpy as np
 from compensation import CONTROL, FREQUENCY, SETTLE, torque
 
 from hybrid import DynamicModel
+from hybrid.arrays import Array
 from hybrid.plant import Plant, Reference
 from hybrid.plant.lockstep import Lockstep
-from hybrid.robot.chain import Array
 
 OMEGA = 2 * np.pi * FREQUENCY
 OBSERVER = 25.0  # 1/s, gain of the momentum observer

@@ -14,7 +14,7 @@ import numpy as np
 from compensation import nominal_model
 
 from hybrid import DynamicModel, Effect, Recording, Robot, identify, simulate
-from hybrid.diagnose.diagnose import examine
+from hybrid.diagnosis.diagnose import examine
 from hybrid.effects import effect_from_dict
 from hybrid.errors import HybridWarning
 from hybrid.files import write_json

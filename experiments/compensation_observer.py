@@ -12,8 +12,8 @@ from compensation_loop import OBSERVER, SETTLE, inertia
 from scipy.signal import lfilter
 
 from hybrid import DynamicModel
+from hybrid.arrays import Array
 from hybrid.plant import Plant
-from hybrid.robot.chain import Array
 
 BLOCK, HOUR = 0.5, 3600.0  # s
 PUSHES = 2000

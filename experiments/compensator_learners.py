@@ -11,23 +11,22 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from learners import RandomFeatureRegression, SymmetricRegression
+from learners import NetworkRegression, RandomFeatureRegression, SymmetricRegression
+from learners.em import fit_structured
 
 from hybrid import DynamicModel, Recording
-from hybrid.compensator import (
-    GaussianMixtureRegression,
-    NetworkRegression,
-)
+from hybrid.compensator import GaussianMixtureRegression
 from hybrid.signals import Sampler, motion_from_recording
 
 EVERY, HISTORY = 5, 16  # samples
 mixture = partial(GaussianMixtureRegression.fit, components=12)
+structured = partial(fit_structured, components=12)
 odd = partial(SymmetricRegression.fit, signs=[1.0, -1.0], parity=-1.0)
 LEARNERS: dict[str, tuple[Callable[..., Any], int]] = {
     "mixture, full": (mixture, 1),
     "mixture, 32 components": (partial(mixture, components=32), 1),
-    "mixture, diagonal": (partial(mixture, structure="diagonal"), 1),
-    "mixture, low rank": (partial(mixture, structure="low_rank", rank=1), 1),
+    "mixture, diagonal": (partial(structured, structure="diagonal"), 1),
+    "mixture, low rank": (partial(structured, structure="low_rank", rank=1), 1),
     "mixture, odd in speed": (partial(odd, learn=mixture), 1),
     "perceptron": (NetworkRegression.fit, 1),
     "temporal convolution": (partial(NetworkRegression.fit, history=HISTORY), HISTORY),

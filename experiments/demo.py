@@ -18,12 +18,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from demo_report import write_identification
 from designed_coman import compare, designed_run
 from outputs import command_line
 from rich.console import Console
 
 from hybrid.report import numbers_table, provenance, table_from_validation
-from hybrid.report.identification import write_identification
 
 SEED = 0
 console = Console(highlight=False)

@@ -60,13 +60,13 @@ def run(name, seed, cutoff):
     fitted = effects_from_text(FITTED, robot.joints, joint_scales(robot))
     begin = time.process_time()
     found = design(
-        robot, observe(robot.chain, fitted, covariance=noise), FAMILY, rng=rng,
+        robot, observe(robot.chain, fitted, covariance=noise), FAMILY, seed=rng,
         limits=Limits.of(robot, fill=FILL), starts=2, rate=10.0,
     )  # fmt: skip
     seconds = time.process_time() - begin
     ours = found.trajectories[0].reference(plant.log_rate)
     others = [random(robot, plant.log_rate, rng) for _ in range(1 + TESTS)]
-    logs = plant.run([others[0], ours, *others[1:]], rng=rng)
+    logs = plant.run([others[0], ours, *others[1:]], seed=rng)
     rows = []
     for log, cost in zip(logs[:2], (0.0, seconds), strict=True):
         stages = ("rigid", "friction")

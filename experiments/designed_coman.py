@@ -16,13 +16,13 @@ from hose_and_grease import unmodelled
 from published_chain import Chain, beside, published_chain
 
 from hybrid import Fit, Motion, Robot, identify, validate
+from hybrid.arrays import Array
 from hybrid.effects import effects_from_text
 from hybrid.errors import HybridWarning
 from hybrid.excitation import Fourier, Limits, design, observe
-from hybrid.identify import DynamicModel, Validation
+from hybrid.identification import DynamicModel, Validation
 from hybrid.plant import Noise, Plant, Reference, load_truth, random_fourier
 from hybrid.plant.scale import joint_scales
-from hybrid.robot.chain import Array
 
 _FAMILY = Fourier(5, 0.1)
 _DESIGNED, _FILL = 0.8, 0.7  # share of the limits that either kind of motion may use
@@ -62,12 +62,12 @@ def designed_run(seed: int, *, trajectories: int = 6) -> Run:
     references = designed_references(robot, noise, trajectories, motion_rng)
     references += [
         random_fourier(
-            robot, duration=_FAMILY.duration, rate=plant.log_rate, rng=motion_rng,
+            robot, duration=_FAMILY.duration, rate=plant.log_rate, seed=motion_rng,
             fill=_FILL,
         )
         for _ in range(trajectories)
     ]  # fmt: skip
-    clean = plant.run(references, rng=noise_rng)
+    clean = plant.run(references, seed=noise_rng)
     logs = []
     for log in clean:
         signals = {"q": log.q, "v": log.v, "tau": log.tau}
@@ -86,7 +86,7 @@ def designed_references(
     observation = observe(robot.chain, sought, covariance=noise.torque_covariance)
     limits = Limits.of(robot, fill=_DESIGNED)
     found = design(
-        robot, observation, _FAMILY, rng=rng, limits=limits, trajectories=trajectories,
+        robot, observation, _FAMILY, seed=rng, limits=limits, trajectories=trajectories,
         starts=1, rate=_DESIGN_RATE,
     )  # fmt: skip
     return [x.reference(Plant.log_rate) for x in found.trajectories]

@@ -12,15 +12,15 @@ from diagnosis_acceptance_report import Run
 from diagnosis_acceptance_sysid import fit_by_sysid
 
 from hybrid import Robot, simulate
-from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.fixed import fixed_model, fixed_simulator
-from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.replayed import replayed
+from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.fixed import fixed_model, fixed_simulator
+from hybrid.diagnosis.gap import Gap
+from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.replayed import replayed
 from hybrid.effects import Effect
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.plant import Noise, Plant
 
 ARM = Path(__file__).parents[1] / "models" / "coman_like.xml"
@@ -57,7 +57,8 @@ def run(kind: str, seed: int, quiet: bool) -> Run:
     assert servo is not None
     if quiet:
         noise = replace(noise, torque_covariance=0.01 * noise.torque_covariance)
-    plant = Plant(robot, effects, servo=servo.without_feedforward(), noise=noise)
+    servo = replace(servo, feedforward=None)
+    plant = Plant(robot, effects, servo=servo, noise=noise)
     log, other = simulate(plant, trajectories=2, duration=10.0, seed=seed)
     start = process_time()
     result = examine(robot, [log])

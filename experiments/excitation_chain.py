@@ -22,6 +22,7 @@ from excitation_chain_report import MOTIONS, write
 from excitation_published import (
     BlockCondition,
     BlockProgram,
+    gravity_columns,
     iterated_design,
     set_condition,
 )
@@ -63,8 +64,8 @@ def run(robot, seed):
     )  # fmt: skip
     size = white.size + 1
     block = BlockProgram(
-        white, BlockCondition(white.gravity_columns), FAMILY, start.constraints, limits,
-        np.zeros((size, size)), RATE, 1.0, 1e-3,
+        white, BlockCondition(gravity_columns(white)), FAMILY, start.constraints,
+        limits, np.zeros((size, size)), RATE, 1.0, 1e-3,
     )  # fmt: skip
     begin = time.process_time()
     first = iterated_design(start, trajectories=1, rng=rng)
@@ -81,7 +82,7 @@ def run(robot, seed):
     for family, count, starts in OURS:
         begin = time.process_time()
         ours = design(
-            robot, white, family, rng=rng, criterion=Condition(), limits=limits,
+            robot, white, family, seed=rng, criterion=Condition(), limits=limits,
             trajectories=count, starts=starts, together=True,
         )  # fmt: skip
         found.append((ours.trajectories, time.process_time() - begin))

@@ -7,12 +7,11 @@ speed is that of its noise; such samples can be left out of the fit and of the e
 from dataclasses import dataclass, replace
 
 import numpy as np
+from periodic import average_periods, fourier_fit
 
 from hybrid.excitation.path import Path
 from hybrid.signals import (
-    average_periods,
     butterworth,
-    fourier_fit,
     motion_from_recording,
 )
 

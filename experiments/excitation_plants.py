@@ -34,7 +34,7 @@ def plant_for(name, rng):
 def random(robot, rate, rng):
     """A random motion that touches a limit of each joint, torque included."""
     x = random_fourier(
-        robot, duration=FAMILY.duration, rate=rate, rng=rng, fill=FILL,
+        robot, duration=FAMILY.duration, rate=rate, seed=rng, fill=FILL,
         fundamental=FAMILY.fundamental, order=FAMILY.order,
     )  # fmt: skip
     middle = (x.q.max(axis=0) + x.q.min(axis=0)) / 2

@@ -113,6 +113,16 @@ class BlockCondition:
         return [(*whole, np.arange(len(self.gravity))), *terms]
 
 
+def gravity_columns(observation: Observation) -> Array:
+    """True for unknowns that move a torque at rest, shape (b,)."""
+    n = observation.chain.size
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (50, n))
+    rest = np.zeros_like(q)
+    still = observation.matrix(Path(np.arange(50.0), q, rest, rest, rest))
+    size = np.abs(still).max(axis=(0, 1))
+    return np.asarray(size > 1e-9 * size.max())
+
+
 def _variations(gram: Array) -> tuple[Array, Array]:
     """std/mean of each column's entries, its derivatives by squares and by sums."""
     rows = gram[-1, -1]

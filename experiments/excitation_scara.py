@@ -21,13 +21,12 @@ import numpy as np
 from excitation_fit import READINGS, error, fit
 from excitation_published import PopulationProgram, niche_design
 from excitation_report import Comparison, readings_table
+from series import FourierQuintic, PlainFourier
 
 from hybrid.effects import effects_from_text
 from hybrid.excitation import (
     Condition,
-    FourierQuintic,
     Limits,
-    PlainFourier,
     observe,
 )
 from hybrid.excitation.design import design
@@ -86,11 +85,11 @@ def run(plants, observation, seed):
     found, seconds = designs(plants[0].robot, observation, rng)
     rate = plants[0].log_rate
     five = [replace(x, family=replace(x.family, periods=5)) for x in found]
-    options = {"duration": 20.0, "rate": rate, "rng": rng}
+    options = {"duration": 20.0, "rate": rate, "seed": rng}
     others = [random_fourier(plants[0].robot, **options) for _ in range(TESTS)]
     rms = []
     for plant in plants:
-        logs = plant.run([*(x.reference(rate) for x in five), *others], rng=rng)
+        logs = plant.run([*(x.reference(rate) for x in five), *others], seed=rng)
         known, held_out = logs[:-TESTS], logs[-TESTS:]
         rms.append(
             [
@@ -118,7 +117,7 @@ def designs(robot, observation, rng):
         found.append(niche_design(program, rng=rng))
         seconds.append(time.process_time())
     ours = design(
-        robot, observation, family, rng=rng, criterion=Condition(), limits=limits
+        robot, observation, family, seed=rng, criterion=Condition(), limits=limits
     )
     seconds.append(time.process_time())
     return [*found, ours.trajectories[0]], np.diff(seconds)

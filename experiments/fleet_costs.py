@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import process_time
 
-from hybrid.fleet.fleet import fleet
-from hybrid.fleet.plan import Plan
+from hybrid.fleets.fleet import fleet
+from hybrid.fleets.plan import Plan
 from hybrid.report import Table
 
 _ARMS, _WEEKS = 10_000, 52

@@ -11,7 +11,7 @@ from blind.measures import Ratio
 from fleet_plant import FIRST_DAY, SIZES, Arm
 from scipy.stats import chi2
 
-from hybrid.fleet.fleet import Fleet
+from hybrid.fleets.fleet import Fleet
 from hybrid.report import Table
 
 _EARLY = 14.0  # d: a date may be off by as much before a fault, to be of it

@@ -20,8 +20,8 @@ from outputs import command_line
 from rich.console import Console
 
 from hybrid.files import write_json
-from hybrid.fleet.fleet import Fleet, fleet, fleet_from_rows
-from hybrid.fleet.plan import Plan, plan_from_dict
+from hybrid.fleets.fleet import Fleet, fleet, fleet_from_rows
+from hybrid.fleets.plan import Plan, plan_from_dict
 from hybrid.report import Table, markdown_table
 from hybrid.robot import Robot
 

@@ -11,16 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.effects import (
-    Array,
-    Body,
-    Effect,
-    JointEffect,
-    JointState,
-    Port,
-    Quantity,
-    Scale,
-)
+from hybrid.arrays import Array
+from hybrid.effects import Body, Effect, JointEffect, JointState, Port, Quantity, Scale
 from hybrid.signals import Motion
 
 # Share of the rated torque: of a hose that both joints stretch, of thick grease.

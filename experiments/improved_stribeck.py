@@ -20,7 +20,7 @@ from joint_friction_logs import RATE, RIPPLE, TRUE, improved, one_joint
 from joint_friction_together import all_joints_at_once
 from outputs import command_line
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 _T = np.arange(0, 25, 1 / RATE)
 _W = 0.1 * np.pi * np.arange(0, 20, 1 / RATE)

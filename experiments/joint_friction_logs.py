@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.effects import JointState
 from hybrid.effects.improved_stribeck import ImprovedStribeck
 from hybrid.plant import Noise
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler, motion_from_recording
 
 ROOT = Path(__file__).parents[1]

@@ -21,7 +21,7 @@ from hybrid.regression.problem import build_problem
 def all_joints_at_once(rng: np.random.Generator) -> dict[str, Any]:
     """All joints moving, rigid body unknown: 40 s of random motion, one fit."""
     references = [
-        random_fourier(ARM, duration=20.0, rate=RATE, rng=rng, fill=0.5) for _ in "12"
+        random_fourier(ARM, duration=20.0, rate=RATE, seed=rng, fill=0.5) for _ in "12"
     ]
     motions = [logged(reference.q, rng) for reference in references]
     kept = list(build_problem(ARM.chain, ()).base.kept)

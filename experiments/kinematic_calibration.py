@@ -26,8 +26,8 @@ from search.ranked_genetic import RankedGenetic
 from search.tabu import Tabu
 
 from hybrid.arrays import Array
-from hybrid.calibrate import Measurements
-from hybrid.calibrate.solve import solve
+from hybrid.calibration import Measurements
+from hybrid.calibration.solve import solve
 
 GENERATIONS, STEPS = 300, 2500
 NOISE = 5e-5  # m and rad

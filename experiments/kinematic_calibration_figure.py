@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mh6 import pose_errors
 
-from hybrid.calibrate import Measurements
-from hybrid.calibrate.solve import Solution
+from hybrid.calibration import Measurements
+from hybrid.calibration.solve import KinematicSolution
 from hybrid.report.style import BLUE, GREY, RED, clean, new_figure
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def way_down(
-    runs: Sequence[Mapping[str, Any]], solution: Solution, test: Measurements
+    runs: Sequence[Mapping[str, Any]], solution: KinematicSolution, test: Measurements
 ) -> Figure:
     """Error against evaluations, one line a run."""
     figure = new_figure(height=3.0)

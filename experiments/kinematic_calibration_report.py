@@ -10,8 +10,8 @@ from kinematic_calibration_tables import Runs, bounds_table, cost_table, errors_
 from mh6 import LABELS, PUBLISHED, TRUE
 from rich.console import Console
 
-from hybrid.calibrate import Measurements
-from hybrid.calibrate.solve import Solution
+from hybrid.calibration import Measurements
+from hybrid.calibration.solve import KinematicSolution
 from hybrid.files import atomic_path
 from hybrid.report import numbers_table, provenance, save_figure, write_results
 from hybrid.report.table import markdown_table
@@ -20,7 +20,7 @@ from hybrid.report.table import markdown_table
 def write_report(
     out: Path,
     runs: Runs,
-    exact: tuple[Solution, float],
+    exact: tuple[KinematicSolution, float],
     test: Measurements,
     bounds: Mapping[float, Mapping[str, float]],
     options: str,

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from mh6 import LABELS, LENGTH, PUBLISHED, SHOWN, TRUE, pose_errors
 
-from hybrid.calibrate import Measurements
-from hybrid.calibrate.solve import Solution
+from hybrid.calibration import Measurements
+from hybrid.calibration.solve import KinematicSolution
 from hybrid.report.table import Table
 
 USED = "tabu 3%"  # the radius that was taken; see kinematic_calibration.py
 Runs = Sequence[Mapping[str, Any]]
 
 
-def errors_table(runs: Runs, solution: Solution) -> Table:
+def errors_table(runs: Runs, solution: KinematicSolution) -> Table:
     """The 24 errors: true, published, found by either solver."""
     found = np.median([run[USED]["x"] for run in runs], axis=0)
     columns = np.stack([TRUE, PUBLISHED, found, solution.x]) * SHOWN
@@ -31,7 +31,7 @@ def errors_table(runs: Runs, solution: Solution) -> Table:
 
 
 def cost_table(
-    runs: Runs, solution: Solution, seconds: float, test: Measurements
+    runs: Runs, solution: KinematicSolution, seconds: float, test: Measurements
 ) -> Table:
     """Pose error on poses left out, and what it cost."""
 

@@ -11,11 +11,11 @@ import numpy as np
 from real_arms_data import ARMS, Arm
 
 from hybrid import DynamicModel, Motion, Robot, identify, read_recordings
+from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import HybridWarning
 from hybrid.recording import Recording
 from hybrid.report import Table
-from hybrid.robot.chain import Array
 from hybrid.signals import (
     Sampler,
     butterworth,

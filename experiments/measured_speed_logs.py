@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
+from hybrid.arrays import Array
 from hybrid.recording import Recording
-from hybrid.robot.chain import Array
 
 Kind = Callable[[Recording, Array, np.random.Generator], Array]
 

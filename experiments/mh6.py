@@ -8,13 +8,14 @@ known and exact, as in the publication.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
-from hybrid.calibrate import Measurements
-from hybrid.calibrate.geometry import steps_from_dh
-from hybrid.calibrate.model import KinematicModel
-from hybrid.calibrate.steps import Frame
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
+from hybrid.calibration import Measurements
+from hybrid.calibration.model import KinematicModel
+from hybrid.calibration.steps import Frame, Step
 
 _Q = np.pi / 2
 ROWS = (
@@ -45,6 +46,28 @@ SHOWN = np.where(LENGTH, 1e3, 1e2)  # mm and 1e-2 rad
 TRUE = np.array(_TRUE.split(), dtype=float) / SHOWN
 PUBLISHED = np.array(_PUBLISHED.split(), dtype=float) / SHOWN
 UPPER = 3.0 * np.abs(TRUE)  # of the search, to either side, as published
+
+
+def steps_from_dh(rows: Sequence[Mapping[str, float]]) -> tuple[Step, ...]:
+    """A chain of revolute joints from a table of the classical (distal) convention.
+
+    A row turns by θ and shifts by d along z, then shifts by a and turns by α along x; a
+    row with ``beta`` in place of ``d`` turns by β about y at its end.
+
+    Args:
+        rows: For each joint its nominal ``theta``, ``d`` or ``beta``, ``a``, ``alpha``,
+            in [rad] and [m]; the unknown parts are named ``theta_1``, ``d_1`` ...
+    """
+    axes = {"theta": (2, True), "d": (2, False), "a": (0, False), "alpha": (0, True)}
+    axes["beta"] = (1, True)
+    return tuple(
+        Step(*axes[name], row[name], f"{name}_{k + 1}", k if name == "theta" else None)
+        for k, row in enumerate(rows)
+        for name in axes
+        if name in row
+    )
+
+
 MODEL = KinematicModel(steps_from_dh(ROWS), ((),), np.zeros((0, 3)))
 
 

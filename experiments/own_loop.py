@@ -90,7 +90,7 @@ class OwnLoop:
     def record(self) -> Recording:
         """Follow a motion and log it."""
         reference = self.motion(
-            self.robot, duration=DURATION, rate=1 / (STEP * HOLD), rng=self.rng
+            self.robot, duration=DURATION, rate=1 / (STEP * HOLD), seed=self.rng
         )
         d, robot, n = self.data, self.robot, self.robot.size
         targets, speeds = reference.q, np.gradient(reference.q, STEP * HOLD, axis=0)

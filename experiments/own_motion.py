@@ -21,7 +21,7 @@ def visits(
     *,
     duration: float,
     rate: float,
-    rng: np.random.Generator,
+    seed: int | np.random.Generator,
     one: bool = False,
 ) -> Reference:
     """Move from pose to pose at trapezoidal speed, with rounded ramps, and rest there.
@@ -30,10 +30,11 @@ def visits(
         robot: The arm.
         duration: Of the motion, [s].
         rate: Samples per second, [Hz].
-        rng: Source of poses and rests.
+        seed: Seed or generator of poses and rests.
         one: Whether one joint moves at a time, the first one first.
     """
-    free = random_fourier(robot, duration=duration, rate=rate, rng=rng)
+    rng = np.random.default_rng(seed)
+    free = random_fourier(robot, duration=duration, rate=rate, seed=rng)
     low, high = free.q.min(axis=0), free.q.max(axis=0)
     top, pose, n = PART * np.abs(free.v).max(axis=0), free.q[0], robot.size
     parts: list[np.ndarray] = []

@@ -28,15 +28,16 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from hybrid import Motion, Recording, Robot
+from hybrid.arrays import Array
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
-from hybrid.effects import Array, Effect, JointEffect, JointState, Port, Quantity
+from hybrid.effects import Effect, JointEffect, JointState, Port, Quantity
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
-from hybrid.identify import DynamicModel
-from hybrid.identify.data import Data, prepare, taken
+from hybrid.identification import DynamicModel
+from hybrid.identification.data import Data, prepare, taken
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import solve
 from hybrid.regression.least_squares import ESTIMATORS, Estimator
@@ -312,7 +313,7 @@ def mixtures(rest: Rest, counts: Sequence[int | None], seed: int) -> ArmRemainde
             rest.tau[moving, joint, None],
             components=count,
             candidates=COMPONENTS,
-            rng=seed,
+            seed=seed,
         )
         parts.append(JointRemainder(joint, (joint,), (joint,), regression))
     return ArmRemainder(n, tuple(parts))

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from hybrid import Fit, Motion
+from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.transmission_coupling import TransmissionCoupling
-from hybrid.identify import Validation, ValidationRow
-from hybrid.robot.chain import Array
+from hybrid.identification import Validation, ValidationRow
 
 
 @dataclass(frozen=True)

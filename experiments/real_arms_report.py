@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from real_arms_data import Score
 
+from hybrid.arrays import Array
 from hybrid.report import Table
 from hybrid.report.style import BLACK, BLUE, GREY, clean, new_figure
-from hybrid.robot.chain import Array
 
 
 def arm_table(scores: Sequence[Score]) -> Table:

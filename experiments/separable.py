@@ -19,8 +19,8 @@ from scipy.optimize import least_squares, lsq_linear
 from scipy.stats import qmc
 from scipy.stats import t as student
 
+from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
-from hybrid.robot.chain import Array
 
 _WIDE = 10.0  # ratio of bounds from which a shape is searched by its logarithm
 _FOLLOWED = 3  # starts that are followed downhill

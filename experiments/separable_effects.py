@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from separable import Fit, Problem, fit_separable
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, Scale
 from hybrid.effects.effect import Body
 from hybrid.errors import IdentificationError
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 
 _BLOCKS = 384

@@ -26,7 +26,7 @@ from hybrid.report.servo import findings_table, replay_figure
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, PLAIN, Drive
 from hybrid.servo.servo_fit import fit_servo
-from hybrid.servo.simulator import Simulator
+from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import chosen, stretches_of
 
 ARM = 5  # joints; the sixth is the gripper
@@ -36,7 +36,7 @@ THIRDS = 3
 def missed(robot, logs, drive) -> np.ndarray:
     """RMS error of replays, shape (n,), [mrad]."""
     stretches = stretches_of(logs)
-    (moved,) = Simulator(robot).replay(stretches, [drive])
+    (moved,) = ServoSimulator(robot).replay(stretches, [drive])
     errors = [q - x.q for q, x in zip(moved, stretches, strict=True)]
     return 1000 * np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
 
@@ -46,7 +46,7 @@ def sought(robot, logs, seconds: float, seed: int) -> Drive:
     import cma
 
     parts = chosen(stretches_of(logs), 120.0, 12.0)
-    simulator, start = Simulator(robot), Drive.declared(robot)
+    simulator, start = ServoSimulator(robot), Drive.declared(robot)
     rows = [NAMES.index(name) for name in PLAIN if name != "delay"]
     center = start.coordinates
     unit = np.where(np.isfinite(start.spread), start.spread, 1.0)[rows]

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 NAMES = ("α", "β", "ε", "η", "f_c", "f_s", "v_s", "f_v")
 TRUE = np.array([1 / 12 + 1 / 4 + 3 + 2 / 5 + 3, 3.4, 3.0, 0.0, 2.8, 3.4, 0.1, 0.2])

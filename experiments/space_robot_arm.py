@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState, Port, Quantity
 from hybrid.effects.effect import Body
 from hybrid.effects.improved_stribeck import ImprovedStribeck
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
 _LINKS = np.array(

@@ -28,7 +28,7 @@ from space_robot_searches import (
     swarm_at_once,
 )
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 VARIANTS = {
     "best/2": ("best2bin", 0.0),

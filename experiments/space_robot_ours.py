@@ -10,12 +10,12 @@ from space_robot import OFFLINE, SAMPLES, STEP
 from space_robot_arm import SharedFriction, arm
 from space_robot_searches import Run, faded
 
+from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect, Scale
 from hybrid.online import OnlineIdentifier, Sample
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 _FIRST = {"coulomb": 1.0, "static": 1.0, "viscous": 1.0, "velocity": 0.3}

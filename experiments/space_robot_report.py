@@ -12,12 +12,12 @@ from space_robot import NAMES, SAMPLES, TRUE
 from space_robot_searches import Run
 from space_robot_variances import variances_table
 
+from hybrid.arrays import Array
 from hybrid.files import atomic_path
 from hybrid.report import markdown_table, numbers_table, provenance, save_figure
 from hybrid.report.output import write_results
 from hybrid.report.style import BLUE, GREY, OTHERS, RED, clean, legend, new_figure
 from hybrid.report.table import Table
-from hybrid.robot.chain import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

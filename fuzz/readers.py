@@ -14,14 +14,14 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from hybrid.calibrate.read import read_measurements
+from hybrid.calibration.read import read_measurements
 from hybrid.dynamics import stacked_base
 from hybrid.effects import effects_from_text
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
-from hybrid.export import export, read_manifest
+from hybrid.exports import export, read_manifest
 from hybrid.files import write_json
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.model.model_file import content_digest
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales

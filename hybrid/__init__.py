@@ -6,23 +6,20 @@ learned remainder. What is named here loads on first use: ``import hybrid`` is f
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from hybrid.shown import Shown
 
 if TYPE_CHECKING:
-    from hybrid.calibrate import calibrate
-    from hybrid.diagnose.diagnose import diagnose
-    from hybrid.diagnose.diagnosis import Diagnosis
-    from hybrid.effects import Effect
-    from hybrid.effects import effect_classes as effects
+    from hybrid.calibration import calibrate
+    from hybrid.diagnosis.diagnose import diagnose
+    from hybrid.diagnosis.diagnosis import Diagnosis
+    from hybrid.effects import Effect, effect_classes
     from hybrid.excitation import design as excite
-    from hybrid.export.export import export
-    from hybrid.fleet.fleet import Fleet, fleet
-    from hybrid.identify import DynamicModel, Fit, identify, predict, validate
+    from hybrid.exports.export import export
+    from hybrid.fleets.fleet import Fleet, fleet
+    from hybrid.identification import DynamicModel, Fit, identify, predict, validate
     from hybrid.inspect import Inspection, inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
     from hybrid.plant import simulate
@@ -53,7 +50,7 @@ __all__ = [
     "__version__",
     "calibrate",
     "diagnose",
-    "effects",
+    "effect_classes",
     "excite",
     "export",
     "fit_servo",
@@ -69,11 +66,11 @@ __all__ = [
 
 # Public name -> the module it lives in, and its name there where that is another one.
 _HOME = {
-    "Diagnosis": "hybrid.diagnose.diagnosis",
-    "DynamicModel": "hybrid.identify",
+    "Diagnosis": "hybrid.diagnosis.diagnosis",
+    "DynamicModel": "hybrid.identification",
     "Effect": "hybrid.effects",
-    "Fit": "hybrid.identify",
-    "Fleet": "hybrid.fleet",
+    "Fleet": "hybrid.fleets",
+    "Fit": "hybrid.identification",
     "Inspection": "hybrid.inspect",
     "Motion": "hybrid.signals",
     "OnlineIdentifier": "hybrid.online",
@@ -81,20 +78,20 @@ _HOME = {
     "Robot": "hybrid.robot",
     "Sample": "hybrid.online",
     "ServoFit": "hybrid.servo",
-    "calibrate": "hybrid.calibrate",
-    "diagnose": "hybrid.diagnose.diagnose",
-    "effects": "hybrid.effects:effect_classes",
+    "calibrate": "hybrid.calibration",
+    "diagnose": "hybrid.diagnosis.diagnose",
+    "effect_classes": "hybrid.effects",
     "excite": "hybrid.excitation:design",
-    "export": "hybrid.export",
+    "export": "hybrid.exports",
     "fit_servo": "hybrid.servo",
-    "fleet": "hybrid.fleet",
-    "identify": "hybrid.identify",
+    "fleet": "hybrid.fleets",
+    "identify": "hybrid.identification",
     "inspect_recording": "hybrid.inspect",
-    "predict": "hybrid.identify",
+    "predict": "hybrid.identification",
     "read_recordings": "hybrid.recording:read_all",
     "recording_from_table": "hybrid.recording",
     "simulate": "hybrid.plant",
-    "validate": "hybrid.identify",
+    "validate": "hybrid.identification",
 }
 
 
@@ -109,14 +106,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-class _Package(ModuleType):
-    # The folders `identify` and `effects` share their name with a public function. The
-    # import system binds a folder to its parent when it loads it; the function stays.
-    def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _HOME and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from hybrid.extras import check_extra
@@ -12,10 +13,10 @@ if TYPE_CHECKING:
 
 
 class Shown:
-    """What a fit, a design, a calibration and an inspection can do for their reader.
+    """What every result can do for its reader: a fit, a diagnosis, a design, ...
 
-    This floor knows no table and no picture. The package puts the module that makes
-    them, :mod:`hybrid.views`, into ``views``.
+    The package puts the module that makes tables and pictures,
+    :mod:`hybrid.views`, into ``views``: imports point down only.
     """
 
     views: ClassVar[Callable[[], Any]]
@@ -33,6 +34,14 @@ class Shown:
             The axes; ``plot().figure`` is the figure.
         """
         return Shown.views().plot(self, ax)  # type: ignore[no-any-return]
+
+    def to_html(self, path: str | Path) -> None:
+        """Write a page that opens offline.
+
+        Args:
+            path: HTML file; it appears whole or not at all.
+        """
+        Shown.views().write_page(self, path)
 
     def to_frame(self) -> Any:
         """The result as a pandas data frame, one row for each unknown or joint.

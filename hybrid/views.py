@@ -6,6 +6,7 @@ result; :class:`hybrid.shown.Shown` calls them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,17 +14,30 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from hybrid.calibrate import Calibration
+from hybrid import report
+from hybrid.calibration import Calibration
+from hybrid.diagnosis.diagnosis import Diagnosis
 from hybrid.excitation import Design
-from hybrid.identify import Fit
+from hybrid.identification import Fit
 from hybrid.inspect import Inspection
 from hybrid.names import figure_text
 from hybrid.report.calibration import corrections_table
 from hybrid.report.fit import held_out_table
 from hybrid.report.inspection import joints_table, write_inspection
-from hybrid.report.provenance import provenance
-from hybrid.report.style import BEST, BLUE, clean, new_figure, stage_inks
+from hybrid.report.output import provenance
+from hybrid.report.page import Section
+from hybrid.report.servo import gap_table
+from hybrid.report.style import (
+    BEST,
+    BLUE,
+    GREY,
+    PALE,
+    clean,
+    new_figure,
+    stage_inks,
+)
 from hybrid.report.table import Table
+from hybrid.servo import ServoFit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,11 +68,6 @@ def plot(result: Any, ax: Axes | None = None) -> Axes:
     return axes
 
 
-def write_page(path: str | Path, inspection: Inspection) -> None:
-    """Write the page of an inspection."""
-    write_inspection(path, [inspection], provenance=provenance())
-
-
 @singledispatch
 def table(result: Any) -> Table:
     """The table that says most about a result."""
@@ -75,6 +84,16 @@ def rows(result: Any) -> list[dict[str, Any]]:
 def draw(result: Any, ax: Axes) -> None:
     """Draw a result into axes."""
     raise NotImplementedError(type(result))
+
+
+@singledispatch
+def write_page(result: Any, path: str | Path) -> None:
+    """Write a result as a page."""
+    shown, figure = table(result), new_figure(_HEIGHT)
+    draw(result, figure.subplots())
+    title, kind = type(result).__name__, "What was found"
+    sections = [Section(kind, table=shown, figure=figure, caption=shown.caption)]
+    report.write_page(path, title, sections, provenance=provenance())
 
 
 @table.register
@@ -95,17 +114,10 @@ def _(fit: Fit) -> list[dict[str, Any]]:
 
 @draw.register(Fit)
 def _(fit: Fit, ax: Axes) -> None:
-    inks = stage_inks(list(fit.held_out))
-    joints = [*map(figure_text, fit.model.robot.joints)]
-    width = 0.84 / len(fit.held_out)
-    for k, (name, rms) in enumerate(fit.held_out.items()):
-        left = np.arange(len(joints)) - 0.42 + k * width
-        ink = inks.get(name, BEST)
-        ax.bar(left, rms, 0.92 * width, align="edge", color=ink, label=name)
-    clean(ax, grid="y")
-    ax.set_xticks(range(len(joints)), joints, rotation=20)
+    known = stage_inks(list(fit.held_out))
+    inks = [known.get(name, BEST) for name in fit.held_out]
+    _bars(ax, fit.held_out, fit.model.robot.joints, inks)
     ax.set_ylabel("held-out RMS error [N·m]")
-    ax.legend(frameon=False, fontsize=8)
 
 
 @table.register
@@ -181,6 +193,80 @@ def _(inspection: Inspection, ax: Axes) -> None:
     measured = log.tau if log.has_torque else log.q
     label = "torque [N·m]" if log.has_torque else "position [rad]"
     _lines(ax, log.t - log.t[0], measured, log.joints, label)
+
+
+@write_page.register
+def _(inspection: Inspection, path: str | Path) -> None:
+    write_inspection(path, [inspection], provenance=provenance())
+
+
+@table.register
+def _(servos: ServoFit) -> Table:
+    found = gap_table(servos)
+    return Table(found.header, found.rows, servos.sentence)
+
+
+@rows.register
+def _(servos: ServoFit) -> list[dict[str, Any]]:
+    return [
+        {"joint": each["joint"], "quantity": name, **number}
+        for each in servos.as_dict()["servos"]
+        for name, number in each.items()
+        if name != "joint"
+    ]
+
+
+@draw.register(ServoFit)
+def _(servos: ServoFit, ax: Axes) -> None:
+    groups = {"file": servos.before, "found": servos.after, "encoder": servos.floor}
+    millis = {name: 1000 * x for name, x in groups.items()}
+    _bars(ax, millis, servos.robot.joints, [GREY, BEST, PALE])
+    ax.set_ylabel("RMS error of replays [mrad]")
+
+
+@table.register
+def _(diagnosis: Diagnosis) -> Table:
+    lines = tuple(
+        (f"{x.share:.0%}", x.effect, " + ".join(x.joints), x.sentence)
+        for x in diagnosis.findings
+    )
+    header = ("share", "effect", "joint", "what it means")
+    caption = f"{diagnosis.robot}: {diagnosis.verdict.replace('_', ' ')}"
+    return Table(header, lines, caption, words=True)
+
+
+@rows.register
+def _(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    return [
+        {"effect": x.effect, "joint": value.joint, "parameter": value.name,
+         "value": value.value, "unit": value.unit, "low": value.interval[0],
+         "high": value.interval[1], "determined": value.determined}
+        for x in diagnosis.findings
+        for value in x.parameters
+    ]  # fmt: skip
+
+
+@draw.register(Diagnosis)
+def _(diagnosis: Diagnosis, ax: Axes) -> None:
+    groups: dict[str, Any] = {"as the file stands": diagnosis.rms}
+    if diagnosis.unseen is not None:
+        groups |= {"with what was found, unseen": diagnosis.unseen.after}
+    groups |= {"noise": diagnosis.noise_floor}
+    _bars(ax, groups, diagnosis.joints, [GREY, *[BEST] * (len(groups) - 2), PALE])
+    ax.set_ylabel("gap, RMS [N·m]")
+
+
+def _bars(
+    ax: Axes, groups: Mapping[str, Any], joints: Sequence[str], inks: Sequence[str]
+) -> None:
+    """Bars of each group beside each other, at every joint."""
+    width = 0.84 / len(groups)
+    for k, ((name, height), ink) in enumerate(zip(groups.items(), inks, strict=True)):
+        left = np.arange(len(joints)) - 0.42 + k * width
+        ax.bar(left, height, 0.92 * width, align="edge", color=ink, label=name)
+    clean(ax, grid="y")
+    ax.set_xticks(range(len(joints)), [*map(figure_text, joints)], rotation=20)
+    ax.legend(frameon=False, fontsize=8)
 
 
 def _lines(ax: Axes, t: Any, x: Any, joints: tuple[str, ...], label: str) -> None:

@@ -13,7 +13,7 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning
-from hybrid.identify import Fit, Validation, identify, validate
+from hybrid.identification import Fit, Validation, identify, validate
 from hybrid.plant import load_truth, random_fourier, simulate
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
@@ -47,7 +47,7 @@ def motions(robot, *, count=2, duration=10.0, rate=100.0, seed=0):
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):
-        r = random_fourier(robot, duration=duration, rate=rate, rng=rng)
+        r = random_fourier(robot, duration=duration, rate=rate, seed=rng)
         mask = np.ones(len(r.t), dtype=bool)
         found.append(Motion(r.t, r.q, r.v, r.a, 0 * r.q, mask, joints=robot.joints))
     return found

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnose.advise import advise, choose, rivals
-from hybrid.diagnose.along import Along, coarse
-from hybrid.diagnose.candidates import candidates
-from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.diagnosis import Advice
-from hybrid.diagnose.explanations.search import Search
-from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.menu import Experiment, Menu, gap_along, joined
-from hybrid.diagnose.refine import gain
-from hybrid.diagnose.separation import Outlook, fit_rival, needed, shapes_of
+from hybrid.diagnosis.advise import advise, choose, rivals
+from hybrid.diagnosis.along import Along, coarse
+from hybrid.diagnosis.candidates import candidates
+from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.diagnosis import Advice
+from hybrid.diagnosis.explanations.search import Search
+from hybrid.diagnosis.gap import Gap
+from hybrid.diagnosis.menu import Experiment, Menu, gap_along, joined
+from hybrid.diagnosis.refine import gain
+from hybrid.diagnosis.separation import Outlook, fit_rival, needed, shapes_of
 from hybrid.effects import effect_classes
 from hybrid.plant import Plant, random_fourier
 from hybrid.plant.reference import Reference
@@ -43,8 +43,8 @@ def plant_with(name, joint, size):
 def poorly_recorded(name, joint, size):
     """One short and slow motion of a planar arm with an effect, and its diagnosis."""
     rng = np.random.default_rng([0, joint, sum(map(ord, name))])
-    short = random_fourier(arm("planar"), duration=8.0, rate=RATE, rng=rng, fill=0.3)
-    logs = plant_with(name, joint, size).run([short], rng=rng)
+    short = random_fourier(arm("planar"), duration=8.0, rate=RATE, seed=rng, fill=0.3)
+    logs = plant_with(name, joint, size).run([short], seed=rng)
     return examine(arm("planar"), logs), logs
 
 
@@ -70,7 +70,7 @@ def test_the_advised_experiment_splits_the_class(tmp_path):
     assert {"coulomb", "presliding"} <= promised
     assert all("load_friction" in advice.splits for advice in advised)
     ask = read_reference(tmp_path / advised[0].file)
-    new = plant_with("load_friction", 0, 0.3).run([ask], rng=rng)
+    new = plant_with("load_friction", 0, 0.3).run([ask], seed=rng)
     after = class_at(examine(arm("planar"), [*logs, *new]), 0)
     assert "load_friction" in after
     assert not after & promised
@@ -97,7 +97,7 @@ def pair():
 
 def fast(result, seed=0):
     rng = np.random.default_rng(seed)
-    path = random_fourier(arm("planar"), duration=5.0, rate=RATE, rng=rng, fill=0.8)
+    path = random_fourier(arm("planar"), duration=5.0, rate=RATE, seed=rng, fill=0.8)
     return path, gap_along(result.gap, Experiment("a fast motion", path))
 
 
@@ -333,7 +333,7 @@ def test_late_commands_are_told_from_wrong_gains_by_other_gains():
 def test_what_tells_the_same_effects_at_two_joints_is_said_once(monkeypatch):
     import sys
 
-    module, result = sys.modules["hybrid.diagnose.advise"], diagnosed.planar()
+    module, result = sys.modules["hybrid.diagnosis.advise"], diagnosed.planar()
     menu = Menu(result.gap.robot, np.random.default_rng(0), rate=100.0)
     (warm,) = [x for x in menu.of_all_joints if x.start]
     splits = ("viscous", "thermal_friction")

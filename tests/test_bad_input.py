@@ -11,7 +11,8 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid import identify, simulate
+from hybrid.errors import EffectError, HybridWarning, RecordingError
 from hybrid.inspect import check_recordings
 from hybrid.recording import Recording, read, read_all, write
 from hybrid.robot import Chain, Robot
@@ -451,3 +452,11 @@ def test_real_logs_pass(folder):
     for warning in caught:
         message = str(warning.message)
         assert "ignored columns: " in message or "torque above 5 times" in message
+
+
+@pytest.mark.parametrize("verb", [simulate, identify])
+def test_names_in_place_of_effects_are_refused_with_the_way_to_make_effects(verb):
+    arm = Robot.load("planar")
+    given = [] if verb is simulate else [[]]
+    with pytest.raises(EffectError, match="elbow' is no effect.*effects_from"):
+        verb(arm, *given, effects=["stribeck:elbow"])

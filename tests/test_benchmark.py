@@ -23,7 +23,7 @@ from diagnosed import RIPPLE, STRIBECK, planar
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybrid.diagnose.diagnose import examine
+from hybrid.diagnosis.diagnose import examine
 from hybrid.effects import effect_classes
 from hybrid.effects.effect import JointState
 from hybrid.effects.viscous import Viscous
@@ -43,7 +43,7 @@ def arm():
 @pytest.fixture(scope="module")
 def rig(arm):
     rng = np.random.default_rng(0)
-    motion = random_fourier(arm, duration=6, rate=250, rng=rng)
+    motion = random_fourier(arm, duration=6, rate=250, seed=rng)
     return Rig.build(arm, motion, Noise.typical(arm), rng)
 
 
@@ -224,12 +224,12 @@ def test_cogging_of_mujocos_motor_is_the_ripple_of_the_library(arm):
     ours = effect_classes()["torque_ripple"](
         (1,), {"sine": -0.2 * np.cos(0.6), "cosine": -0.2 * np.sin(0.6), "periods": 8.0}
     )
-    motion = random_fourier(arm, duration=3, rate=250, rng=np.random.default_rng(2))
+    motion = random_fourier(arm, duration=3, rate=250, seed=np.random.default_rng(2))
     quiet = {"nominal": arm, "noise": Noise.none(arm.size)}
 
     def torque(*effects):
         plant = Plant(arm, effects, **quiet)
-        return plant.run([motion], rng=np.random.default_rng(0))[0].tau
+        return plant.run([motion], seed=np.random.default_rng(0))[0].tau
 
     gap = torque(ours) - torque()
     assert np.sqrt((gap[:, 1] ** 2).mean()) == pytest.approx(0.14, rel=0.2)

@@ -8,10 +8,12 @@ import pytest
 from arms import MODELS, public_arm, random_arm, random_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mh6 import steps_from_dh
 from scipy.spatial.transform import Rotation
 
 import hybrid
-from hybrid.calibrate import (
+from hybrid.arrays import Array
+from hybrid.calibration import (
     Measurements,
     build_setup,
     calibrate,
@@ -19,18 +21,17 @@ from hybrid.calibrate import (
     cross_validate,
     random_poses,
 )
-from hybrid.calibrate.geometry import (
+from hybrid.calibration.geometry import (
     chain_from_values,
     geometry_from_chain,
-    steps_from_dh,
 )
-from hybrid.calibrate.model import KinematicModel
-from hybrid.calibrate.solve import solve
-from hybrid.calibrate.steps import follow, start
+from hybrid.calibration.model import KinematicModel
+from hybrid.calibration.solve import solve
+from hybrid.calibration.steps import follow, start
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 
 NOISE = 5e-5  # m and rad
 KINDS = ("pose", "position", "reflectors", "distance")

@@ -10,20 +10,20 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 from test_calibrate import coman, disturbed, flange, measured
 
-from hybrid.calibrate import calibrate
-from hybrid.calibrate.align import _linear, _nearest_rotation, _stations, align
-from hybrid.calibrate.calibrate import _group, _load, _rank, _unit
-from hybrid.calibrate.covariance import clustered_covariance
-from hybrid.calibrate.geometry import geometry_from_chain, steps_from_dh
-from hybrid.calibrate.measurements import Measurements
-from hybrid.calibrate.observability import observability_index
-from hybrid.calibrate.outliers import OUTSIDE, misfit
-from hybrid.calibrate.poses import (
+from hybrid.calibration import calibrate
+from hybrid.calibration.align import _linear, _nearest_rotation, _stations, align
+from hybrid.calibration.calibrate import _group, _load, _rank, _unit
+from hybrid.calibration.covariance import clustered_covariance
+from hybrid.calibration.geometry import geometry_from_chain
+from hybrid.calibration.measurements import Measurements
+from hybrid.calibration.observability import observability_index
+from hybrid.calibration.outliers import OUTSIDE, misfit
+from hybrid.calibration.poses import (
     _gain,
     choose_poses,
     random_poses,
 )
-from hybrid.calibrate.steps import Frame
+from hybrid.calibration.steps import Frame
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError
 from hybrid.robot import Robot
@@ -299,15 +299,3 @@ def test_errors_count_the_bending_where_it_was_fitted(bends):
     free = ("base", "tool", "geometry", *(("compliance",) if bends else ()))
     found = calibrate(coman(), replace(seen, q=q), free=free)
     assert max(x.max() for x in found.errors(replace(seen, q=q)).values()) < 1e-9
-
-
-def test_rows_of_a_table_are_counted_from_one():
-    row = {"theta": 0.1, "d": 0.2, "a": 0.3, "alpha": 0.4}
-    steps = steps_from_dh([row, {"theta": 0.0, "a": 0.5, "alpha": 0.0, "beta": 0.6}])
-    found = [(s.parameter, s.axis, s.turns, s.nominal, s.joint) for s in steps]
-    assert found == [
-        ("theta_1", 2, True, 0.1, 0), ("d_1", 2, False, 0.2, None),
-        ("a_1", 0, False, 0.3, None), ("alpha_1", 0, True, 0.4, None),
-        ("theta_2", 2, True, 0.0, 1), ("a_2", 0, False, 0.5, None),
-        ("alpha_2", 0, True, 0.0, None), ("beta_2", 1, True, 0.6, None),
-    ]  # fmt: skip

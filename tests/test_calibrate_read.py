@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hybrid.calibrate import Measurements, read_measurements
+from hybrid.calibration import Measurements, read_measurements
 from hybrid.errors import CalibrationError
 
 JOINTS = ("shoulder", "elbow")

@@ -17,8 +17,8 @@ from hybrid import __version__
 from hybrid.cli import main, options
 from hybrid.effects import effect_classes, registry
 from hybrid.errors import HybridWarning
-from hybrid.identify import DynamicModel, predict, validate
-from hybrid.identify.three_stage import STAGES
+from hybrid.identification import DynamicModel, predict, validate
+from hybrid.identification.three_stage import STAGES
 from hybrid.plant import simulate
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording, read, read_all, write
@@ -28,7 +28,7 @@ from hybrid.robot import Robot
 PLANAR = str(MODELS / "planar.xml")
 HEAVY = "torch mujoco pinocchio sklearn scipy matplotlib numpy".split()
 VERBS = ("simulate", "identify", "validate", "predict", "effects")
-EVERY_VERB = tuple(sys.modules["hybrid.cli.command"]._VERBS)
+EVERY_VERB = tuple(sys.modules["hybrid.cli"]._VERBS)
 SHORT = "--trajectories 1 --duration 2"
 
 
@@ -574,7 +574,7 @@ class TestBadInput:
         def full(*_):
             raise OSError(28, "No space left on device", "tau.csv")
 
-        monkeypatch.setitem(sys.modules["hybrid.report.columns"].WRITERS, ".csv", full)
+        monkeypatch.setitem(sys.modules["hybrid.recording.write"].WRITERS, ".csv", full)
         text = complaint(
             capsys,
             f"predict --model {chain.model} --recording {chain.fit}/trajectory_1.csv "
@@ -607,7 +607,9 @@ class TestInterrupt:
         def interrupted(*_, **__):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(sys.modules["hybrid.identify"], "identify", interrupted)
+        monkeypatch.setattr(
+            sys.modules["hybrid.identification"], "identify", interrupted
+        )
         text = complaint(
             capsys,
             f"identify --robot {PLANAR} --recordings {chain.fit} --out "
@@ -624,7 +626,7 @@ class TestInterrupt:
             path.write_text("time,tau_sh")
             raise KeyboardInterrupt
 
-        monkeypatch.setitem(sys.modules["hybrid.report.columns"].WRITERS, ".csv", half)
+        monkeypatch.setitem(sys.modules["hybrid.recording.write"].WRITERS, ".csv", half)
         out = tmp_path / "tau.csv"
         out.write_text("old")
         complaint(

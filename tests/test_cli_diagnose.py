@@ -17,7 +17,7 @@ from hybrid.cli.options import sha256
 from hybrid.cli.screen import Screen
 from hybrid.effects import registry
 from hybrid.errors import EffectError
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.recording import Recording, read, write
 from hybrid.robot import Robot
 
@@ -139,7 +139,7 @@ def test_a_simulator_that_cannot_be_written_is_a_warning(
     def refused(*_):
         raise EffectError("hose cannot be simulated")
 
-    monkeypatch.setattr(import_module("hybrid.diagnose.fixed"), "write_fixed", refused)
+    monkeypatch.setattr(import_module("hybrid.diagnosis.fixed"), "write_fixed", refused)
     run(f"{diagnose} --out {tmp_path}/out")
     out, err = capsys.readouterr()
     assert out.splitlines()[-1].startswith("Report: ")
@@ -151,7 +151,7 @@ def test_a_simulator_that_cannot_be_written_is_a_warning(
 def test_much_that_the_simulator_has_not_is_said_in_few_words(
     diagnose, tmp_path, capsys, monkeypatch
 ):
-    fixed = import_module("hybrid.diagnose.fixed")
+    fixed = import_module("hybrid.diagnosis.fixed")
     notes = tuple(f"torque_ripple of joint_{k}" for k in range(9))
     whole = fixed.write_fixed
     monkeypatch.setattr(
@@ -250,7 +250,7 @@ def test_a_terminal_shows_what_is_being_done():
 @pytest.mark.parametrize(
     ("home", "step"),
     [
-        ("hybrid.diagnose.diagnose", "examine"),
+        ("hybrid.diagnosis.diagnose", "examine"),
         ("hybrid.report.diagnosis", "write_results"),  # the page is written by then
     ],
 )

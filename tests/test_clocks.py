@@ -10,14 +10,14 @@ from blind.run import make, read_open
 from simulated import arm
 from test_convention import EULER, STEP, raw_logs
 
-from hybrid.diagnose.convention import find_convention
-from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.fixed import MODEL, write_fixed
-from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.replayed import replayed
+from hybrid.diagnosis.convention import find_convention
+from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.fixed import MODEL, write_fixed
+from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.replayed import replayed
 from hybrid.effects.delay import Delay
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.report.diagnosis import render_diagnosis
 from hybrid.report.diagnosis_curves import joint_curves
 from hybrid.report.diagnosis_evidence import evidence_matrix

@@ -22,7 +22,7 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
-from hybrid.identify.consistency import physically_consistent
+from hybrid.identification.consistency import physically_consistent
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot

@@ -9,9 +9,9 @@ import pytest
 from arms import MODELS
 from simulated import arm
 
-from hybrid.diagnose.convention import Convention, find_convention
-from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.measure import measure_gap
+from hybrid.diagnosis.convention import Convention, find_convention
+from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.measure import measure_gap
 from hybrid.plant import random_fourier
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -53,7 +53,7 @@ def raw_logs(name, integrator, after, count=4, seed=1, offset=0.0):
     shown = replace(robot, kp=kp, kd=kd, timestep=STEP)
     rng, logs = np.random.default_rng(seed), []
     for _ in range(count):
-        wanted = random_fourier(robot, duration=6.0, rate=1 / STEP, rng=rng)
+        wanted = random_fourier(robot, duration=6.0, rate=1 / STEP, seed=rng)
         data = mujoco.MjData(model)
         data.qpos[:] = wanted.q[0]
         for _ in range(250):

@@ -8,7 +8,7 @@ from hybrid.cli import main
 from hybrid.errors import HybridError
 from hybrid.examples import example_robots
 from hybrid.extras import check_extra
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.robot import Robot
 
 

@@ -10,16 +10,16 @@ from arms import LIFT, MODELS
 from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from simulated import arm, quiet
 
-from hybrid.diagnose.advise import advise
-from hybrid.diagnose.background import rest, soft_friction
-from hybrid.diagnose.candidates import candidate
-from hybrid.diagnose.contacts import Contacts, witnessed
-from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.gap import simulated_torque
-from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.replayed import replayed
-from hybrid.diagnose.shapes import nudges, shape_units
-from hybrid.diagnose.split import between, split
+from hybrid.diagnosis.advise import advise
+from hybrid.diagnosis.background import rest, soft_friction
+from hybrid.diagnosis.candidates import candidate
+from hybrid.diagnosis.contacts import Contacts, witnessed
+from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.gap import simulated_torque
+from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.replayed import replayed
+from hybrid.diagnosis.shapes import nudges, shape_units
+from hybrid.diagnosis.split import between, split
 from hybrid.dynamics import RigidBody
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash
@@ -720,12 +720,12 @@ def turned(offset, friction=0.0):
     moving = np.isin(robot.joints, ("elbow", "wrist_3"))
     references = []
     for _ in range(2):
-        r = random_fourier(robot, duration=6.0, rate=250.0, rng=rng, fill=0.3, order=3)
+        r = random_fourier(robot, duration=6.0, rate=250.0, seed=rng, fill=0.3, order=3)
         q, v, a = (
             np.where(moving, x, y) for x, y in ((r.q, r.q[:1]), (r.v, 0.0), (r.a, 0.0))
         )
         references.append(Reference(r.t, q, v, a))
-    return plant, plant.run(references, rng=rng)
+    return plant, plant.run(references, seed=rng)
 
 
 @pytest.mark.study
@@ -740,7 +740,7 @@ def test_the_motion_that_is_advised_tells_at_which_of_two_joints_it_is(tmp_path)
     table = np.loadtxt(tmp_path / first.file, delimiter=",", skiprows=1)
     table = table[table[:, 0] < 6.0]  # which is enough
     asked = Reference(table[:, 0], *np.split(table[:, 1:], 3, axis=1))
-    more = plant.run([asked], rng=rng)
+    more = plant.run([asked], seed=rng)
     assert named(examine(robot, [*recordings, *more])) == {
         ("encoder_offset", ("elbow",))
     }
@@ -776,7 +776,7 @@ class TestDrives:
         """Joint log of a pendulum under PD control through a drive, 1 kHz, 8 s."""
         robot = arm("planar")
         rng = np.random.default_rng(seed)
-        reference = random_fourier(robot, duration=8.0, rate=1000.0, rng=rng)
+        reference = random_fourier(robot, duration=8.0, rate=1000.0, seed=rng)
         model = robot.mujoco_spec().compile()
         model.opt.timestep = 0.0005
         data = mujoco.MjData(model)

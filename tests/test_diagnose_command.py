@@ -8,12 +8,12 @@ import pytest
 from arms import LIFT
 from simulated import arm
 
-from hybrid.diagnose.command import command_link
-from hybrid.diagnose.diagnose import examine
-from hybrid.diagnose.fixed import MODEL, SIMULATOR, write_fixed
-from hybrid.diagnose.links import COMMAND_TO_TORQUE, joined
-from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.replayed import replayed
+from hybrid.diagnosis.command import command_link
+from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.fixed import MODEL, SIMULATOR, write_fixed
+from hybrid.diagnosis.links import COMMAND_TO_TORQUE, joined
+from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.replayed import replayed
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
@@ -24,7 +24,7 @@ from hybrid.effects.encoder_eccentricity import EncoderEccentricity
 from hybrid.effects.loop import Loop, commanded_torque
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_gain import TorqueGain
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.plant import Noise, Plant, simulate
 from hybrid.report.diagnosis import render_diagnosis
 from hybrid.report.diagnosis_text import verdict_lines

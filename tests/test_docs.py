@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import hybrid
-from hybrid.cli.command import build_parser, main
+from hybrid.cli import build_parser, main
 
 ROOT = Path(__file__).parents[1]
 PAGES = [

@@ -3,6 +3,7 @@
 import re
 import string
 import sys
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -81,13 +82,13 @@ def robot() -> Robot:
 @cache
 def reference() -> Reference:
     rng = np.random.default_rng(3)
-    return random_fourier(robot(), duration=5.0, rate=500, rng=rng)
+    return random_fourier(robot(), duration=5.0, rate=500, seed=rng)
 
 
 def log_of(*effects):
     """Motion and what the rigid body does not explain of its torque, without noise."""
     plant = Plant(robot(), effects, noise=Noise.none(3))
-    (log,) = plant.run([reference()], rng=np.random.default_rng(0))
+    (log,) = plant.run([reference()], seed=np.random.default_rng(0))
     motion = motion_from_recording(log, cutoff=np.inf)
     body = RigidBody(robot().chain, motion)
     return motion, body, motion.tau - body.load
@@ -322,9 +323,10 @@ def test_effects_on_signals_are_exact_where_their_columns_are_first_order():
 def closed_loop(name):
     """The loop as the controller thinks it is, the torque logged, and the residual."""
     # Without feed-forward there is something left for the servo to do.
-    servo = Plant(robot(), noise=Noise.none(3)).servo.without_feedforward()
+    servo = Plant(robot(), noise=Noise.none(3)).servo
+    servo = replace(servo, feedforward=None)
     plant = Plant(robot(), [typical(name)], noise=Noise.none(3), servo=servo)
-    (log,) = plant.run([reference()], rng=np.random.default_rng(0))
+    (log,) = plant.run([reference()], seed=np.random.default_rng(0))
     plan = servo.plan(reference(), log.t)
     np.testing.assert_allclose(plan[0], log.command, atol=1e-12)
     motion = motion_from_recording(log, cutoff=np.inf)

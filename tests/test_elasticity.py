@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from simulated import arm, motions
 
-from hybrid.diagnose.candidates import candidate
-from hybrid.diagnose.explanations.search import Search
-from hybrid.diagnose.measure import measure_gap
+from hybrid.diagnosis.candidates import candidate
+from hybrid.diagnosis.explanations.search import Search
+from hybrid.diagnosis.measure import measure_gap
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.effects.elasticity import Elasticity
 from hybrid.plant import Noise, Plant, random_fourier, simulate
@@ -96,8 +96,8 @@ def slow():
     robot, rng = arm("planar"), np.random.default_rng(0)
     plant = Plant(robot, [Elasticity((0,), STIFF)], nominal=robot)
     slowly = {"duration": 20.0, "rate": 500.0, "order": 3, "fill": 0.5}
-    references = [random_fourier(robot, rng=rng, **slowly) for _ in range(2)]
-    return measure_gap(robot, plant.run(references, rng=np.random.default_rng(1)))
+    references = [random_fourier(robot, seed=rng, **slowly) for _ in range(2)]
+    return measure_gap(robot, plant.run(references, seed=np.random.default_rng(1)))
 
 
 def test_a_swing_faster_than_the_log_shows_is_not_made_of_noise(slow):

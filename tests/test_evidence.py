@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from hybrid.diagnose.bayes import coloured, log_bayes, memory
-from hybrid.diagnose.evidence import Evidence
+from hybrid.diagnosis.bayes import coloured, log_bayes, memory
+from hybrid.diagnosis.evidence import Evidence
 from hybrid.signals import butterworth
 
 M = 60

@@ -138,7 +138,7 @@ def test_a_design_keeps_links_apart_and_above_the_floor():
         planar,
         observe(planar.chain),
         Fourier(4, 0.2),
-        rng=np.random.default_rng(0),
+        seed=np.random.default_rng(0),
         criterion=Condition(),
     )
     height = 0.05 + lowest(planar, clearance, free)
@@ -148,7 +148,7 @@ def test_a_design_keeps_links_apart_and_above_the_floor():
         planar,
         observe(planar.chain),
         Fourier(4, 0.2),
-        rng=np.random.default_rng(0),
+        seed=np.random.default_rng(0),
         criterion=Condition(),
         constraints=(clearance, box),
     )
@@ -176,7 +176,7 @@ def test_a_box_that_is_too_small_is_named():
             COMAN,
             observe(COMAN.chain),
             Fourier(3, 0.1),
-            rng=np.random.default_rng(0),
+            seed=np.random.default_rng(0),
             limits=limits,
             constraints=(box,),
         )

@@ -7,9 +7,9 @@ from arms import MODELS
 from hybrid.dynamics import regressor
 from hybrid.effects import effects_from_text
 from hybrid.excitation import Condition, ExpectedError, Fourier, Limits, design, observe
-from hybrid.excitation.columns import FIRST, PIVOTED, condition, rigid_columns
 from hybrid.excitation.constraints import MotionLimits
 from hybrid.excitation.expected_error import usual_structure
+from hybrid.excitation.observation import FIRST, PIVOTED, condition, rigid_columns
 from hybrid.excitation.program import MotionProgram
 from hybrid.plant import Noise
 from hybrid.plant.scale import joint_scales
@@ -74,7 +74,7 @@ def test_the_error_of_both_fits_is_that_of_repeated_ones():
 
 def test_the_default_design_is_expected_to_err_less_than_random_motions():
     found = design(
-        SCARA, OBSERVATION, FAMILY, rng=np.random.default_rng(0), starts=1, rate=10.0
+        SCARA, OBSERVATION, FAMILY, seed=np.random.default_rng(0), starts=1, rate=10.0
     )
     measure = found.criterion
     assert isinstance(measure, ExpectedError)

@@ -30,7 +30,7 @@ def experiments(robot):
         "ladder": speed_ladder(robot, 1, speeds=(0.05, 0.4)),
         "reversals": micro_reversals(robot, 2, amplitudes=(0.002, 0.01)),
         "poses": static_poses(robot, poses),
-        "multisine": multisine(robot, duration=8.0, rng=rng),
+        "multisine": multisine(robot, duration=8.0, seed=rng),
     }
 
 
@@ -82,7 +82,7 @@ def test_poses_are_held_still():
 
 def test_a_multisine_has_power_in_its_band_only_and_no_common_tones():
     reference = multisine(
-        COMAN, lowest=1.0, highest=4.0, duration=20.0, rng=np.random.default_rng(0)
+        COMAN, lowest=1.0, highest=4.0, duration=20.0, seed=np.random.default_rng(0)
     )
     lines = np.abs(np.fft.rfft(reference.a[:-1], axis=0))
     own = lines[20:81:6]  # of the first joint, in twentieths of a hertz
@@ -100,7 +100,7 @@ def test_a_multisine_has_power_in_its_band_only_and_no_common_tones():
 
 
 def test_the_same_path_at_other_speeds():
-    path = multisine(COMAN, duration=6.0, fill=0.3, rng=np.random.default_rng(1))
+    path = multisine(COMAN, duration=6.0, fill=0.3, seed=np.random.default_rng(1))
     slow, same, fast = at_speeds(COMAN, path, (0.5, 1.0, 1.5))
     assert [x.t[-1] for x in (slow, same, fast)] == pytest.approx([12.0, 6.0, 4.0])
     np.testing.assert_allclose(same.q, path.q, atol=1e-12)
@@ -110,7 +110,7 @@ def test_the_same_path_at_other_speeds():
 
 
 def test_too_fast_a_path_names_the_limit():
-    path = multisine(COMAN, duration=6.0, fill=0.8, rng=np.random.default_rng(1))
+    path = multisine(COMAN, duration=6.0, fill=0.8, seed=np.random.default_rng(1))
     with pytest.raises(
         ExcitationError, match="(speed|acceleration|torque) of .* exceed"
     ):
@@ -126,7 +126,7 @@ def test_too_fast_a_path_names_the_limit():
         (lambda: static_poses(COMAN, np.full((2, 6), 9.0)), "position of"),
         (
             lambda: multisine(
-                COMAN, highest=0.3, duration=5.0, rng=np.random.default_rng(0)
+                COMAN, highest=0.3, duration=5.0, seed=np.random.default_rng(0)
             ),
             "one tone or more",
         ),
@@ -141,4 +141,4 @@ def test_bad_requests_say_what_is_valid(make, says):
 def test_weak_drives_are_refused_before_anything_moves():
     limits = replace(Limits.of(COMAN), torque=np.full(6, 0.5))
     with pytest.raises(ExcitationError, match="torque"):
-        multisine(COMAN, rng=np.random.default_rng(0), limits=limits)
+        multisine(COMAN, seed=np.random.default_rng(0), limits=limits)

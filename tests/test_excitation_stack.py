@@ -37,7 +37,7 @@ def stack(count: int) -> StackProgram:
 @cache
 def chosen(together: bool):
     return design(
-        PLANAR, OBSERVATION, Fourier(3, 0.2), rng=np.random.default_rng(0),
+        PLANAR, OBSERVATION, Fourier(3, 0.2), seed=np.random.default_rng(0),
         criterion=Condition(), trajectories=2, starts=2, together=together,
     )  # fmt: skip
 

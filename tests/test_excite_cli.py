@@ -11,10 +11,9 @@ from arms import MODELS
 from PIL import Image
 
 from hybrid.cli import main
-from hybrid.excitation import Limits
+from hybrid.excitation import Fourier, Limits, Trajectory
 from hybrid.excitation.experiments import static_poses
-from hybrid.excitation.families import trajectory_from_dict
-from hybrid.report.posture import postures_figure, save_animation
+from hybrid.report.excitation import postures_figure, save_animation
 from hybrid.robot import Robot
 
 PLANAR = MODELS / "planar.xml"
@@ -55,7 +54,10 @@ def test_references_keep_the_limits_and_begin_and_end_at_rest(folder, k):
 
 def test_coefficients_and_figures_of_merit_are_saved(folder):
     content = json.loads((folder / "design.json").read_text("utf-8"))
-    motion = trajectory_from_dict(content["trajectories"][0])
+    described = content["trajectories"][0]
+    options = described["family"]
+    assert options.pop("name") == "fourier"
+    motion = Trajectory(Fourier(**options), np.array(described["coefficients"]))
     _, x = table(folder / "reference_1.csv")
     np.testing.assert_allclose(motion.path(x[:, 0]).q, x[:, 1:3], atol=1e-9)
     assert len(content["standard_errors"]) == len(content["unknowns"])

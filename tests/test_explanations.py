@@ -8,13 +8,13 @@ import pytest
 from diagnosed import RIPPLE, STRIBECK
 from simulated import arm
 
-from hybrid.diagnose.explanations.belief import Belief
-from hybrid.diagnose.explanations.cause import Cause
-from hybrid.diagnose.explanations.proposal import Proposal
-from hybrid.diagnose.explanations.search import Search
-from hybrid.diagnose.explanations.unknown import unknown_laws, waves
-from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.split import split
+from hybrid.diagnosis.explanations.belief import Belief
+from hybrid.diagnosis.explanations.cause import Cause
+from hybrid.diagnosis.explanations.proposal import Proposal
+from hybrid.diagnosis.explanations.search import Search
+from hybrid.diagnosis.explanations.unknown import unknown_laws, waves
+from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.split import split
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.presliding import Presliding
 from hybrid.plant import Plant, simulate

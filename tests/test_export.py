@@ -18,10 +18,7 @@ from test_files import killed_at
 
 import hybrid
 from hybrid.cli import main
-from hybrid.compensator import (
-    GaussianMixtureRegression,
-    NetworkRegression,
-)
+from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.dynamics import BaseParameters, regressor
 from hybrid.dynamics.base import inertial_labels
@@ -31,9 +28,9 @@ from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.presliding import Presliding
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, ModelFileError
-from hybrid.export import FORMATS, export, program_from_model, read_manifest
-from hybrid.export.manifest import model_digest
-from hybrid.identify import DynamicModel
+from hybrid.exports import FORMATS, export, program_from_model, read_manifest
+from hybrid.exports.manifest import model_digest
+from hybrid.identification import DynamicModel
 from hybrid.model.model_file import content_from_model
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
@@ -422,7 +419,7 @@ def test_an_archive_names_no_file_of_this_computer(folders):
 def test_a_torch_module_hands_its_memory_back():
     import torch
 
-    from hybrid.export.torch_module import ProgramModule
+    from hybrid.exports.torch_module import ProgramModule
 
     robot = public_arm("ur10")
     model = model_of(robot, [Presliding((1,), {"level": 3.0, "distance": 0.02})])
@@ -440,42 +437,6 @@ def test_a_torch_module_hands_its_memory_back():
 
 
 # --- other learners -------------------------------------------------------------------
-
-
-def networks():
-    """An arm with perceptrons of two widths, and a mixture beside them."""
-    rng = np.random.default_rng(0)
-    x = rng.normal(size=(600, 3))
-    y = np.tanh(3 * x[:, :1]) + 0.1 * rng.normal(size=(600, 1))
-    wide = NetworkRegression.fit(x, y, epochs=3)
-    slim = NetworkRegression.fit(x[:, :2], y, epochs=3, width=5)
-    parts = (
-        JointRemainder(0, (0, 1), (0,), wide),
-        JointRemainder(2, (2,), (2,), slim),
-        JointRemainder(4, (4,), (4,), mixture(0, 2, 6)),
-    )
-    return model_of(full_model().robot, remainder=ArmRemainder(6, parts))
-
-
-def test_a_perceptron_is_exported_to_c_onnx_and_torchscript(tmp_path):
-    import torch
-
-    from hybrid.export.torch_module import ProgramModule
-
-    model, motion = networks(), motion_of(full_model().robot, 2000)
-    q, v, a = motion.q, motion.v, motion.a
-    for kind in ("c", "onnx"):
-        export(model, tmp_path / kind, format=kind)
-    _, *in_c = compiled(tmp_path / "c", "coman_like", 6)(q, v, a)
-    in_onnx = session(tmp_path / "onnx", "coman_like").run(
-        None, {"q": q, "v": v, "a": a}
-    )
-    module = ProgramModule(program_from_model(model))
-    in_torch = [x.numpy() for x in module(*map(torch.tensor, (q, v, a)))]
-    variance = model.remainder.predict_distribution(q, v)[1]
-    for tau, spread in (in_c, in_onnx, in_torch):
-        np.testing.assert_allclose(tau, model.predict(motion), rtol=0, atol=1e-9)
-        np.testing.assert_allclose(spread, variance, rtol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["c", "onnx"])
@@ -547,7 +508,7 @@ def test_the_command_exports_and_says_what_is_missing(folders, tmp_path, capsys)
 
 
 def test_every_operation_of_a_tape_has_its_c_onnx_and_torch():
-    from hybrid.export import c_code, onnx_graph, torch_module
+    from hybrid.exports import c_code, onnx_graph, torch_module
 
     for name in OPERATIONS:
         assert name in onnx_graph._NAMES

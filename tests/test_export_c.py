@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import LIFT, MODELS, public_arm
-from test_export import full_model, model_of, networks
+from test_export import full_model, model_of
 
 from hybrid.effects import Scale
 from hybrid.effects.actuator_lag import ActuatorLag
@@ -15,8 +15,8 @@ from hybrid.effects.presliding import Presliding
 from hybrid.effects.thermal_friction import ThermalFriction
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
-from hybrid.export import export, read_manifest
-from hybrid.export.c_code import c_number
+from hybrid.exports import export, read_manifest
+from hybrid.exports.c_code import c_number
 from hybrid.robot import Robot
 
 PLANAR = MODELS / "planar.xml"
@@ -105,14 +105,13 @@ def models():
     ]
     return {
         "mixtures": full_model(),
-        "networks": networks(),
         "memory": model_of(ur10, effects),
     }
 
 
 @pytest.mark.parametrize("compiler", compilers())
 @pytest.mark.parametrize("single", [False, True])
-@pytest.mark.parametrize("kind", ["mixtures", "networks", "memory"])
+@pytest.mark.parametrize("kind", ["mixtures", "memory"])
 def test_no_input_breaks_it_or_brings_a_torque_that_is_none(
     tmp_path, compiler, single, kind
 ):

@@ -6,7 +6,7 @@ from test_export import full_model, model_of, motion_of
 
 from hybrid.effects.presliding import Presliding
 from hybrid.errors import HybridError
-from hybrid.export import CompiledModel, compiled
+from hybrid.exports import CompiledModel, compiled
 
 
 @pytest.fixture(scope="module")

@@ -24,8 +24,8 @@ from hybrid.effects.thermal_friction import ThermalFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError, ModelFileError
-from hybrid.export import CompiledModel, export, program_from_model, read_manifest
-from hybrid.export.c_code import c_number
+from hybrid.exports import CompiledModel, export, program_from_model, read_manifest
+from hybrid.exports.c_code import c_number
 from hybrid.plant.native import split_effects
 from hybrid.robot import Robot
 from hybrid.signals import Motion

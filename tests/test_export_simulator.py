@@ -16,7 +16,7 @@ from hybrid.effects.payload import Payload
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
-from hybrid.export import CompiledModel, export, missing_model, model_simulator
+from hybrid.exports import CompiledModel, export, missing_model, model_simulator
 from hybrid.plant import install, load_truth
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.native import split_effects
@@ -212,7 +212,7 @@ def test_a_simulation_of_another_arm_is_refused():
 
 
 def test_the_command_line_writes_the_file_it_is_given(tmp_path, monkeypatch):
-    from hybrid.cli.command import main
+    from hybrid.cli import main
 
     robot = Robot.load(MODELS / "planar.xml")
     model = model_of(robot, [Coulomb((0,), {"level": 0.5})])

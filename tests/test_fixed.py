@@ -11,13 +11,13 @@ import pytest
 from scipy.interpolate import CubicSpline
 from simulated import arm
 
-from hybrid.diagnose.fixed import fixed_model, fixed_simulator, write_fixed
-from hybrid.diagnose.measure import measure_gap
+from hybrid.diagnosis.fixed import fixed_model, fixed_simulator, write_fixed
+from hybrid.diagnosis.measure import measure_gap
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
 from hybrid.errors import HybridWarning
-from hybrid.export import build_simulator
-from hybrid.identify import DynamicModel
+from hybrid.exports import build_simulator
+from hybrid.identification import DynamicModel
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
@@ -47,12 +47,12 @@ def effect_of(name, **values):
 def motion_of(effect_id):
     """A noise-free recording of an arm with an effect; and the gap of its simulator."""
     robot, rng = arm("planar"), np.random.default_rng(4)
-    reference = random_fourier(robot, duration=5.0, rate=500.0, rng=rng)
+    reference = random_fourier(robot, duration=5.0, rate=500.0, seed=rng)
     effects = [effect_of(effect_id, **EXACT.get(effect_id, {}))] if effect_id else []
     plant = Plant(robot, effects, nominal=robot, noise=Noise.none(robot.size))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)  # it saturates
-        logs = plant.run([reference], rng=rng)
+        logs = plant.run([reference], seed=rng)
         return logs[0], measure_gap(robot, logs, cutoff=40.0), effects
 
 

@@ -14,14 +14,14 @@ from arms import MODELS
 from hybrid.cli import main
 from hybrid.effects import effects_from_text
 from hybrid.errors import HybridError
-from hybrid.fleet import fleet
-from hybrid.fleet import worker as workers
-from hybrid.fleet.changes import changes, crossing, level, threshold
-from hybrid.fleet.estimate import deviations
-from hybrid.fleet.plan import TRACK, plan_from_dict
-from hybrid.fleet.pooling import pooled
-from hybrid.fleet.unit import answer
-from hybrid.identify import identify
+from hybrid.fleets import fleet
+from hybrid.fleets import worker as workers
+from hybrid.fleets.changes import changes, crossing, level, threshold
+from hybrid.fleets.estimate import deviations
+from hybrid.fleets.plan import TRACK, plan_from_dict
+from hybrid.fleets.pooling import pooled
+from hybrid.fleets.unit import answer
+from hybrid.identification import identify
 from hybrid.model.model_file import content_from_model
 from hybrid.plant import Plant, simulate
 from hybrid.plant.scale import joint_scales

@@ -17,7 +17,7 @@ from simulated import (
 
 from hybrid.effects import JointState, effect_class
 from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.identify import identify
+from hybrid.identification import identify
 from hybrid.plant import load_truth, simulate
 
 FASTEST = 2.2  # rad/s, of the motions below

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hybrid.identify import friction
+from hybrid.identification import friction
 
 
 def sums_of(slopes, level=0.0):

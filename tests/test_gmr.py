@@ -111,7 +111,7 @@ def test_density_agrees_with_scikit_learn():
     x = rng.uniform(-1, 1, (600, 1))
     y = np.sin(3 * x) + 0.1 * rng.normal(size=x.shape)
     scaled = [(v - v.mean(0)) / v.std(0) for v in (x, y)]
-    model = GaussianMixtureRegression.fit(x, y, components=4, rng=7, bound=1e9)
+    model = GaussianMixtureRegression.fit(x, y, components=4, seed=7, bound=1e9)
     reference = GaussianMixture(
         4,
         reg_covar=1e-4,
@@ -287,7 +287,7 @@ def test_the_smallest_of_equally_good_counts_is_chosen():
 def test_equal_seeds_give_equal_models():
     x, y = sample(0, n=3000)
     a, b, c = (
-        GaussianMixtureRegression.fit(x, y, components=4, rng=seed, max_samples=1000)
+        GaussianMixtureRegression.fit(x, y, components=4, seed=seed, max_samples=1000)
         for seed in (0, np.random.default_rng(0), 1)
     )
     for name, values in a.arrays().items():

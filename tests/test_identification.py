@@ -14,7 +14,7 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, IdentificationError, RecordingError
-from hybrid.identify import identify, predict, validate
+from hybrid.identification import identify, predict, validate
 from hybrid.plant import Plant, random_fourier
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -25,10 +25,10 @@ RIGID = {"stages": ("rigid",)}
 def logs(robot, effects=(), *, count=2, duration=6.0, seed=0, fill=0.7):
     rng = np.random.default_rng(seed)
     references = [
-        random_fourier(robot, duration=duration, rate=1000, rng=rng, fill=fill)
+        random_fourier(robot, duration=duration, rate=1000, seed=rng, fill=fill)
         for _ in range(count)
     ]
-    return Plant(robot, effects).run(references, rng=rng)
+    return Plant(robot, effects).run(references, seed=rng)
 
 
 @cache

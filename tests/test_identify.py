@@ -8,7 +8,7 @@ from simulated import arm, coman, quiet
 
 from hybrid.effects import JointState, effect_class
 from hybrid.errors import HybridWarning, IdentificationError, RecordingError
-from hybrid.identify import identify, validate
+from hybrid.identification import identify, validate
 from hybrid.plant import simulate
 from hybrid.regression.least_squares import ESTIMATORS
 from hybrid.signals import motion_from_recording

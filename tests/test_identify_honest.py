@@ -7,7 +7,7 @@ from test_friction import logs, ripples
 from test_remainder import OPTIONS
 from test_remainder import logs as logs_with_structure
 
-from hybrid.identify import identify, validate
+from hybrid.identification import identify, validate
 
 
 def linear(motion):

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wrong_logs import WRONG, about, healthy
 
-from hybrid.cli.command import main
-from hybrid.diagnose.diagnose import examine
+from hybrid.cli import main
+from hybrid.diagnosis.diagnose import examine
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.deadzone import Deadzone
 from hybrid.effects.delay import Delay
@@ -23,7 +23,7 @@ from hybrid.effects.spring import Spring
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.errors import HybridWarning, RecordingError
-from hybrid.identify import DynamicModel, identify, predict, validate
+from hybrid.identification import DynamicModel, identify, predict, validate
 from hybrid.inspect import Doubt, check_recordings, inspect_recording
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import write

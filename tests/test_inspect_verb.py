@@ -9,7 +9,7 @@ import pytest
 from arms import MODELS
 from wrong_logs import WRONG, healthy
 
-from hybrid.cli.command import main
+from hybrid.cli import main
 from hybrid.inspect import inspect_recording
 from hybrid.recording import Recording, write
 from hybrid.robot import Robot

@@ -12,9 +12,9 @@ from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import JointState
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.identify import identify, validate
-from hybrid.identify.data import Data, thinned
-from hybrid.identify.gate import lowers
+from hybrid.identification import identify, validate
+from hybrid.identification.data import Data, thinned
+from hybrid.identification.gate import lowers
 from hybrid.regression.prior import file_prior, spread
 from hybrid.regression.problem import part
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnose.locate import locate, time_since_reversal
-from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.visited import not_excited, reversals
+from hybrid.diagnosis.locate import locate, time_since_reversal
+from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.visited import not_excited, reversals
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.spring import Spring
 from hybrid.plant import random_fourier
@@ -25,7 +25,7 @@ def still_gap():
     robot, rng = arm("planar"), np.random.default_rng(3)
     logs = []
     for _ in range(4):
-        r = random_fourier(robot, duration=8.0, rate=200.0, rng=rng)
+        r = random_fourier(robot, duration=8.0, rate=200.0, seed=rng)
         log = Recording(t=r.t, q=r.q, tau=0 * r.q, joints=robot.joints)
         logs.append(motion_from_recording(log, cutoff=15.0))
     return measure_gap(robot, logs, cutoff=15.0)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import arm
 
-from hybrid.diagnose.menu import Experiment, Menu, gap_along, loaded
+from hybrid.diagnosis.menu import Experiment, Menu, gap_along, loaded
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.errors import ExcitationError
 from hybrid.plant import random_fourier
@@ -108,7 +108,7 @@ def test_a_carried_mass_weighs_at_the_centre_of_the_last_link():
 
 def test_a_gap_along_an_experiment_is_of_the_simulator_and_empty():
     rng = np.random.default_rng(0)
-    path = random_fourier(arm("planar"), duration=5.0, rate=250.0, rng=rng)
+    path = random_fourier(arm("planar"), duration=5.0, rate=250.0, seed=rng)
     ahead = gap_along(diagnosed.planar().gap, Experiment("a motion", path))
     assert not ahead.left.any()
     (motion,) = ahead.motions

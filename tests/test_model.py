@@ -17,7 +17,7 @@ from simulated import (
 
 from hybrid.effects import effect_class
 from hybrid.errors import ModelFileError
-from hybrid.identify import DynamicModel, identify, validate
+from hybrid.identification import DynamicModel, identify, validate
 
 COUPLING = {"inertia": 0.1, "viscous": 0.6, "coulomb": 0.5}
 

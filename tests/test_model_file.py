@@ -19,7 +19,7 @@ from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import ModelFileError, RobotError
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.model.model_file import SCHEMA
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot

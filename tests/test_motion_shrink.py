@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnose import replay as replaying
-from hybrid.diagnose.candidates import candidate
-from hybrid.diagnose.explanation import explain
-from hybrid.diagnose.explanations.search import Search
-from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.motion import motion_shrink, rollout_agrees, step_warning
-from hybrid.diagnose.replay import HORIZONS, Replay
-from hybrid.diagnose.split import split
+from hybrid.diagnosis import replay as replaying
+from hybrid.diagnosis.candidates import candidate
+from hybrid.diagnosis.explanation import explain
+from hybrid.diagnosis.explanations.search import Search
+from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.motion import motion_shrink, rollout_agrees, step_warning
+from hybrid.diagnosis.replay import HORIZONS, Replay
+from hybrid.diagnosis.split import split
 from hybrid.effects import effect_classes
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.plant.rollout import Windows, rollout
@@ -46,14 +46,14 @@ def logs(effects, noisy=False, trajectories=4, fundamental=None):
     robot, rng = arm("planar"), np.random.default_rng(4)
     references = [
         random_fourier(
-            robot, duration=6.0, rate=500.0, rng=rng, fundamental=fundamental
+            robot, duration=6.0, rate=500.0, seed=rng, fundamental=fundamental
         )
         for _ in range(trajectories)
     ]
     noise = None if noisy else Noise.none(robot.size)
     present = [effect_of(name) for name in effects]
     plant = Plant(robot, present, nominal=robot, noise=noise)
-    return tuple(plant.run(references, rng=rng))
+    return tuple(plant.run(references, seed=rng))
 
 
 @cache

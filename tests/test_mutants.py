@@ -75,7 +75,7 @@ def test_a_constant_is_no_function():
 
 
 def test_what_survives_meets_the_slow_tests_and_those_of_its_folder_once():
-    first, second = tiers("hybrid/calibrate/solve.py")
+    first, second = tiers("hybrid/calibration/solve.py")
     quick, slow = (
         f"tests/test_calibrate.py::test_{x}"
         for x in ("calibrate_is_public", "errors_stay_within_a_fifth[0.0]")

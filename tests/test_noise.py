@@ -9,8 +9,8 @@ from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 from test_evidence import dense, problem
 
-from hybrid.diagnose.bayes import heavy_tailed, log_bayes
-from hybrid.diagnose.noise import LAGS, Noise, autocovariance, floored
+from hybrid.diagnosis.bayes import heavy_tailed, log_bayes
+from hybrid.diagnosis.noise import LAGS, Noise, autocovariance, floored
 
 
 def covariance(pole, size=2.0, lags=LAGS):

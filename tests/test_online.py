@@ -16,10 +16,10 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.errors import IdentificationError, RecordingError
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.online import OnlineIdentifier, Sample
-from hybrid.online.columns import Columns
-from hybrid.online.layout import Layout
+from hybrid.online.columns import InstantColumns
+from hybrid.online.layout import RowLayout
 from hybrid.online.square_root import SquareRootFilter
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
@@ -44,7 +44,7 @@ def effects():
 def log(seconds=30.0, seed=0, mass=0.0, at=np.inf, noise=0.3):
     """Clock, position, torque and true links of an arm 15 % off its file."""
     rng = np.random.default_rng(seed)
-    ref = random_fourier(arm(), duration=seconds, rate=RATE, rng=rng)
+    ref = random_fourier(arm(), duration=seconds, rate=RATE, seed=rng)
     off = np.random.default_rng(0).uniform(0.85, 1.15, (6, 1))
     links = arm().chain.inertial * off
     loaded = links.copy()
@@ -234,8 +234,8 @@ def test_columns_of_an_instant_are_the_slopes_of_the_torque(branches, monkeypatc
         monkeypatch.setattr(Stribeck, "law", staticmethod(whole_motion))
     tracker = OnlineIdentifier(arm(), some, rate=RATE)
     problem, theta = tracker.problem, tracker.theta
-    layout = Layout(problem, shapes=True)
-    columns = Columns(arm(), problem, layout, 1)
+    layout = RowLayout(problem, shapes=True)
+    columns = InstantColumns(arm(), problem, layout, 1)
     q, v, a = (x[:1] for x in random_states(6, 1, 3))
     v *= 0.02
 

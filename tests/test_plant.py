@@ -71,7 +71,7 @@ def effect(name: str, *joints: int, **values: float) -> Effect:
 def motions(robot: Robot, count: int = 1, duration: float = 4.0) -> list[Reference]:
     children = np.random.default_rng(5).spawn(count)
     return [
-        random_fourier(robot, duration=duration, rate=500, rng=rng) for rng in children
+        random_fourier(robot, duration=duration, rate=500, seed=rng) for rng in children
     ]
 
 
@@ -84,7 +84,7 @@ def hold(q: list[float], duration: float = 1.0) -> Reference:
 def run(robot, effects=(), references=None, **options):
     options.setdefault("noise", Noise.none(robot.size))
     plant = Plant(robot, effects, **options)
-    return plant.run(references or motions(robot), rng=np.random.default_rng(0))
+    return plant.run(references or motions(robot), seed=np.random.default_rng(0))
 
 
 def residual(robot, recording):
@@ -523,7 +523,7 @@ def test_late_commands_make_a_late_motion(two_links):
 
 
 def test_a_softer_servo_sags_more(pendulum):
-    stiff = Plant(pendulum).servo.without_feedforward()
+    stiff = replace(Plant(pendulum).servo, feedforward=None)
     sag = [
         run(pendulum, effects, [hold([0.0], 2.0)], servo=stiff)[0].q[-1, 0]
         for effects in ([], [effect("controller_gain", stiffness=-0.5, damping=-0.3)])
@@ -616,7 +616,7 @@ def test_a_random_motion_fills_its_limits_and_rests_at_both_ends(
 ):
     robot = bounded()
     x = random_fourier(
-        robot, duration=duration, rate=200, rng=np.random.default_rng(seed),
+        robot, duration=duration, rate=200, seed=np.random.default_rng(seed),
         fill=fill, order=order,
     )  # fmt: skip
     low, high, fastest, strongest = limits(robot)

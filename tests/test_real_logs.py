@@ -13,7 +13,7 @@ import pytest
 from simulated import quiet
 
 from hybrid.effects import effect_class
-from hybrid.identify import identify, validate
+from hybrid.identification import identify, validate
 from hybrid.recording import read_all
 from hybrid.robot import Robot
 from hybrid.signals import Sampler, motion_from_recording

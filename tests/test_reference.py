@@ -20,14 +20,14 @@ def test_a_motion_too_short_for_its_harmonics_is_refused_with_what_is_valid():
                 duration=duration,
                 rate=rate,
                 order=order,
-                rng=np.random.default_rng(0),
+                seed=np.random.default_rng(0),
             )
 
 
 def test_the_shortest_motion_is_one_that_stays_within_the_limits():
     robot = arm("planar")
     motion = random_fourier(
-        robot, duration=20 / 500, rate=500, rng=np.random.default_rng(0)
+        robot, duration=20 / 500, rate=500, seed=np.random.default_rng(0)
     )
     assert len(motion.t) == 21
     assert (np.abs(motion.v).max(axis=0) <= robot.v_max).all()

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from learners import NetworkRegression
 from simulated import (
     arm,
     coloured,
@@ -14,12 +15,11 @@ from simulated import (
     with_torque,
 )
 
-from hybrid.compensator import NetworkRegression
 from hybrid.compensator.arm_remainder import ArmRemainder
-from hybrid.identify import identify, validate
-from hybrid.identify.data import Data
-from hybrid.identify.identification import MOST_LEARNED
-from hybrid.identify.remainder import fit_remainder
+from hybrid.identification import identify, validate
+from hybrid.identification.data import Data
+from hybrid.identification.identification import MOST_LEARNED
+from hybrid.identification.remainder import fit_remainder
 from hybrid.signals import Motion
 
 OPTIONS = {"stages": ("rigid", "remainder"), "cutoff": 15.0}

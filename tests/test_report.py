@@ -58,6 +58,10 @@ def torques(n: int = 3, samples: int = 200):
     return t, measured, {"LS": 0.8 * measured, "full": 0.99 * measured}
 
 
+def drawing():
+    return report.torque_figure(*torques(), JOINTS)
+
+
 class Loads(HTMLParser):
     """Everything a page would fetch, and whether its tags close."""
 
@@ -91,7 +95,7 @@ def test_table_without_a_noise_floor_has_only_stages():
 
 def test_markdown_table_keeps_its_columns():
     strange = validation(joints=("a|b", "elbow", "wrist"))
-    lines = report.validation_markdown(strange).splitlines()
+    lines = report.markdown_table(report.table_from_validation(strange)).splitlines()
     assert r"a\|b" in lines[0]
     assert {len(re.findall(r"(?<!\\)\|", line)) for line in lines} == {7}
 
@@ -99,18 +103,11 @@ def test_markdown_table_keeps_its_columns():
 def test_terminal_table_takes_no_name_for_markup():
     out = StringIO()
     strange = validation(joints=("[red]a", "elbow", "wrist"))
-    Console(file=out, width=120).print(report.validation_table(strange))
+    Console(file=out, width=120).print(
+        report.numbers_table(report.table_from_validation(strange))
+    )
     assert "[red]a" in out.getvalue()
     assert "−75.0 %" in out.getvalue()
-
-
-def test_rms_figure_shows_newton_metres_and_percent():
-    above, below = report.rms_figure(validation()).axes
-    assert "N·m" in above.get_ylabel()
-    assert "%" in below.get_ylabel()
-    assert len(above.patches) == len(STAGES) * (len(JOINTS) + 1)
-    assert above.patches[0].get_height() == 8.0
-    assert below.patches[0].get_height() == pytest.approx(20.0)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6, 7])
@@ -131,49 +128,20 @@ def test_torque_figure_refuses_what_it_cannot_draw():
         report.torque_figure(t, measured, dict.fromkeys("abcd", measured), JOINTS)
 
 
-def test_friction_figure_has_one_axes_per_joint_and_few_points():
-    rng = np.random.default_rng(0)
-    v = rng.uniform(-1, 1, (10_000, 3))
-    grid = np.linspace(-1, 1, 101)
-    figure = report.friction_figure(v, np.sign(v), [(grid, np.sign(grid))] * 3, JOINTS)
-    assert len(figure.axes) == 3
-    points, law = figure.axes[0].lines
-    assert len(points.get_xdata()) <= 3000
-    assert len(law.get_xdata()) == 101
-    with pytest.raises(HybridError, match="2 curves"):
-        report.friction_figure(v, v, [(grid, grid)] * 2, JOINTS)
-
-
-def test_parameter_figure_counts_what_the_intervals_hold():
-    estimate, std = np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.1, np.nan])
-    (axes,) = report.parameter_figure(
-        ["m1", "m2", "m3"], estimate, std, estimate + [0.1, 0.3, 0.0]
-    ).axes
-    assert "holds 1 of 2" in axes.get_xlabel()
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["m1", "m2", "m3"]
-
-
-def test_parameter_figure_without_truth_draws_an_estimate_of_zero():
-    estimate, std = np.array([1.0, 0.0]), np.array([0.1, 0.1])
-    (axes,) = report.parameter_figure(["m1", "m2"], estimate, std).axes
-    drawn = np.concatenate([line.get_xdata() for line in axes.lines[1:]])
-    np.testing.assert_allclose(drawn, [19.6, 1e4])
-
-
 @pytest.mark.parametrize(
     ("suffix", "start"), [(".svg", b"<?xml"), (".png", b"\x89PNG"), (".pdf", b"%PDF")]
 )
 def test_figure_files_depend_on_the_data_only(tmp_path, suffix, start):
     first, second = tmp_path / f"1{suffix}", tmp_path / f"2{suffix}"
     for path in (first, second):
-        report.save_figure(report.rms_figure(validation()), path)
+        report.save_figure(drawing(), path)
     assert first.read_bytes().startswith(start)
     assert first.read_bytes() == second.read_bytes()
 
 
 def test_a_figure_of_no_known_kind_writes_nothing(tmp_path):
     with pytest.raises(HybridError, match="valid are svg, png, pdf"):
-        report.save_figure(report.rms_figure(validation()), tmp_path / "rms.bmp")
+        report.save_figure(drawing(), tmp_path / "rms.bmp")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -191,7 +159,7 @@ def test_page_is_one_file_that_loads_nothing(tmp_path):
             "Errors",
             "First.\n\nSecond.",
             table=report.table_from_validation(result),
-            figure=report.rms_figure(result),
+            figure=drawing(),
             caption="Errors per joint.",
             command="make demo",
         )
@@ -220,7 +188,7 @@ def test_page_escapes_names():
             evil,
             evil,
             table=report.table_from_validation(result),
-            figure=report.rms_figure(validation()),
+            figure=drawing(),
             caption=evil,
             command=evil,
         )

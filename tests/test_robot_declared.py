@@ -13,8 +13,8 @@ from simulated import arm
 
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import HybridWarning, RobotError
-from hybrid.export import model_simulator
-from hybrid.identify import identify
+from hybrid.exports import model_simulator
+from hybrid.identification import identify
 from hybrid.plant import Plant, simulate
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain

@@ -8,6 +8,7 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
+from arms import MODELS
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,7 +18,7 @@ from hybrid.recording import Recording, write
 from hybrid.robot import Robot
 from hybrid.servo import Drive, fit_servo
 from hybrid.servo.drive import NAMES, QUANTITIES
-from hybrid.servo.simulator import Simulator, bristles
+from hybrid.servo.simulator import ServoSimulator, bristles
 from hybrid.servo.start import first_guess
 from hybrid.servo.stretch import chosen, stretches_of
 from hybrid.servo.write import write_servos
@@ -157,7 +158,7 @@ def test_the_written_file_moves_as_the_servos_that_were_found(folder, tmp_path):
     data = mujoco.MjData(model)
     stretch = stretches_of([log(9, seconds=6.0)])[0]
     parts = round(stretch.step / model.opt.timestep)
-    ours = Simulator(fit.robot, step=model.opt.timestep)
+    ours = ServoSimulator(fit.robot, step=model.opt.timestep)
     ((expected,),) = ours.replay([stretch], [fit.drive])
     for k in range(model.nu):
         held = np.full(int(model.actuator_history[k, 0]), stretch.command[0, k])
@@ -187,6 +188,16 @@ def test_only_joints_and_actuators_of_the_file_change(robot, tmp_path):
     original = mujoco.MjModel.from_xml_string(ARM)
     assert (again.nu, again.ngeom) == (original.nu, original.ngeom)
     assert [again.actuator(k).name for k in range(2)] == ["a", "b"]
+
+
+def test_servos_of_a_urdf_have_no_limit_but_that_of_the_drive(tmp_path):
+    robot = Robot.load(MODELS / "coman_like.urdf")
+    drive = Drive.declared(robot)
+    write_servos(robot, drive, tmp_path / "fixed.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "fixed.xml"))
+    assert not model.actuator_forcelimited.any()
+    np.testing.assert_allclose(model.actuator_gainprm[:, 4], drive["stiffness"])
+    np.testing.assert_allclose(model.dof_damping, drive["damping"])
 
 
 def test_a_joint_that_never_moves_keeps_the_numbers_of_the_file(robot):

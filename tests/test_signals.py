@@ -9,17 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, sosfiltfilt
 
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import HybridWarning
 from hybrid.recording import Recording, read_all
 from hybrid.signals import (
     Motion,
     Sampler,
-    average_periods,
     butterworth,
     central_difference,
     choose_cutoff,
     filter_reach,
-    fourier_fit,
     motion_from_recording,
     speed_against_position,
 )
@@ -393,62 +391,3 @@ def test_the_cutoff_of_real_logs_is_sane(folder, lowest, highest):
         pytest.skip(f"the real logs are not here: no {DATA / folder}")
     for recording in read_all(DATA / folder):
         assert lowest <= choose_cutoff(recording) <= highest
-
-
-@settings(max_examples=25)
-@given(seed=st.integers(0, 999), order=st.integers(1, 6))
-def test_a_fourier_series_is_found_again_with_its_derivatives(seed, order):
-    rng = np.random.default_rng(seed)
-    t = np.sort(rng.uniform(0, 12, 400))
-    coefficients = rng.standard_normal((2 * order + 1, 2))
-    w = 2 * np.pi * 0.1 * np.arange(1, order + 1)
-    phase = np.outer(t, w)
-    basis = np.hstack([np.ones((400, 1)), np.sin(phase), np.cos(phase)])
-    motion = fourier_fit(t, basis @ coefficients, fundamental=0.1, order=order)
-    assert motion.order == order
-    assert np.allclose(motion.sine, coefficients[1 : order + 1], atol=1e-6)
-    h = 1e-4
-    ahead, behind = motion.position(t + h), motion.position(t - h)
-    assert np.allclose(motion.velocity(t), (ahead - behind) / (2 * h), atol=1e-4)
-    turn = (ahead - 2 * motion.position(t) + behind) / h**2
-    assert np.allclose(motion.acceleration(t), turn, atol=1e-4)
-
-
-def test_a_fourier_series_needs_a_period_samples_and_a_nyquist_frequency():
-    t = np.arange(100) / 10
-    with pytest.raises(RecordingError, match="a whole period"):
-        fourier_fit(t, t[:, None], fundamental=0.05, order=3)
-    with pytest.raises(RecordingError, match="needs 203"):
-        fourier_fit(t, t[:, None], fundamental=0.1, order=101)
-    with pytest.raises(RecordingError, match="Nyquist .* below 50"):
-        fourier_fit(
-            np.arange(1000) / 10, np.zeros((1000, 1)), fundamental=0.1, order=60
-        )
-
-
-@pytest.mark.parametrize("rate", [100.0, 99.7])
-def test_averaging_periods_finds_motion_and_noise(rate):
-    rng = np.random.default_rng(3)
-    t = np.arange(int(40 * rate)) / rate
-    q = np.sin(2 * np.pi * 0.25 * t)[:, None] * [1.0, 2.0]
-    tau = np.cos(2 * np.pi * 0.25 * t)[:, None] * [5.0, 1.0]
-    noise = np.array([0.5, 0.02])
-    log = Recording(t=t, q=q, tau=tau + noise * rng.standard_normal(tau.shape))
-    mean, std = average_periods(log, 0.25)
-    assert mean.size == 2
-    assert len(mean.t) == round(rate * 4)
-    assert np.allclose(mean.q[:, 0], np.sin(2 * np.pi * 0.25 * mean.t), atol=1e-3)
-    # linear interpolation between samples takes up to a third of the noise variance
-    assert np.all((std > 0.75 * noise) & (std < 1.1 * noise))
-    error = np.std(mean.tau[:, 0] - 5 * np.cos(2 * np.pi * 0.25 * mean.t))
-    assert error < 1.3 * noise[0] / np.sqrt(10)
-    if rate == 100.0:
-        assert std == pytest.approx(noise, rel=0.05)
-
-
-def test_two_whole_periods_are_needed_for_an_average():
-    t = np.arange(200) / 100  # the last step belongs to the second period
-    log = Recording(t=t, q=np.sin(2 * np.pi * t)[:, None], tau=np.ones((200, 1)))
-    assert len(average_periods(log, 1.0)[0].t) == 100
-    with pytest.raises(RecordingError, match="1 whole periods .* two or more"):
-        average_periods(log, 0.9)

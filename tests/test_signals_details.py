@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from hybrid.errors import RecordingError
 from hybrid.recording import Recording
 from hybrid.signals import Sampler, motion_from_recording
 from hybrid.signals.cutoff import choose_cutoff
 from hybrid.signals.filters import butterworth, central_difference, filter_reach
-from hybrid.signals.periodic import average_periods, fourier_fit
 
 
 def record(q, rate, tau=None):
@@ -159,63 +157,6 @@ def test_a_cutoff_stays_between_five_hertz_and_two_fifths_of_the_rate():
 
 
 # --- periods --------------------------------------------------------------------------
-
-
-def test_a_fourier_series_has_the_amplitudes_of_its_harmonics():
-    t = np.arange(400) / 100
-    w = 2 * np.pi * 0.5
-    q = 0.3 + 2.0 * np.sin(w * t) - 0.5 * np.cos(2 * w * t)
-    found = fourier_fit(t, q[:, None], fundamental=0.5, order=2)
-    np.testing.assert_allclose(found.offset, [0.3], atol=1e-12)
-    np.testing.assert_allclose(found.sine[:, 0], [2.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(found.cosine[:, 0], [0.0, -0.5], atol=1e-12)
-    assert found.order == 2 and found.fundamental == 0.5
-    v = 2 * w * np.cos(w * t) + w * np.sin(2 * w * t)
-    a = -2 * w**2 * np.sin(w * t) + 2 * w**2 * np.cos(2 * w * t)
-    np.testing.assert_allclose(found.velocity(t)[:, 0], v, atol=1e-10)
-    np.testing.assert_allclose(found.acceleration(t)[:, 0], a, atol=1e-9)
-
-
-def test_a_fourier_series_needs_no_more_than_it_says():
-    q = np.zeros((5, 1))
-    fourier_fit(np.arange(5) / 5, q, fundamental=1.25, order=1)
-    fourier_fit(np.arange(5) * 0.25, q, fundamental=0.99, order=2)  # just 2·2 + 1
-    with pytest.raises(RecordingError, match="needs 5 and a whole period"):
-        fourier_fit(np.arange(4) * 0.33, q[:4], fundamental=1.0, order=2)
-    with pytest.raises(RecordingError, match="a whole period"):
-        fourier_fit(np.arange(5) * 0.24, q, fundamental=1.0, order=1)
-    with pytest.raises(RecordingError, match="above the Nyquist frequency 2 Hz"):
-        fourier_fit(np.arange(9) * 0.25, np.zeros((9, 1)), fundamental=1.0, order=2)
-
-
-def test_an_average_over_periods_keeps_what_repeats_and_measures_the_noise():
-    rng = np.random.default_rng(0)
-    t = np.arange(2000) / 100
-    q = np.sin(2 * np.pi * 0.5 * t)[:, None] * [1.0, 2.0]
-    noise = rng.normal(size=q.shape) * [0.3, 0.1]
-    mean, sigma = average_periods(record(q, 100.0, 3 * q + noise), 0.5)
-    assert len(mean.t) == 200 and mean.t[-1] == pytest.approx(1.99)
-    np.testing.assert_allclose(mean.q, q[:200], atol=1e-9)
-    np.testing.assert_allclose(sigma, [0.3, 0.1], rtol=0.05)
-    assert np.std(mean.tau - 3 * q[:200], axis=0) == pytest.approx(
-        np.array([0.3, 0.1]) / np.sqrt(10), rel=0.15
-    )
-    two = record(q[:400], 100.0)
-    average_periods(two, 0.5)
-    with pytest.raises(RecordingError, match="1 whole periods"):
-        average_periods(record(q[:399], 100.0), 0.5)
-
-
-def test_samples_just_off_a_period_are_taken_as_they_are():
-    """Interpolation would average their noise away."""
-    rng = np.random.default_rng(0)
-    q = rng.normal(size=(800, 1))
-    log = record(q, 100.0)
-    mean, _ = average_periods(log, 0.5 * (1 + 2e-6))
-    expected = q.reshape(4, 200, 1).mean(axis=0)
-    np.testing.assert_allclose(mean.q, expected, rtol=0, atol=1e-12)
-    between, _ = average_periods(log, 0.5 / 1.00125)  # half a step a period
-    assert np.abs(between.q - expected).max() > 0.1
 
 
 def test_a_log_without_noise_ends_where_its_motion_ends():

@@ -26,7 +26,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, RobotError
-from hybrid.export import build_simulator
+from hybrid.exports import build_simulator
 from hybrid.model.declared import declared_effects
 from hybrid.robot import Robot
 

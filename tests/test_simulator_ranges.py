@@ -13,9 +13,9 @@ from simulated import arm
 from hybrid.dynamics.pseudo_inertia import is_consistent
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.errors import HybridError
-from hybrid.export import export, ranges, sample
+from hybrid.exports import export, ranges, sample
 from hybrid.files import read_yaml
-from hybrid.identify import identify
+from hybrid.identification import identify
 from hybrid.model import DynamicModel
 from hybrid.plant import Plant, simulate
 

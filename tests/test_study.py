@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from demo_report import write_identification
 from study import Study
 
 from hybrid import Robot, identify, simulate, validate
 from hybrid.effects.coulomb import Coulomb
 from hybrid.errors import HybridWarning
 from hybrid.report import provenance
-from hybrid.report.identification import write_identification
 
 STAGES = ("LS", "published", "ours")
 

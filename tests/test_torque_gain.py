@@ -9,7 +9,7 @@ from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.viscous import Viscous
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.regression.problem import build_problem
 from hybrid.signals import motion_from_recording
@@ -23,8 +23,8 @@ def log():
     robot, rng = arm("planar"), np.random.default_rng(0)
     effects = [TorqueGain((0,), {"gain": GAIN}), Coulomb((0,), {"level": LEVEL})]
     plant = Plant(robot, effects, noise=Noise.none(2))
-    reference = random_fourier(robot, duration=5, rate=1000, rng=rng)
-    (recording,) = plant.run([reference], rng=rng)
+    reference = random_fourier(robot, duration=5, rate=1000, seed=rng)
+    (recording,) = plant.run([reference], seed=rng)
     return motion_from_recording(recording, cutoff=40.0)
 
 

@@ -9,7 +9,7 @@ from arms import MODELS
 from hybrid.cli import main
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import effects_from_text
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 from hybrid.online import OnlineIdentifier
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
     effects = effects_from_text("coulomb,viscous", robot.joints, joint_scales(robot))
     OnlineIdentifier(robot, effects, rate=200.0).model.save(path / "model.json")
     rng = np.random.default_rng(0)
-    ref = random_fourier(robot, duration=20.0, rate=200.0, rng=rng)
+    ref = random_fourier(robot, duration=20.0, rate=200.0, seed=rng)
     loaded = robot.chain.inertial.copy()
     loaded[-1] += 1.5 * np.array([1, 0.05, 0, 0, 0, 0, 0.01, 0, 0, 0.01])
     before, after = (

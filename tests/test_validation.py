@@ -11,8 +11,8 @@ from hybrid.dynamics import inverse_dynamics
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError, ModelFileError, RecordingError
-from hybrid.identify import identify, predict, validate
-from hybrid.identify.validation import noise_floor
+from hybrid.identification import identify, predict, validate
+from hybrid.identification.validation import noise_floor
 from hybrid.plant import simulate
 from hybrid.signals import Sampler, motion_from_recording
 

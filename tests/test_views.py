@@ -1,5 +1,8 @@
 """Results show themselves as tables, pictures and data frames; no name is markup."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,9 +10,10 @@ from matplotlib.figure import Figure
 from test_calibrate import coman, disturbed, measured
 
 from hybrid import Recording, Robot, identify, inspect_recording, simulate
-from hybrid.calibrate import calibrate, random_poses
+from hybrid.calibration import calibrate, random_poses
+from hybrid.diagnosis.diagnosis import Diagnosis, Finding, Unseen, Value
 from hybrid.excitation import Condition, Fourier, design, observe
-from hybrid.identify import DynamicModel
+from hybrid.identification import DynamicModel
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +34,7 @@ def fit(arm, logs):
 @pytest.fixture(scope="module")
 def motions(arm):
     return design(
-        arm, observe(arm.chain), Fourier(3, 0.2), rng=np.random.default_rng(0),
+        arm, observe(arm.chain), Fourier(3, 0.2), seed=0,
         criterion=Condition(), starts=1,
     )  # fmt: skip
 
@@ -69,8 +73,8 @@ def test_a_design_shows_the_errors_to_expect_and_saves_its_motions(motions, tmp_
 
 
 def test_a_calibration_draws_each_correction_with_its_interval():
-    arm, rng = coman(), np.random.default_rng(0)
-    q = random_poses(arm, 30, rng)
+    arm = coman()
+    q = random_poses(arm, 30, 0)
     places = measured(disturbed(arm.chain), q, "position", noise=1e-5)
     found = calibrate(arm, places)
     frame = found.to_frame()
@@ -84,8 +88,42 @@ def test_an_inspection_shows_draws_and_saves_a_page(arm, logs, tmp_path):
     assert "shoulder" in found._repr_html_()
     assert len(found.plot().lines) == arm.size
     assert list(found.to_frame()["joint"]) == list(arm.joints)
-    found.save(tmp_path / "log.html")
+    found.to_html(tmp_path / "log.html")
+    found.save(tmp_path / "log.json")
+    assert json.loads((tmp_path / "log.json").read_text())["misleads"] is False
     assert "shoulder" in (tmp_path / "log.html").read_text(encoding="utf-8")
+
+
+def test_every_result_writes_a_page_that_loads_nothing(fit, motions, tmp_path):
+    for k, result in enumerate((fit, motions)):
+        path = tmp_path / f"{k}.html"
+        result.to_html(path)
+        page = path.read_text(encoding="utf-8")
+        assert "data:image/svg+xml" in page and "https://" not in page
+
+
+def a_diagnosis(**more):
+    found = Finding(
+        "stribeck", ("b",), ("stribeck",), 0.8,
+        (Value("b", "level", 2.0, "N·m", (1.5, 2.5)),), {}, "It sticks <b>.", "Oil it.",
+    )  # fmt: skip
+    numbers = ((2.0, 1.0), (0.5, 0.2), (0.1, 0.1))
+    return Diagnosis("arm", ("a", "b"), *numbers, (), (found,), "explained", 0.1, 0.05)
+
+
+def test_a_diagnosis_shows_its_findings_and_draws_the_gap_of_each_joint(tmp_path):
+    found = a_diagnosis()
+    assert "It sticks &lt;b&gt;." in found._repr_html_()
+    (row,) = found.to_frame().to_dict("records")
+    assert (row["effect"], row["low"], row["high"]) == ("stribeck", 1.5, 2.5)
+    heights = [bar.get_height() for bar in found.plot().patches]
+    assert heights == [2.0, 1.0, 0.1, 0.1]
+    unseen = Unseen(*[(1.0, 0.3)] * 5)
+    assert len(replace(found, unseen=unseen).plot().patches) == 6
+    found.save(tmp_path / "diagnosis.json")
+    assert json.loads((tmp_path / "diagnosis.json").read_text()) == found.as_dict()
+    found.to_html(tmp_path / "diagnosis.html")
+    assert "explained" in (tmp_path / "diagnosis.html").read_text(encoding="utf-8")
 
 
 def test_a_name_with_markup_in_it_stays_text():

@@ -226,12 +226,12 @@ def healthy(
     """
     rng = np.random.default_rng(seed)
     believed = nominal or robot
-    r = random_fourier(believed, duration=duration, rate=500.0, rng=rng, fill=fill)
+    r = random_fourier(believed, duration=duration, rate=500.0, seed=rng, fill=fill)
     if reach is not None:
         share = reach / np.maximum(np.ptp(r.q, axis=0), reach)
         r = replace(r, q=(r.q - r.q.mean(0)) * share, v=r.v * share, a=r.a * share)
     if rest is not None:
         moves = np.arange(robot.size) != rest
         r = replace(r, q=np.where(moves, r.q, r.q[0]), v=r.v * moves, a=r.a * moves)
-    (x,) = Plant(robot, effects, nominal=believed).run([r], rng=rng)
+    (x,) = Plant(robot, effects, nominal=believed).run([r], seed=rng)
     return replace(x, q=x.q + count * rng.standard_normal(x.q.shape))

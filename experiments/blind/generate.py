@@ -117,7 +117,7 @@ def generate(case: Case, visible: Path, sealed: Path) -> None:
         real, effects, nominal=robot, noise=noise,
         step=recipe.step, integrator=recipe.integrator, log_rate=RATE,
     )  # fmt: skip
-    recordings = plant.run(references, rng=rng)
+    recordings = plant.run(references, seed=rng)
     # Whoever runs a controller knows its gains, or what they are meant to be.
     assert plant.servo is not None
     shown = replace(robot, kp=plant.servo.kp, kd=plant.servo.kd)
@@ -162,7 +162,7 @@ def _effects(
 def _reference(robot: Robot, recipe: Recipe, rng: np.random.Generator) -> Reference:
     fill = 0.12 if recipe.poor else 0.7
     motion = random_fourier(
-        robot, duration=DURATION, rate=RATE, rng=rng, fill=fill,
+        robot, duration=DURATION, rate=RATE, seed=rng, fill=fill,
         order=3 if recipe.poor else 5,
     )  # fmt: skip
     if not recipe.poor:

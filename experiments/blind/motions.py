@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.diagnose.candidates import Candidate, candidate
-from hybrid.diagnose.explanation import explain
-from hybrid.diagnose.replay import Replay
-from hybrid.diagnose.result import Result
+from hybrid.diagnosis.candidates import Candidate, candidate
+from hybrid.diagnosis.explanation import explain
+from hybrid.diagnosis.replay import Replay
+from hybrid.diagnosis.result import Result
 from hybrid.effects import Effect
 from hybrid.errors import EffectError
 

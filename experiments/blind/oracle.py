@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnose.background import background
-from hybrid.diagnose.candidates import Candidate, candidate
-from hybrid.diagnose.evidence import Evidence
-from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.measure import measure_gap
-from hybrid.diagnose.products import Index
-from hybrid.diagnose.result import Result
+from hybrid.diagnosis.background import background
+from hybrid.diagnosis.candidates import Candidate, candidate
+from hybrid.diagnosis.evidence import Evidence
+from hybrid.diagnosis.gap import Gap
+from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.products import Index
+from hybrid.diagnosis.result import Result
 from hybrid.effects import Effect
 from hybrid.recording import Recording
 

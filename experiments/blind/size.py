@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnose.candidates import declared
-from hybrid.diagnose.gap import Gap
-from hybrid.diagnose.measure import measure_gap
+from hybrid.diagnosis.candidates import declared
+from hybrid.diagnosis.gap import Gap
+from hybrid.diagnosis.measure import measure_gap
 from hybrid.effects import Effect
 from hybrid.effects.effect import Scale
 from hybrid.errors import HybridError
@@ -50,7 +50,7 @@ class Rig:
         cls, robot: Robot, reference: Reference, noise: Noise, rng: np.random.Generator
     ) -> Rig:
         """Run the arm without any effect, without noise and with it."""
-        (clean,) = _perfect(robot, ()).run([reference], rng=rng)
+        (clean,) = _perfect(robot, ()).run([reference], seed=rng)
         signals = {"q": clean.q, "v": clean.v, "tau": clean.tau}
         assert clean.v is not None
         noisy = noise.apply(signals, rate=_rate(clean), rng=rng)  # type: ignore[arg-type]
@@ -66,7 +66,7 @@ class Rig:
     def sizes(self, *effects: Effect) -> Array:
         """Gap at each joint over the residual of a perfect fit there, shape (n,)."""
         plant = _perfect(self.robot, effects)
-        run = plant.run([self.reference], rng=np.random.default_rng(0))
+        run = plant.run([self.reference], seed=np.random.default_rng(0))
         rms = gap_rms(measure_gap(self.robot, run, cutoff=self.cutoff))
         excess = np.sqrt(np.maximum(rms**2 - self.bare**2, 0.0))
         return np.asarray(excess / np.maximum(self.floor, 1e-12))

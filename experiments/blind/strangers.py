@@ -12,15 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from blind.past import past
-from hybrid.effects.effect import (
-    Array,
-    Body,
-    Effect,
-    JointState,
-    Port,
-    Quantity,
-    Scope,
-)
+from hybrid.arrays import Array
+from hybrid.effects.effect import Body, Effect, JointState, Port, Quantity, Scope
 from hybrid.effects.joint_effect import JointEffect
 from hybrid.signals import Motion
 

@@ -1,6 +1,7 @@
-"""Learners that experiments compare with those of the package."""
+"""Learners that experiments compare with the mixture of the package."""
 
+from learners.network import NetworkRegression
 from learners.random_features import RandomFeatureRegression
 from learners.symmetric import SymmetricRegression
 
-__all__ = ["RandomFeatureRegression", "SymmetricRegression"]
+__all__ = ["NetworkRegression", "RandomFeatureRegression", "SymmetricRegression"]

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from hybrid.compensator.checks import check_pair, draw
-from hybrid.compensator.envelope import Envelope
 from hybrid.errors import ModelFileError
+from learners.envelope import Envelope
 
 if TYPE_CHECKING:
     from learners.modules import RandomFeatureModule
@@ -55,7 +55,7 @@ class RandomFeatureRegression:
         y: ArrayLike,
         *,
         features: int = 200,
-        rng: np.random.Generator | int = 0,
+        seed: int | np.random.Generator = 0,
         bound: ArrayLike | None = None,
         max_samples: int = 20_000,
     ) -> RandomFeatureRegression:
@@ -65,11 +65,11 @@ class RandomFeatureRegression:
             x: Inputs, shape (N, d), any unit.
             y: Torque that the physical terms leave, shape (N, m), [N·m].
             features: Number of features P.
-            rng: Generator or seed.
+            seed: Seed or generator.
             bound: Largest absolute output, [N·m]; the largest of ``y`` by default.
             max_samples: Rows to learn from at most.
         """
-        rng = np.random.default_rng(rng)
+        rng = np.random.default_rng(seed)
         x, y = draw(*check_pair(x, y), max_samples, rng)
         envelope = Envelope.around(x, y, bound=bound, rng=rng)
         z, size = envelope.standardised(x), np.sqrt(envelope.prior_variance)

@@ -105,9 +105,11 @@ class SymmetricRegression:
             ModelFileError: An array is missing or not valid.
         """
         from hybrid.compensator import REMAINDERS
+        from learners.network import NetworkRegression
         from learners.random_features import RandomFeatureRegression
 
-        inside = REMAINDERS | {RandomFeatureRegression.kind: RandomFeatureRegression}
+        own_kinds = (RandomFeatureRegression, NetworkRegression)
+        inside = REMAINDERS | {cls.kind: cls for cls in own_kinds}
 
         kinds = {name.partition(":")[0] for name in arrays if ":" in name}
         known = kinds & inside.keys()

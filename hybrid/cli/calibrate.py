@@ -95,14 +95,13 @@ def run(args: Namespace, screen: Screen) -> None:
 def _choose(args: Namespace, robot: Robot, screen: Screen) -> None:
     import numpy as np
 
-    from hybrid.calibrate import choose_poses, random_poses
+    from hybrid.calibration import choose_poses, random_poses
     from hybrid.files import atomic_path
 
     path = args.out / "poses.csv"
     check_outputs([path, args.json], [args.robot])
     how = record(args, [args.robot])
-    rng = np.random.default_rng(args.seed)
-    candidates = random_poses(robot, _CANDIDATES, rng)
+    candidates = random_poses(robot, _CANDIDATES, args.seed)
     with screen.working(f"choosing poses of {robot.name}"):
         rows = choose_poses(
             robot, candidates, args.choose, kind=args.measure, free=args.free
@@ -116,7 +115,7 @@ def _choose(args: Namespace, robot: Robot, screen: Screen) -> None:
 
 
 def _calibrate(args: Namespace, robot: Robot, screen: Screen) -> None:
-    from hybrid.calibrate import calibrate, cross_validate, read_measurements
+    from hybrid.calibration import calibrate, cross_validate, read_measurements
     from hybrid.report import write_results
     from hybrid.report.calibration import (
         content_from_calibration,

@@ -32,12 +32,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace, screen: Screen) -> None:
     """Read, inspect, identify, draw and show."""
     from hybrid.examples import examples_folder
-    from hybrid.identify import identify
+    from hybrid.identification import identify
     from hybrid.inspect import inspect_recording
     from hybrid.recording import read
     from hybrid.report import numbers_table, save_figure
+    from hybrid.report.figures import excerpt_figure
     from hybrid.report.fit import content_from_fit, held_out_table
-    from hybrid.report.identification import excerpt_figure
     from hybrid.report.inspection import clocks_table, verdict
     from hybrid.robot import Robot
 

@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hybrid.cli.options import (
     add_common,
@@ -21,12 +21,13 @@ from hybrid.cli.options import (
     whole,
     write_record,
 )
-from hybrid.cli.servo import diagnose_servos, without_torque
 from hybrid.errors import EffectError, HybridWarning
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
-    from hybrid.diagnose.result import Result
+    from hybrid.diagnosis.result import Result
+    from hybrid.recording import Recording
+    from hybrid.robot import Robot
 
 _MOST_NOTES = 3
 
@@ -67,13 +68,14 @@ def run(args: Namespace, screen: Screen) -> None:
     """Diagnose, write the report and say what came out."""
     import numpy as np
 
-    from hybrid.diagnose.advise import advise
-    from hybrid.diagnose.diagnose import examine
-    from hybrid.diagnose.fixed import MODEL, SIMULATOR
-    from hybrid.diagnose.replayed import replayed
+    from hybrid.diagnosis.advise import advise
+    from hybrid.diagnosis.diagnose import examine
+    from hybrid.diagnosis.fixed import MODEL, SIMULATOR
+    from hybrid.diagnosis.replayed import replayed
     from hybrid.files import atomic_folder
     from hybrid.report.diagnosis import CONTENT, PAGE, write_diagnosis
     from hybrid.report.diagnosis_text import verdict_lines
+    from hybrid.servo import without_torque
 
     robot = load_robot(args)
     recordings, files = read_logs(args, screen, robot.joints, torque=False)
@@ -82,7 +84,7 @@ def run(args: Namespace, screen: Screen) -> None:
     check_outputs([*(args.out / name for name in names), args.json], inputs)
     how = record(args, inputs)
     if without_torque(recordings):
-        diagnose_servos(args, robot, recordings, how, screen)
+        _diagnose_servos(args, robot, recordings, how, screen)
         return
     with screen.working(f"diagnosing {robot.name}") as tell:
         result = examine(
@@ -105,6 +107,37 @@ def run(args: Namespace, screen: Screen) -> None:
         screen.say(f"Simulator with what was found: {args.out / SIMULATOR}{lacks}")
 
 
+def _diagnose_servos(
+    args: Namespace,
+    robot: Robot,
+    recordings: Sequence[Recording],
+    how: dict[str, Any],
+    screen: Screen,
+) -> None:
+    """Fit, write report, numbers and simulator to a folder, and show."""
+    from hybrid.cli.screen import show_servos
+    from hybrid.diagnosis.fixed import SIMULATOR
+    from hybrid.files import atomic_folder, write_json
+    from hybrid.report.diagnosis import CONTENT, PAGE
+    from hybrid.report.servo import write_servo_page
+    from hybrid.servo import fit_servo
+    from hybrid.servo.write import write_servos
+
+    with screen.working(f"fitting the servos of {robot.name}") as tell:
+        found = fit_servo(robot, recordings, progress=tell)
+    logs = [x for x in recordings if x.source in found.unseen] or list(recordings)
+    replay = found.replayed(logs[0])
+    with atomic_folder(args.out) as folder:
+        content = {**found.as_dict(), "provenance": how}
+        write_json(folder / CONTENT, content)
+        write_servo_page(folder / PAGE, found, replay, provenance=how)
+        write_servos(robot, found.drive, folder / SIMULATOR)
+    write_record(args, how, found.as_dict())
+    show_servos(found, screen)
+    screen.say(f"Report: {args.out / PAGE}")
+    screen.say(f"Simulator with what was found: {args.out / SIMULATOR}")
+
+
 def _few(notes: Sequence[str]) -> str:
     shown = ", ".join(notes[:_MOST_NOTES])
     more = len(notes) - _MOST_NOTES
@@ -113,7 +146,7 @@ def _few(notes: Sequence[str]) -> str:
 
 def _fix(result: Result, folder: Path) -> tuple[str, ...] | None:
     """Write the corrected simulator; nothing if it cannot be simulated."""
-    from hybrid.diagnose.fixed import write_fixed
+    from hybrid.diagnosis.fixed import write_fixed
 
     try:
         return write_fixed(result, folder).notes

@@ -40,11 +40,10 @@ examples:
   hybrid excite --robot arm.urdf --effects viscous,coulomb --clearance 0.02 \\
       --floor 0 --trajectories 3 --duration 20 --out excite"""
 
-_CRITERIA = ("error", "condition", "normalised", "d", "a", "e")
+_CRITERIA = ("error", "condition", "d")
 # What a fit of a log has beside the rigid body; published condition numbers have none.
 _FITTED = "armature,torque_offset,coulomb,viscous"
-_PLAIN = ("condition", "normalised")
-_FAMILIES = ("fourier", "fourier-quintic", "spline")
+_FAMILIES = ("fourier", "spline")
 _PICTURES = ("motion.png", "information.png", "postures.png", "motion.gif")
 
 
@@ -56,16 +55,15 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--effects",
         metavar="LIST",
         help="effects to be identified beside the rigid body; laws of one joint "
-        f"(default {_FITTED}; for condition and normalised none)",
+        f"(default {_FITTED}; for condition none)",
     )
     parser.add_argument(
         "--criterion",
         choices=_CRITERIA,
         default="error",
         help="error: expected torque error on random motions within the limits "
-        "(default); d: volume of the confidence ellipsoid; a: mean standard error; e: "
-        "longest axis; condition number as it is, torque in N·m, or with normalised "
-        "columns",
+        "(default); d: volume of the confidence ellipsoid; condition: number of the "
+        "observation matrix, torque in N·m",
     )
     parser.add_argument("--family", choices=_FAMILIES, default="fourier")
     parser.add_argument("--trajectories", type=count, default=1, metavar="N")
@@ -114,7 +112,7 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.plant.noise import Noise
 
     robot = load_robot(args)
-    plain = args.criterion in _PLAIN
+    plain = args.criterion == "condition"
     wanted = "" if plain and args.effects is None else args.effects or _FITTED
     effects = load_effects(wanted, robot)
     outputs = [*reference_paths(args.out, args.trajectories), args.out / DESIGN]
@@ -129,7 +127,7 @@ def run(args: Namespace, screen: Screen) -> None:
             robot,
             observation,
             _family(args),
-            rng=np.random.default_rng(args.seed),
+            seed=args.seed,
             criterion=_criterion(args.criterion),
             limits=limits,
             constraints=_constraints(args, robot, limits),
@@ -147,8 +145,12 @@ def run(args: Namespace, screen: Screen) -> None:
 
 def _draw(args: Namespace, found: Design, limits: Limits) -> None:
     from hybrid.report import save_figure
-    from hybrid.report.excitation import information_figure, motion_figure
-    from hybrid.report.posture import postures_figure, save_animation
+    from hybrid.report.excitation import (
+        information_figure,
+        motion_figure,
+        postures_figure,
+        save_animation,
+    )
 
     motion, information, postures, animation = (args.out / x for x in _PICTURES)
     robot, reference = found.robot, found.trajectories[0].reference(50.0)
@@ -179,8 +181,9 @@ def _tell(args: Namespace, screen: Screen, found: Design) -> None:
     conditions = found.rigid_conditions.items()
     named = ", ".join(f"{x:.4g} ({columns})" for columns, x in conditions)
     screen.say(f"condition of the rigid body in SI units {named}")
+    whitened = "" if args.criterion == "condition" else ", whitened"
     screen.say(
-        f"of all {count} columns{'' if args.criterion in _PLAIN else ', whitened'}: "
+        f"of all {count} columns{whitened}: "
         f"condition {found.condition:.4g}, log det {found.log_det:.4g}"
     )
     if args.criterion == "error":
@@ -197,31 +200,18 @@ def _tell(args: Namespace, screen: Screen, found: Design) -> None:
 
 
 def _family(args: Namespace) -> Any:
-    from hybrid.excitation import Fourier, FourierQuintic, Spline
+    from hybrid.excitation import Fourier, Spline
 
     if args.family == "spline":
         return Spline(args.duration, 2 * args.order)
-    kind = Fourier if args.family == "fourier" else FourierQuintic
-    return kind(args.order, 1.0 / args.duration)
+    return Fourier(args.order, 1.0 / args.duration)
 
 
 def _criterion(name: str) -> Criterion | None:
     """The criterion of that name; nothing for the default of the design."""
-    from hybrid.excitation import (
-        AOptimal,
-        Condition,
-        DOptimal,
-        EOptimal,
-        NormalisedCondition,
-    )
+    from hybrid.excitation import Condition, DOptimal
 
-    kinds: dict[str, type[Criterion]] = {
-        "condition": Condition,
-        "normalised": NormalisedCondition,
-        "d": DOptimal,
-        "a": AOptimal,
-        "e": EOptimal,
-    }
+    kinds: dict[str, type[Criterion]] = {"condition": Condition, "d": DOptimal}
     return kinds[name]() if name in kinds else None
 
 

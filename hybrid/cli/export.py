@@ -12,7 +12,7 @@ from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
-    from hybrid.identify import DynamicModel
+    from hybrid.identification import DynamicModel
 
 _FORMATS = (
     "onnx", "torchscript", "c", "mjcf", "urdf", "isaaclab", "ranges", "json",
@@ -55,8 +55,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Export and say what is missing."""
-    from hybrid.export import export
-    from hybrid.identify import DynamicModel
+    from hybrid.exports import export
+    from hybrid.identification import DynamicModel
 
     if args.out.exists() and not args.out.is_dir():
         raise HybridError(f"{args.out}: is a file; valid is the name of a folder")

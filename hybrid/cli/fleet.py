@@ -58,8 +58,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Run the fleet, write and show."""
-    from hybrid.fleet import fleet
-    from hybrid.fleet.plan import read_plan
+    from hybrid.fleets import fleet
+    from hybrid.fleets.plan import read_plan
     from hybrid.report.fleet import (
         alarms_table,
         lead_sentence,

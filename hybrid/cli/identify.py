@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hybrid.cli.options import (
     add_common,
@@ -20,12 +20,12 @@ from hybrid.cli.options import (
     whole,
     write_record,
 )
-from hybrid.cli.servo import identify_servos, without_torque
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
-    from hybrid.identify import Fit
+    from hybrid.identification import Fit
+    from hybrid.servo import ServoFit
 
 HELP = """identify the drive torque of an arm from recordings
 writes MODEL.json, one file with a hash of all that it says; shows the error of every
@@ -92,9 +92,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Identify, save and show."""
-    from hybrid.identify import identify
-    from hybrid.identify.three_stage import STAGES
+    from hybrid.identification import identify
+    from hybrid.identification.three_stage import STAGES
     from hybrid.report.fit import content_from_fit
+    from hybrid.servo import fit_servo, without_torque
 
     args.stages = args.stages or STAGES
     robot = load_robot(args)
@@ -103,11 +104,18 @@ def run(args: Namespace, screen: Screen) -> None:
     servo = without_torque(recordings)
     if not servo and args.out.suffix != ".json":
         raise HybridError(f"{args.out}: a model is saved as .json")
+    if servo and args.out.suffix.lower() not in (".xml", ".mjcf"):
+        raise HybridError(
+            f"{args.out}: of logs without torque comes a simulator; valid is the name "
+            "of an .xml file"
+        )
     inputs = [args.robot, *files]
     check_outputs([args.out, args.json], inputs)
     how = record(args, inputs)
     if servo:
-        identify_servos(args, robot, recordings, how, screen)
+        with screen.working(f"fitting the servos of {robot.name}") as tell:
+            found = fit_servo(robot, recordings, progress=tell)
+        _save_servos(found, args, how, screen)
         return
     with screen.working(f"identifying {robot.name} from {len(recordings)} recordings"):
         fit = identify(
@@ -140,3 +148,27 @@ def _show(fit: Fit, screen: Screen) -> None:
         if len(fit.unidentifiable) > _SHOWN:
             screen.say(f"  … and {len(fit.unidentifiable) - _SHOWN} more, see --json")
     screen.show_words(effects_table(fit))
+
+
+def _save_servos(
+    found: ServoFit, args: Namespace, how: dict[str, Any], screen: Screen
+) -> None:
+    """Write the user's simulator with the servos found, and show them.
+
+    Raises:
+        HybridError: They replay unseen motion worse than the file's, as far as seen.
+    """
+    from hybrid.cli.screen import show_servos
+    from hybrid.servo.write import write_servos
+
+    if found.after.mean() > found.before.mean() + found.floor.mean():
+        raise HybridError(
+            f"{found.robot.name}: servos found miss unseen motion by "
+            f"{1000 * found.after.mean():.1f} mrad, the file's by "
+            f"{1000 * found.before.mean():.1f}: nothing saved; valid are logs of more "
+            "varied motion"
+        )
+    write_servos(found.robot, found.drive, args.out)
+    write_record(args, how, found.as_dict())
+    show_servos(found, screen)
+    screen.say(f"simulator: {args.out}")

@@ -42,9 +42,9 @@ def run(args: Namespace, screen: Screen) -> None:
     """Predict and write."""
     import numpy as np
 
-    from hybrid.identify import DynamicModel, predict
+    from hybrid.identification import DynamicModel, predict
     from hybrid.inspect import check_recordings
-    from hybrid.report.columns import write_columns, writer_of
+    from hybrid.recording.write import write_columns, writer_of
 
     writer_of(args.out)
     model = DynamicModel.load(args.model)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
     from hybrid.report import Table
+    from hybrid.servo import ServoFit
 
 _WIDTH_OF_A_FILE = 160
 
@@ -117,6 +118,19 @@ def words_table(
         # As Text, so that a bracket in a name is not taken for markup.
         table.add_row(*(Text(x) if isinstance(x, str) else x for x in row))
     return table
+
+
+def show_servos(found: ServoFit, screen: Screen) -> None:
+    """Show errors, what the file has wrong, and what is not known."""
+    from hybrid.report import numbers_table
+    from hybrid.report.servo import findings_table, gap_table, servos_table
+
+    for table in (gap_table(found), findings_table(found), servos_table(found)):
+        if table.rows:
+            screen.show_numbers(numbers_table(table))
+    for note in found.notes:
+        screen.say(f"Note: {note}.")
+    screen.say(found.sentence)
 
 
 def _console(*, stderr: bool = False) -> Console:

@@ -62,10 +62,10 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.errors import HybridWarning
-    from hybrid.identify import DynamicModel
+    from hybrid.identification import DynamicModel
     from hybrid.inspect import inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
-    from hybrid.report.columns import write_columns, writer_of
+    from hybrid.recording.write import write_columns, writer_of
 
     writer_of(args.out)
     model = DynamicModel.load(args.model)

@@ -42,9 +42,9 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Validate and show."""
-    from hybrid.identify import DynamicModel, validate
+    from hybrid.identification import DynamicModel, validate
     from hybrid.model.dynamic_model import check_same_arm
-    from hybrid.report import validation_table
+    from hybrid.report import numbers_table, table_from_validation
 
     model = DynamicModel.load(args.model)
     robot = load_robot(args) if args.robot else model.robot
@@ -58,7 +58,7 @@ def run(args: Namespace, screen: Screen) -> None:
     with screen.working(f"validating on {len(recordings)} recordings"):
         validation = validate(model, recordings, robot=robot)
     write_record(args, how, validation.as_dict())
-    screen.show_numbers(validation_table(validation))
+    screen.show_numbers(numbers_table(table_from_validation(validation)))
     first, last = validation.rows[0], validation.rows[-1]
     screen.say(
         f"{last.name}: {validation.reduction:.1%} less mean RMS than {first.name}, "

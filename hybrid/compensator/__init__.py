@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hybrid.compensator.gmr import GaussianMixtureRegression
-from hybrid.compensator.network import NetworkRegression
 
 if TYPE_CHECKING:
     import torch
@@ -17,13 +16,12 @@ if TYPE_CHECKING:
 __all__ = [
     "REMAINDERS",
     "GaussianMixtureRegression",
-    "NetworkRegression",
     "Remainder",
 ]
 
 
 class Remainder(Protocol):
-    """What every learned remainder can do, whatever it is made of.
+    """The interface of every learned remainder.
 
     A class also has ``fit(x, y, ...)``. Each is bounded, fades to zero outside its data
     and refuses NaN.
@@ -60,9 +58,5 @@ class Remainder(Protocol):
 
 # Kind, as written in a model file -> the class whose ``from_arrays`` reads it.
 REMAINDERS: dict[str, type[Remainder]] = {
-    cls.kind: cls
-    for cls in (
-        GaussianMixtureRegression,
-        NetworkRegression,
-    )
+    GaussianMixtureRegression.kind: GaussianMixtureRegression
 }

@@ -141,7 +141,12 @@ class ArmRemainder:
                 x[len(prefix) :]: a for x, a in arrays.items() if x.startswith(prefix)
             }
             try:
-                regression = REMAINDERS[str(item["kind"])].from_arrays(own)
+                if (kind := str(item["kind"])) not in REMAINDERS:
+                    valid = " or ".join(REMAINDERS)
+                    raise ModelFileError(
+                        f"remainder {k} is of kind {kind[:40]!r}; valid is {valid}"
+                    )
+                regression = REMAINDERS[kind].from_arrays(own)
                 joint = int(str(item["joint"]))
                 positions, speeds = (
                     tuple(int(j) for j in item[key])  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""What a learned remainder refuses, in one readable line each."""
+"""Checks of the data of a learned remainder."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def check_pair(
 def draw(
     x: Array, y: Array, size: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """At most so many rows, drawn without replacement and left in order."""
+    """Draw at most ``size`` rows without replacement; their order stays."""
     if len(x) <= size:
         return x, y
     rows = np.sort(rng.choice(len(x), size, replace=False))

@@ -24,7 +24,6 @@ from hybrid.arrays import Array
 from hybrid.compensator.checks import check_matrix, check_mixture
 from hybrid.compensator.conditional import FARTHEST as FARTHEST
 from hybrid.compensator.conditional import Conditional, soft_minimum
-from hybrid.compensator.em import Structure
 from hybrid.errors import HybridError, ModelFileError
 from hybrid.extras import check_extra
 
@@ -98,13 +97,10 @@ class GaussianMixtureRegression:
         components: int | None = None,
         candidates: Sequence[int] = (1, 2, 4, 8, 16),
         validation: tuple[ArrayLike, ArrayLike] | None = None,
-        rng: np.random.Generator | int = 0,
+        seed: int | np.random.Generator = 0,
         covariance_floor: float = 1e-4,
         max_samples: int = 20_000,
         bound: ArrayLike | None = None,
-        structure: Structure = "full",
-        rank: int = 2,
-        passes: int = 0,
     ) -> GaussianMixtureRegression:
         """Learn the mixture by expectation maximisation.
 
@@ -116,18 +112,13 @@ class GaussianMixtureRegression:
             validation: Held-out ``(x, y)``, best whole motions that were not fitted;
                 they choose K by predictive likelihood. Without them BIC does, which
                 takes samples for independent and so tends to choose too many.
-            rng: Generator or seed; equal seeds give equal models.
+            seed: Seed or generator; equal seeds give equal models.
             covariance_floor: Added to every variance, as a fraction of the variance of
                 its channel. Keeps components from collapsing onto a stand-still, at
                 whose border the torque would jump.
             max_samples: Rows to learn from at most, drawn without replacement.
             bound: Largest absolute output, shape (m,) or scalar, [N·m], for instance a
                 fraction of the rated torque; None takes the largest residual in ``y``.
-            structure: What covariances may be: ``full``, ``diagonal``, or ``low_rank``:
-                some directions and one variance for all others.
-            rank: Number of directions of a low rank.
-            passes: Further passes over all samples, ``max_samples`` or not, on a GPU if
-                there is one.
 
         Returns:
             The learned regression.
@@ -144,34 +135,11 @@ class GaussianMixtureRegression:
             y,
             candidates=candidates if components is None else (components,),
             validation=validation,
-            rng=np.random.default_rng(rng),
+            rng=np.random.default_rng(seed),
             covariance_floor=covariance_floor,
             max_samples=max_samples,
             bound=bound,
-            structure=structure,
-            rank=rank,
-            passes=passes,
         )
-
-    def updated(
-        self, x: ArrayLike, y: ArrayLike, *, known: float, passes: int = 3
-    ) -> GaussianMixtureRegression:
-        """The regression with new samples added to those it was learned from.
-
-        What it knows stands for earlier samples, which are not needed again; after each
-        of a few passes over the new ones only the sums of both are kept.
-
-        Source: Neal and Hinton 1998, doi 10.1007/978-94-011-5014-9_12.
-
-        Args:
-            x: New inputs, shape (N, d), [unit of the training inputs].
-            y: New remaining torque, shape (N, m), [N·m].
-            known: Number of samples that what it knows counts as; few forget fast.
-            passes: Passes over the new samples.
-        """
-        from hybrid.compensator.gmr_fit import update_gmr
-
-        return update_gmr(self, x, y, known=known, passes=passes)
 
     def predict(self, x: ArrayLike) -> Array:
         """Expected remaining torque.

@@ -5,14 +5,15 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.mixture import GaussianMixture
 
 from hybrid.arrays import Array
 from hybrid.compensator.checks import check_pair, draw
-from hybrid.compensator.em import Mixture, Structure, log_likelihood, run_em
 from hybrid.errors import HybridError, IdentificationError
 
 if TYPE_CHECKING:
@@ -22,8 +23,7 @@ if TYPE_CHECKING:
 # distance, that is four times its square.
 TRUSTED_SHARE = 0.995
 FADE_RATIO = 4.0
-_MOST_ROUNDS, _FEW_ROUNDS = 200, 20  # the latter where passes over all samples follow
-_STRUCTURING = 20  # passes in which full covariances take on another structure
+_MOST_ROUNDS = 200  # of expectation maximisation
 # A channel that varies by less than this share of its size counts as constant.
 CONSTANT = 1e-12
 
@@ -39,13 +39,10 @@ def fit_gmr(
     covariance_floor: float,
     max_samples: int,
     bound: ArrayLike | None,
-    structure: Structure,
-    rank: int,
-    passes: int,
 ) -> GaussianMixtureRegression:
     """Body of ``GaussianMixtureRegression.fit``, which says what the arguments are."""
     x, y = check_pair(x, y)
-    limit, everything = _limit(bound, y), (x, y)
+    limit = _limit(bound, y)
     x, y = draw(x, y, max_samples, rng)
     joint = np.hstack([_standardise(x), _standardise(y)])
     usable = _usable(candidates, *joint.shape)
@@ -56,79 +53,14 @@ def fit_gmr(
     models: dict[int, GaussianMixtureRegression] = {}
     scores: dict[int, float] = {}
     for count in usable:
-        rounds = _MOST_ROUNDS if not passes else _FEW_ROUNDS
-        fitted = _run_em(joint, count, floor=covariance_floor, rng=rng, rounds=rounds)
-        mixture = Mixture(fitted.weights_, fitted.means_, fitted.covariances_)
-        if structure != "full":
-            mixture = run_em(
-                joint, mixture, passes=_STRUCTURING, floor=covariance_floor,
-                structure=structure, rank=rank,
-            )  # fmt: skip
+        mixture = _run_em(joint, count, floor=covariance_floor, rng=rng)
         model = _build(kind, mixture, x, y, bound=limit, floor=covariance_floor)
         models[count] = model
         if held_out is None:
-            scores[count] = -_bic(joint, mixture, structure, rank) / (2.0 * len(joint))
+            scores[count] = -mixture.bic(joint) / (2.0 * len(joint))
         else:
             scores[count] = predictive_log_likelihood(model, *held_out)
-    chosen = models[choose_components(scores)]
-    if passes:
-        chosen = _polished(
-            chosen, *everything, passes=passes, floor=covariance_floor,
-            structure=structure, rank=rank, known=0.0,
-        )  # fmt: skip
-    return chosen
-
-
-def update_gmr(
-    model: GaussianMixtureRegression,
-    x: ArrayLike,
-    y: ArrayLike,
-    *,
-    known: float,
-    passes: int,
-) -> GaussianMixtureRegression:
-    """Body of ``GaussianMixtureRegression.updated``, which says what arguments are."""
-    x, y = check_pair(x, y, columns=(model.inputs, model.outputs))
-    if not known > 0 or passes < 1:
-        raise HybridError(
-            f"known is {known:g} and passes {passes}; valid are above 0 and from 1"
-        )
-    return _polished(
-        model, x, y, passes=passes, floor=0.0, structure="full", rank=0, known=known
-    )
-
-
-def _polished(
-    model: GaussianMixtureRegression,
-    x: Array,
-    y: Array,
-    *,
-    passes: int,
-    floor: float,
-    structure: Structure,
-    rank: int,
-    known: float,
-) -> GaussianMixtureRegression:
-    """The model after passes over samples that were perhaps never all looked at."""
-    output_scale = np.sqrt(model.prior_variance)
-    scale = np.concatenate([np.ones(model.inputs), output_scale])
-    joint = np.hstack([(x - model.input_offset) / model.input_scale, y / output_scale])
-    start = Mixture(
-        model.weights,
-        model.means / scale,
-        model.covariances / np.outer(scale, scale),
-    )
-    found = run_em(
-        joint, start, passes=passes, floor=floor,
-        structure=structure, rank=rank, known=known,
-    )  # fmt: skip
-    better = replace(
-        model,
-        weights=found.weights,
-        means=found.means * scale,
-        covariances=found.covariances * np.outer(scale, scale),
-    )
-    return replace(better, fade=_fade(better, x, at_least=known and model.fade[0]))
+    return models[choose_components(scores)]
 
 
 def choose_components(
@@ -201,18 +133,15 @@ def _standardise(values: Array) -> Array:
 
 
 def _run_em(
-    joint: Array, count: int, *, floor: float, rng: np.random.Generator, rounds: int
-) -> Any:
-    from sklearn.exceptions import ConvergenceWarning
-    from sklearn.mixture import GaussianMixture
-
+    joint: Array, count: int, *, floor: float, rng: np.random.Generator
+) -> GaussianMixture:
     mixture = GaussianMixture(
         count,
         covariance_type="full",
         init_params="k-means++",
         reg_covar=floor,
         tol=1e-3,
-        max_iter=rounds,
+        max_iter=_MOST_ROUNDS,
         random_state=int(rng.integers(2**31)),
     )
     with warnings.catch_warnings():
@@ -230,7 +159,7 @@ def _run_em(
 
 def _build(
     kind: type[GaussianMixtureRegression],
-    mixture: Mixture,
+    mixture: GaussianMixture,
     x: Array,
     y: Array,
     *,
@@ -242,32 +171,15 @@ def _build(
     offset = np.concatenate([np.zeros_like(input_offset), output_offset])
     scale = np.concatenate([np.ones_like(input_scale), output_scale])
     model = kind(
-        weights=mixture.weights,
-        means=offset + scale * mixture.means,
-        covariances=mixture.covariances * np.outer(scale, scale),
+        weights=mixture.weights_,
+        means=offset + scale * mixture.means_,
+        covariances=mixture.covariances_ * np.outer(scale, scale),
         input_offset=input_offset,
         input_scale=input_scale,
         prior_variance=np.maximum((y**2).mean(axis=0), floor * output_scale**2),
         bound=bound,
         fade=np.array([1.0, FADE_RATIO]),
     )
-    return replace(model, fade=_fade(model, x, at_least=0.0))
-
-
-def _fade(model: GaussianMixtureRegression, x: Array, *, at_least: float) -> Array:
     seen = float(np.quantile(model.distance(x), TRUSTED_SHARE))
-    start = max(seen, float(at_least), 1.0)
-    return np.array([start, FADE_RATIO * start])
-
-
-def _bic(joint: Array, mixture: Mixture, structure: Structure, rank: int) -> float:
-    """Bayesian information criterion, [nat]; the lower the better."""
-    count, size = mixture.means.shape
-    free = {
-        "full": size * (size + 1) // 2,
-        "diagonal": size,
-        "low_rank": min(rank, size) * size + 1,
-    }[structure]
-    parameters = count * (1 + size + free) - 1
-    seen = float(np.log(len(joint)))
-    return float(parameters * seen - 2.0 * log_likelihood(joint, mixture))
+    start = max(seen, 1.0)
+    return replace(model, fade=np.array([start, FADE_RATIO * start]))

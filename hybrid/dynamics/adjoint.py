@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.dynamics.kinematics import LinkMotion, cross, link_motions
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 
 _CHUNK = 4096  # samples at a time, as in the regressor
 

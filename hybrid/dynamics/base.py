@@ -11,7 +11,8 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from hybrid.robot.chain import INERTIAL_NAMES, INERTIAL_UNITS, Array
+from hybrid.arrays import Array
+from hybrid.robot.chain import INERTIAL_NAMES, INERTIAL_UNITS
 
 # A column of which less than this part is its own would need data that much better than
 # the rest: axes that a file turns by 1.5708 instead of π/2 make such columns.
@@ -71,7 +72,7 @@ class BaseParameters:
 
     @cached_property
     def dropped(self) -> dict[str, str]:
-        """Parameters with an effect of their own on no motion, and what they join.
+        """Parameters that no motion tells apart, and the combinations that they join.
 
         Maps the label to the kept parameters whose combinations it is part of; empty
         text when it never moves any torque.

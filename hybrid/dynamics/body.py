@@ -1,4 +1,4 @@
-"""Rigid-body quantities along one motion, as far as effects need them."""
+"""Rigid-body quantities along one motion that effects need."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from itertools import islice
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics.kinematics import link_motions
 from hybrid.dynamics.regressor import inverse_dynamics, regressor
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
 

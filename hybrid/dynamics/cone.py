@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csc_matrix
 
+from hybrid.arrays import Array
 from hybrid.dynamics.pseudo_inertia import stacked, unstacked
 from hybrid.errors import IdentificationError
-from hybrid.robot.chain import Array
 
 _SCALES = (1e8, 1e5, 1e2)  # of the objective; the first nearly always serves
 _SETTINGS = {

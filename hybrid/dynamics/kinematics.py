@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.robot.chain import Array, Chain
+from hybrid.arrays import Array
+from hybrid.robot.chain import Chain
 
 
 @dataclass(frozen=True)

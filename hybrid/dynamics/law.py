@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics.tape import OPERATIONS, Symbol, Tape
-from hybrid.robot.chain import Array
 
 _INFIX = {
     "add": "{} + {}", "subtract": "{} - {}", "multiply": "{} * {}",

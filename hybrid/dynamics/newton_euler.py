@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics.law import Law
 from hybrid.dynamics.tape import Tape
-from hybrid.robot.chain import INERTIAL_NAMES, Array, Chain
+from hybrid.robot.chain import INERTIAL_NAMES, Chain
 from hybrid.robot.spatial import skew
 
 Vector = list[Any]

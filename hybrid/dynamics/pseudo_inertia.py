@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.robot.chain import Array, Chain
+from hybrid.arrays import Array
+from hybrid.robot.chain import Chain
 
 _ROWS, _COLUMNS = np.tril_indices(4)[::-1]  # upper triangle, column by column
 _STACKING = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(2.0))  # keeps the inner product

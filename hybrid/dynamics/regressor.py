@@ -9,9 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics.kinematics import LinkMotion, link_motions
 from hybrid.dynamics.newton_euler import rigid_law
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 
 # Samples worked on at a time: the intermediate arrays then stay in the cache.
 _CHUNK = 4096

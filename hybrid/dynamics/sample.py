@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 
 class SampleRegressor:

@@ -1,4 +1,4 @@
-"""Columns of rigid body and effects, and what of them any motion can tell apart."""
+"""Columns of rigid body and effects, and their independent combinations."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics.base import BaseParameters, base_parameters, inertial_labels
 from hybrid.dynamics.body import RigidBody
 from hybrid.effects import Effect
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
 _STRUCTURE_SAMPLES = 600

@@ -1,18 +1,9 @@
 """The vocabulary of effects: one file each, simulated and fitted from one law."""
 
-from hybrid.effects.effect import (
-    Array,
-    Body,
-    Effect,
-    JointState,
-    Port,
-    Quantity,
-    Scale,
-)
+from hybrid.effects.effect import Body, Effect, JointState, Port, Quantity, Scale
 from hybrid.effects.joint_effect import JointEffect
 
 __all__ = [
-    "Array",
     "Body",
     "Effect",
     "JointEffect",

@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.arrays import Array
+from hybrid.effects.effect import Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 
 

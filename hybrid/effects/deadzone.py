@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.arrays import Array
+from hybrid.effects.effect import Body, Effect, Port, Quantity
 from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 

@@ -10,16 +10,16 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects.in_plant import InPlant
 from hybrid.effects.instant import Instant
 from hybrid.effects.quantity import Quantity, Scale
-from hybrid.effects.state import Array, Body, JointState
+from hybrid.effects.state import Body, JointState
 from hybrid.errors import EffectError
 from hybrid.parameters import Parameter
 from hybrid.signals import Motion
 
 __all__ = [
-    "Array",
     "Body",
     "Effect",
     "JointState",
@@ -214,7 +214,7 @@ class Effect(InPlant, Instant, ABC):
 
     @classmethod
     def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
-        """Shapes to start a search from, as motions suggest them, beside a grid.
+        """Start values of the shapes that the motions suggest, in addition to a grid.
 
         Of a law that fits nowhere but near its own shapes.
 
@@ -228,11 +228,11 @@ class Effect(InPlant, Instant, ABC):
         return {}
 
     def holds(self, motion: Motion) -> bool:
-        """Whether a motion bears out what the law implies besides its torque."""
+        """Whether a motion agrees with what the law implies besides its torque."""
         return True
 
     def imitates(self, motion: Motion) -> bool:
-        """Whether on a motion it does what another law does, and not its own.
+        """Whether, on a motion, this law is the same as another, simpler law.
 
         It may stand there for one that is not known: it is no cause then.
         """
@@ -244,11 +244,11 @@ class Effect(InPlant, Instant, ABC):
         return type(self).observe is not Effect.observe
 
     def observe(self, motion: Motion, body: Body) -> Motion:
-        """The motion as the rigid body made it, from the motion as measured."""
+        """The true motion of the rigid body, from the measured motion."""
         return motion
 
     def frequency(self, body: Body) -> float:
-        """How fast it swings along a motion, on the mean, [Hz]; 0 if it does not.
+        """Mean frequency at which it oscillates along a motion, [Hz]; 0 if it does not.
 
         Args:
             body: Rigid-body quantities along the motion.
@@ -257,7 +257,7 @@ class Effect(InPlant, Instant, ABC):
 
     @property
     def linearised(self) -> bool:
-        """Whether it changes signals, and its torque is linear near its gains only."""
+        """Whether it changes signals: its torque is linear only near its gains."""
         return (self.observes or self.reports) and not self.steep
 
     @property
@@ -266,7 +266,7 @@ class Effect(InPlant, Instant, ABC):
         return type(self).report is not Effect.report
 
     def report(self, t: Array, torque: Array) -> Array:
-        """What the log shows of torque signals at the effect's joints.
+        """Logged torque for delivered torque at the effect's joints.
 
         A linear map; plant, prediction and fit all use it. The gain of an effect with
         one is found by successive linearisation: its columns are those of a further
@@ -279,7 +279,7 @@ class Effect(InPlant, Instant, ABC):
         return torque
 
     def as_reported(self) -> Self:
-        """The same with a law of the torque reported, for one of the torque delivered.
+        """The same effect as a law of the reported torque instead of the delivered one.
 
         A fit has only the latter to make columns of: what is measured holds the gap.
         """

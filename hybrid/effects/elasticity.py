@@ -10,7 +10,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg.lapack import dtbtrs
 
-from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.arrays import Array
+from hybrid.effects.effect import Body, Effect, Port, Quantity
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
 

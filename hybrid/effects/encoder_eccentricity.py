@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.arrays import Array
+from hybrid.effects.effect import Body, Effect, Port, Quantity
 from hybrid.effects.instant import Scalar
 from hybrid.signals import Motion
 

@@ -1,4 +1,4 @@
-"""How a simulated plant realises an effect, on the way from command to sensor."""
+"""Hooks by which a simulated plant realises an effect, from command to sensor."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybrid.effects.state import Array, JointState
+from hybrid.arrays import Array
+from hybrid.effects.state import JointState
 
 if TYPE_CHECKING:
     import mujoco
@@ -52,11 +53,11 @@ class InPlant:
 
     @property
     def lag(self) -> float:
-        """Time for which the drive holds back torque, which limits the servo, [s]."""
+        """Time by which the drive delays torque; it limits the servo, [s]."""
         return 0.0
 
     def resist(self, state: JointState, before: Array, step: float) -> Array:
-        """Torque against the drive that depends on the past, shape (B, k), [N·m].
+        """Resisting torque with memory, shape (B, k), [N·m].
 
         Args:
             state: State of the motors, arrays of shape (B, k).

@@ -1,4 +1,4 @@
-"""What an effect does at one instant, for models that run in a control loop.
+"""Effects evaluated at one instant, for models that run in a control loop.
 
 The same law as for whole motions, written for scalars: numbers, arrays, or the symbols
 of which an export makes C or ONNX. Scalars know arithmetic, comparisons and NumPy's
@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from hybrid.effects.state import Array, JointState
+from hybrid.arrays import Array
+from hybrid.effects.state import JointState
 from hybrid.errors import EffectError
 
 Scalar = Any  # float, array or symbol
@@ -27,7 +28,7 @@ FRICTION = ("damping", "quadratic", "cubic", "frictionloss", "friction")
 
 
 class Instant:
-    """An effect at one instant, with what it remembers of the one before.
+    """An effect at one instant, with a memory of earlier instants.
 
     Attributes:
         memory: Names of what it remembers.
@@ -43,11 +44,11 @@ class Instant:
 
     @property
     def actuator(self) -> Mapping[str, float]:
-        """What a simulator's actuator has for it, by the names of ``Actuator``."""
+        """Equivalent changes of an actuator, by the names of ``Actuator``."""
         return {}
 
     def rigid_change(self, size: int, gravity: Array) -> tuple[Array, Array] | None:
-        """Change of the rigid body that has the effect's torque, or None.
+        """Change of the rigid body with the same torque as the effect, or None.
 
         Args:
             size: Number of joints n of the arm.
@@ -86,7 +87,7 @@ class Instant:
 
     @property
     def asks(self) -> bool:
-        """Whether the drive is asked for another torque than the arm needs."""
+        """Whether the commanded torque differs from the torque that the arm needs."""
         return type(self).report_at_instant is not Instant.report_at_instant
 
     def report_at_instant(

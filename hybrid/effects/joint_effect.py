@@ -8,9 +8,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects.effect import Effect
 from hybrid.effects.instant import Memory, Scalar
-from hybrid.effects.state import Array, Body, JointState
+from hybrid.effects.state import Body, JointState
 from hybrid.signals import Motion
 
 
@@ -47,7 +48,7 @@ class JointEffect(Effect):
 
 
 class _StateAlong(JointState):
-    """A joint's state along a motion; the load is worked out if a law asks for it."""
+    """A joint's state along a motion; the load is computed on demand."""
 
     def __init__(self, motion: Motion, body: Body, joint: int) -> None:
         v, warm = motion.v[:, joint], motion.temperature

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from hybrid.effects.effect import Array, JointState, Port, Quantity
+from hybrid.arrays import Array
+from hybrid.effects.effect import JointState, Port, Quantity
 from hybrid.effects.joint_effect import JointEffect
 
 

@@ -1,11 +1,12 @@
-"""The controller's side of a gap: from command to torque."""
+"""The position controller: from command to commanded torque."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from hybrid.effects.effect import Array, Effect
+from hybrid.arrays import Array
+from hybrid.effects.effect import Effect
 
 
 @dataclass(frozen=True, eq=False)

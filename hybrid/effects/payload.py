@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from hybrid.effects.effect import Array, Body, Effect, Port, Quantity, Scope
+from hybrid.arrays import Array
+from hybrid.effects.effect import Body, Effect, Port, Quantity, Scope
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
 

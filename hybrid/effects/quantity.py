@@ -1,4 +1,4 @@
-"""Parameters of a law before they have a value, sized to the joint they are for."""
+"""Parameters of a law without values yet, scaled to the size of a joint."""
 
 from __future__ import annotations
 

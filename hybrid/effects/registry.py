@@ -150,6 +150,21 @@ def effect_from_dict(content: Mapping[str, Any], names: Sequence[str]) -> Effect
         raise EffectError(f"not an effect: {content!r} ({error!r})") from error
 
 
+def check_effects(effects: Sequence[object]) -> None:
+    """Check that effects are effects, and not their names.
+
+    Raises:
+        EffectError: One is something else; the message says how to make an effect.
+    """
+    for given in effects:
+        if not isinstance(given, Effect):
+            raise EffectError(
+                f"{given!r} is no effect; valid are effects, as "
+                "effects_from_text('stribeck:elbow', robot.joints, "
+                "joint_scales(robot)) makes them"
+            )
+
+
 def effects_from_text(
     text: str, names: Sequence[str], scales: Sequence[Scale]
 ) -> list[Effect]:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.effects.effect import Array, JointState, Port, Quantity
+from hybrid.arrays import Array
+from hybrid.effects.effect import JointState, Port, Quantity
 from hybrid.effects.joint_effect import JointEffect
 from hybrid.signals import Motion
 

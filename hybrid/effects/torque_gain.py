@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from hybrid.effects.effect import Array, Body, Effect, Port, Quantity
+from hybrid.arrays import Array
+from hybrid.effects.effect import Body, Effect, Port, Quantity
 from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybrid.effects.effect import Array, Body, Effect, JointState, Port, Quantity
+from hybrid.arrays import Array
+from hybrid.effects.effect import Body, Effect, JointState, Port, Quantity
 from hybrid.effects.instant import Memory, Scalar
 from hybrid.errors import EffectError
 from hybrid.signals import Motion

@@ -3,12 +3,8 @@
 from hybrid.excitation.clearance import Clearance, Workspace
 from hybrid.excitation.constraints import Limits
 from hybrid.excitation.criteria import (
-    AOptimal,
     Condition,
-    Discrimination,
     DOptimal,
-    EOptimal,
-    NormalisedCondition,
 )
 from hybrid.excitation.design import Design, design
 from hybrid.excitation.expected_error import ExpectedError
@@ -21,28 +17,20 @@ from hybrid.excitation.experiments import (
 )
 from hybrid.excitation.families import (
     Fourier,
-    FourierQuintic,
-    PlainFourier,
     Spline,
 )
 from hybrid.excitation.observation import Observation, observe
 from hybrid.excitation.path import Trajectory
 
 __all__ = [
-    "AOptimal",
     "Clearance",
     "Condition",
     "DOptimal",
     "Design",
-    "Discrimination",
-    "EOptimal",
     "ExpectedError",
     "Fourier",
-    "FourierQuintic",
     "Limits",
-    "NormalisedCondition",
     "Observation",
-    "PlainFourier",
     "Spline",
     "Trajectory",
     "Workspace",

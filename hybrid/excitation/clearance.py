@@ -1,4 +1,4 @@
-"""Distance between links, and to what stands around the arm."""
+"""Constraints on the distance between links, and from their surroundings."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import ExcitationError, HybridWarning
 from hybrid.excitation.constraints import Index, Limits
 from hybrid.excitation.path import Path
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.robot.geometry import Capsules, capsules_from_robot
 from hybrid.robot.robot import Robot
 
@@ -47,7 +48,7 @@ class Clearance:
 
     @classmethod
     def of(cls, robot: Robot, limits: Limits, *, margin: float = 0.01) -> Clearance:
-        """All pairs of links that can be apart at all and are not neighbours.
+        """Keep apart all links that are not neighbours and do not always touch.
 
         Args:
             robot: The arm; its file has to hold collision geometry.
@@ -258,7 +259,7 @@ def ends_in_world(chain: Chain, capsules: Capsules, q: Array) -> Array:
 def point_change(
     chain: Chain, q: Array, link: Index | int, point: Array, direction: Array
 ) -> Array:
-    """Derivative by the joints of links' points along a direction, shape (N, n).
+    """Derivative by the joints of points on links along a direction, (N, n).
 
     Args:
         chain: The arm.

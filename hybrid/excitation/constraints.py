@@ -9,12 +9,12 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.dynamics import inverse_dynamics, torque_gradient
 from hybrid.errors import ExcitationError
 from hybrid.excitation.observation import TURNING_SPEED
 from hybrid.excitation.path import Path
 from hybrid.plant.reference import DEFAULT_ACCELERATION, limits
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 Index = NDArray[np.intp]
@@ -30,9 +30,9 @@ class Constraint(Protocol):
         """What each condition is, for messages, length K."""
 
     def excess(self, path: Path) -> Array:
-        """How far each is from being kept, in parts of its limit, shape (N, K).
+        """Distance of each condition from its limit, over the limit, shape (N, K).
 
-        Zero at the limit, above it where the condition is not kept.
+        It is zero at the limit and positive where the condition is violated.
         """
 
     def slope(self, path: Path, which: Index) -> Array:
@@ -84,13 +84,13 @@ class Limits:
 
     @property
     def usable_acceleration(self) -> Array:
-        """Highest acceleration, a usual one where anything is allowed, (n,)."""
+        """Highest acceleration; a default where there is no limit, shape (n,)."""
         limited = np.isfinite(self.acceleration)
         return np.where(limited, self.acceleration, DEFAULT_ACCELERATION)
 
     @classmethod
     def of(cls, robot: Robot, *, fill: float = 0.8, jerk: float = np.inf) -> Limits:
-        """A part of what a robot file states, about the middle of each range.
+        """Take a part of the robot file's limits, about the middle of each range.
 
         Args:
             robot: The arm; a position or speed it does not limit is taken as ±π rad

@@ -1,4 +1,4 @@
-"""The motion to run: designed, verified, and what it will tell."""
+"""Design excitation motions, verify their limits, predict standard errors."""
 
 from __future__ import annotations
 
@@ -10,23 +10,22 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
-from hybrid.excitation.columns import rigid_conditions
 from hybrid.excitation.constraints import (
     Constraint,
     Limits,
     MotionLimits,
     TorqueLimits,
 )
-from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition, normalised
+from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition
 from hybrid.excitation.expected_error import ExpectedError
 from hybrid.excitation.folder import write_design
-from hybrid.excitation.observation import Observation
+from hybrid.excitation.observation import Observation, rigid_conditions
 from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
-from hybrid.excitation.solver import PENALTY, Solution, solve
+from hybrid.excitation.solver import PENALTY, Optimum, solve
 from hybrid.excitation.stack import StackProgram
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 from hybrid.shown import Shown
 
@@ -82,18 +81,13 @@ class Design(Shown):
         return rigid_conditions(self.robot.chain, whole)
 
     @property
-    def normalised_condition(self) -> float:
-        """Condition number with columns of unit length."""
-        return gram_condition(normalised(self.gram))
-
-    @property
     def log_det(self) -> float:
         """Natural logarithm of the determinant of the whitened information."""
         return float(np.linalg.slogdet(self.gram)[1])
 
     @property
     def singular_values(self) -> Array:
-        """Of the observation matrix, largest first, shape (b,)."""
+        """Singular values of the observation matrix, largest first, shape (b,)."""
         return np.asarray(np.sqrt(np.linalg.eigvalsh(self.gram)[::-1]))
 
     def standard_errors(self, independent_rate: float | None = None) -> Array:
@@ -110,7 +104,7 @@ class Design(Shown):
 
     @property
     def additions(self) -> Array:
-        """Part by which each motion lowers the mean axis of the confidence ellipsoid.
+        """Relative reduction of the mean axis of the confidence ellipsoid, by motion.
 
         Shape (T,); the first, which starts from nothing, counts 1.
         """
@@ -138,7 +132,6 @@ class Design(Shown):
             "value": self.value,
             "condition": self.condition,
             "rigid_conditions": dict(self.rigid_conditions),
-            "condition_of_normalised_columns": self.normalised_condition,
             "log_det": self.log_det,
             "singular_values": self.singular_values.tolist(),
             "unknowns": list(base.names),
@@ -155,7 +148,7 @@ def design(
     observation: Observation,
     family: Family,
     *,
-    rng: np.random.Generator,
+    seed: int | np.random.Generator = 0,
     criterion: Criterion | None = None,
     limits: Limits | None = None,
     constraints: Sequence[Constraint] = (),
@@ -170,7 +163,7 @@ def design(
         robot: The arm, whose nominal torque shall stay within the limits.
         observation: What is to be identified, see :func:`observe`.
         family: Motions to choose from.
-        rng: Source of the starts.
+        seed: Seed or generator of the starts.
         criterion: What makes a motion good; by default the expected torque error on
             random motions of the family within the limits.
         limits: Limits of the joints; 80 % of the robot file's by default.
@@ -187,6 +180,7 @@ def design(
     """
     if min(trajectories, starts) < 1:
         raise ExcitationError("trajectories and starts need to be 1 or more")
+    rng = np.random.default_rng(seed)
     bounds = Limits.of(robot) if limits is None else limits
     kept: tuple[Constraint, ...] = (
         MotionLimits(bounds, robot.joints),
@@ -220,7 +214,7 @@ def _program(
     limits: Limits,
     rate: float,
 ) -> MotionProgram:
-    """The best motion, with nothing known of other motions."""
+    """The optimisation problem of the first motion."""
     nothing = np.zeros((observation.size, observation.size))
     return MotionProgram(
         observation, criterion, family, constraints, limits, nothing, rate, 1.0, _MARGIN
@@ -305,16 +299,16 @@ def best_point(
     return solution.x, excess
 
 
-def _merit(solution: Solution) -> tuple[bool, float]:
+def _merit(solution: Optimum) -> tuple[bool, float]:
     return solution.excess > 0.01, solution.value + 5.0 * solution.excess
 
 
 def _continued(
     program: MotionProgram | StackProgram,
-    last: Solution,
+    last: Optimum,
     iterations: int,
     penalty: float = PENALTY,
-) -> Solution:
+) -> Optimum:
     return solve(
         program,
         last.x,

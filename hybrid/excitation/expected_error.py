@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import JointEffect
 from hybrid.effects.asymmetric_friction import AsymmetricFriction
 from hybrid.effects.load_friction import LoadFriction
@@ -33,7 +34,6 @@ from hybrid.excitation.criteria import spectrum
 from hybrid.excitation.observation import Observation
 from hybrid.excitation.path import Path
 from hybrid.plant.scale import joint_scales
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 # Friction may fall within any part of the joint's speed, and torque repeat with any
@@ -63,7 +63,7 @@ class ExpectedError:
     def of(
         cls, robot: Robot, observation: Observation, usage: Sequence[Path]
     ) -> ExpectedError:
-        """For the structure that arms usually have.
+        """Build the criterion for the structure that arms usually have.
 
         Args:
             robot: The arm.

@@ -1,4 +1,4 @@
-"""Ready-made experiments: references that show one thing each, within the limits.
+"""Ready-made experiments: each reference reveals one kind of effect.
 
 A ladder of speeds shows friction, micro-reversals show presliding and backlash, static
 poses show gravity, a multisine shows delay and elasticity, and one path at several
@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import BPoly
 
+from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
 from hybrid.excitation.constraints import Limits, MotionLimits, TorqueLimits
 from hybrid.excitation.knots import Walk
 from hybrid.excitation.path import Path, uniform
 from hybrid.plant.reference import Reference
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 _PAUSE = 0.5  # s, at rest between two parts of an experiment
@@ -185,7 +185,7 @@ def multisine(
     duration: float = 20.0,
     fill: float = 0.5,
     posture: Array | None = None,
-    rng: np.random.Generator,
+    seed: int | np.random.Generator = 0,
     rate: float = 500.0,
     limits: Limits | None = None,
 ) -> Reference:
@@ -202,7 +202,7 @@ def multisine(
         duration: Length, [s].
         fill: Part of the limits to use.
         posture: Middle of the motion, shape (n,), [rad]; by default of the range.
-        rng: Source of the phases.
+        seed: Seed or generator of the phases.
         rate: Samples per second, [Hz].
         limits: Limits to keep; 80 % of the robot file's by default.
     """
@@ -214,7 +214,7 @@ def multisine(
             "valid is one tone or more for each joint, above 0 and below half the rate "
             f"{rate:g} Hz"
         )
-    t = uniform(duration, rate)
+    rng, t = np.random.default_rng(seed), uniform(duration, rate)
     fade = min(1.0, duration / 4)
     window = _window(t, duration, fade)
     sizes = [fill * x for x in (bounds.speed, bounds.usable_acceleration)]
@@ -236,7 +236,7 @@ def multisine(
 def checked(
     robot: Robot, reference: Reference, limits: Limits | None = None
 ) -> Reference:
-    """The reference, if it keeps the limits.
+    """Check a reference against the limits, and return it.
 
     Args:
         robot: The arm.

@@ -10,15 +10,14 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import block_diag, null_space
 
+from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
-from hybrid.excitation.path import Family, Trajectory
-from hybrid.robot.chain import Array
 
 _DEGREE = 5  # of the splines: jerk is continuous
 
 
 @dataclass(frozen=True)
-class _Series:
+class Series:
     """Harmonics of one fundamental over whole periods.
 
     Attributes:
@@ -53,7 +52,7 @@ class _Series:
 
 
 @dataclass(frozen=True)
-class Fourier(_Series):
+class Fourier(Series):
     """Harmonics of one fundamental, combined so that the motion starts at rest.
 
     q(t) = c₀ + Σₖ sₖ sin(kωt) + cₖ cos(kωt) with Σ k sₖ = 0 and Σ k² cₖ = 0, so that
@@ -83,82 +82,6 @@ class Fourier(_Series):
         series = harmonics(t, self.order, self.fundamental, derivative)
         constant = np.full((len(t), 1), 1.0 if derivative == 0 else 0.0)
         return np.asarray(np.hstack([constant, series]) @ self.at_rest)
-
-
-@dataclass(frozen=True)
-class PlainFourier(Fourier):
-    """The series of Swevers et al. 1997 as it is: it does not begin at rest.
-
-    For comparison with designs of the literature; doi 10.1109/70.631234.
-    """
-
-    name: ClassVar[str] = "plain_fourier"
-
-    @property
-    def size(self) -> int:
-        """See :class:`~hybrid.excitation.path.Family`."""
-        return 2 * self.order + 1
-
-    @cached_property
-    def at_rest(self) -> Array:
-        """The identity: each basis function is one term."""
-        return np.eye(self.size)
-
-
-@dataclass(frozen=True)
-class FourierQuintic(_Series):
-    """A Fourier series and a polynomial of fifth order that brings it to rest.
-
-    In place of the constant term, p(t) = b₀ + … + b₅ t⁵ over each period T cancels the
-    speed and the acceleration of the series at 0 and T and moves by nothing, so that
-    the position is periodic; b₀ and the 2·order amplitudes are free.
-    """
-
-    name: ClassVar[str] = "fourier_quintic"
-
-    @property
-    def size(self) -> int:
-        """See :class:`~hybrid.excitation.path.Family`."""
-        return 2 * self.order + 1
-
-    @cached_property
-    def polynomials(self) -> Array:
-        """Coefficients b₀ … b₅ of each basis function in t/T, shape (6, m)."""
-        # Rows: p(0), p(1) − p(0), p'(0), p'(1), p''(0), p''(1) of the powers.
-        powers = np.arange(6.0)
-        slope, bend = powers, powers * (powers - 1)
-        rows = np.stack(
-            [
-                powers == 0,
-                powers > 0,
-                slope * (powers == 1),
-                slope,
-                bend * (powers == 2),
-                bend,
-            ]
-        ).astype(float)
-        end = np.zeros(1)
-        wanted = np.zeros((6, self.size))
-        wanted[0, 0] = 1.0
-        for first, derivative in ((2, 1), (4, 2)):
-            series = harmonics(end, self.order, self.fundamental, derivative)
-            scaled = series / self.fundamental**derivative
-            wanted[first : first + 2, 1:] = -scaled
-        return np.asarray(np.linalg.solve(rows, wanted))
-
-    def basis(self, t: Array, derivative: int) -> Array:
-        """See :class:`~hybrid.excitation.path.Family`."""
-        phase = (t * self.fundamental) % 1.0
-        # The end belongs to the last period; it is the same point by continuity.
-        powers = np.arange(6)
-        factor = np.ones(6)
-        for k in range(derivative):
-            factor = factor * np.maximum(powers - k, 0)
-        left = np.maximum(powers - derivative, 0)
-        monomials = factor * phase[:, None] ** left * self.fundamental**derivative
-        out = monomials @ self.polynomials
-        out[:, 1:] += harmonics(t, self.order, self.fundamental, derivative)
-        return np.asarray(out)
 
 
 @dataclass(frozen=True)
@@ -211,46 +134,6 @@ class Spline:
         return {"name": "spline", "length": self.length, "points": self.points}
 
 
-_FAMILIES: dict[str, type[Any]] = {
-    "fourier": Fourier,
-    "fourier_quintic": FourierQuintic,
-    "plain_fourier": PlainFourier,
-    "spline": Spline,
-}
-
-
-def family_from_dict(content: dict[str, Any]) -> Family:
-    """The family that :meth:`Family.as_dict` described.
-
-    Raises:
-        ExcitationError: There is no such family, or an option is not valid.
-    """
-    options = dict(content)
-    name = options.pop("name", None)
-    if name not in _FAMILIES:
-        raise ExcitationError(
-            f"no family {name!r}; valid are {', '.join(sorted(_FAMILIES))}"
-        )
-    try:
-        family: Family = _FAMILIES[name](**options)
-    except TypeError as error:
-        raise ExcitationError(f"family {name!r}: {error}") from error
-    return family
-
-
-def trajectory_from_dict(content: dict[str, Any]) -> Trajectory:
-    """The motion that :meth:`Trajectory.as_dict` described, equal to the last bit.
-
-    Raises:
-        ExcitationError: It is no such description.
-    """
-    try:
-        family = family_from_dict(content["family"])
-        return Trajectory(family, np.array(content["coefficients"], dtype=float))
-    except (KeyError, TypeError, ValueError) as error:
-        raise ExcitationError(f"not a saved motion: {error}") from error
-
-
 def harmonics(t: Array, order: int, fundamental: float, derivative: int) -> Array:
     """A derivative of sin(kωt), then of cos(kωt), k = 1 … order; (N, 2·order)."""
     w = 2 * np.pi * fundamental * np.arange(1, order + 1)
@@ -260,7 +143,7 @@ def harmonics(t: Array, order: int, fundamental: float, derivative: int) -> Arra
 
 
 def check_series(order: int, fundamental: float, periods: int, *, least: int) -> None:
-    """Refuse a series that is none.
+    """Refuse a Fourier series with invalid options.
 
     Raises:
         ExcitationError: An argument is out of range.

@@ -1,4 +1,4 @@
-"""Motions from knot to knot, of which ready-made experiments are put together."""
+"""Motions through knots, the building blocks of ready-made experiments."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BPoly
 
+from hybrid.arrays import Array
 from hybrid.excitation.constraints import Limits
 from hybrid.excitation.path import uniform
 from hybrid.plant.reference import Reference
-from hybrid.robot.chain import Array
 
 _QUINTIC_SPEED, _QUINTIC_ACCELERATION = 1.875, 5.7735  # peaks of a unit move
 

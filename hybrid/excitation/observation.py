@@ -1,4 +1,8 @@
-"""The observation matrix of a motion: whitened, scaled, and its gradient."""
+"""The observation matrix of a motion: whitened, scaled, and its gradient.
+
+Of the inertial parameters only combinations can be told, and which parameters stand for
+them is a choice: the same motion has another condition number in each.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import qr, solve_triangular
 
+from hybrid.arrays import Array
 from hybrid.dynamics import (
     BaseParameters,
     RigidBody,
@@ -21,12 +26,14 @@ from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.effects import Effect, JointEffect, JointState
 from hybrid.errors import ExcitationError
 from hybrid.excitation.path import Path
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
 # Dry friction turns its direction within this speed: a step has no gradient.
 TURNING_SPEED = 0.02  # rad/s
 _STEP = 1e-5
+FIRST = "first independent columns"
+PIVOTED = "columns by pivoted QR"
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,16 +68,6 @@ class Observation:
     def gains(self) -> tuple[tuple[int, int], ...]:
         """Effect and gain of each column behind the 10n inertial ones."""
         return effect_gains(self.effects)
-
-    @cached_property
-    def gravity_columns(self) -> Array:
-        """True for unknowns that move a torque at rest, shape (b,)."""
-        n = self.chain.size
-        q = np.random.default_rng(0).uniform(-np.pi, np.pi, (50, n))
-        rest = np.zeros_like(q)
-        still = self.matrix(Path(np.arange(50.0), q, rest, rest, rest))
-        size = np.abs(still).max(axis=(0, 1))
-        return np.asarray(size > 1e-9 * size.max())
 
     def matrix(self, path: Path, *, turning_speed: float = TURNING_SPEED) -> Array:
         """The observation matrix, shape (N, n, b).
@@ -117,7 +114,7 @@ class Observation:
         return by[0] + own[0], by[1] + own[1], by[2] + own[2]
 
     def with_structure(self, effects: Sequence[Effect], sizes: Array) -> Observation:
-        """The same columns, and behind them those of what a fit does not have.
+        """Append the columns of effects that the fit leaves out.
 
         Args:
             effects: Effects that the arm may have; a gain that the columns can express
@@ -220,6 +217,43 @@ def observe(
         raise ExcitationError("the noise covariance must be positive") from error
     whitening = solve_triangular(lower, np.eye(chain.size), lower=True)
     return Observation(chain, tuple(effects), base, whitening, size)
+
+
+def condition(H: Array, columns: Sequence[int]) -> float:
+    """Condition number of an observation matrix in some of its columns.
+
+    Args:
+        H: Observation matrix, shape (rows, p).
+        columns: Indices of independent columns.
+    """
+    return float(np.linalg.cond(H[:, list(columns)]))
+
+
+def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
+    """Choices of columns among the 10n of the regressor, by name.
+
+    ``first independent columns`` goes from the base to the tip and keeps what the
+    columns before cannot express, the same for every motion. ``columns by pivoted QR``
+    takes the largest that remains each time.
+
+    Args:
+        chain: The arm.
+        H: Observation matrix of all columns, shape (rows, 10n).
+    """
+    kept = stacked_base(chain, (), ()).kept
+    _, order = qr(H, mode="r", pivoting=True)
+    return {FIRST: kept, PIVOTED: tuple(int(k) for k in order[: len(kept)])}
+
+
+def rigid_conditions(chain: Chain, path: Path) -> dict[str, float]:
+    """Condition number of a motion in each of the named columns, SI units.
+
+    Args:
+        chain: The arm.
+        path: Motion, N samples.
+    """
+    H = regressor(chain, path.q, path.v, path.a).reshape(-1, 10 * chain.size)
+    return {name: condition(H, at) for name, at in rigid_columns(chain, H).items()}
 
 
 def _states(path: Path, joint: int, load: Array) -> Array:

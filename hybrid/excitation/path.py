@@ -9,9 +9,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
 from hybrid.plant.reference import Reference
-from hybrid.robot.chain import Array
 
 DERIVATIVES = 4  # position, speed, acceleration, jerk
 

@@ -1,4 +1,4 @@
-"""The program to be solved for one motion: criterion, limits, and the grids of both."""
+"""The optimisation problem of one motion: criterion, limits, and their grids."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.excitation.constraints import Constraint, Limits
 from hybrid.excitation.criteria import Criterion
 from hybrid.excitation.observation import Observation
 from hybrid.excitation.path import Family, Grid, Path, Trajectory, uniform
-from hybrid.robot.chain import Array
 
 FINER = 10  # times as fine as the design grid is the one on which limits are verified
 _NEAR = 0.5  # conditions within this part of their limit enter a step
@@ -70,7 +70,7 @@ class MotionProgram:
 
     @cached_property
     def scale(self) -> Array:
-        """Coefficients that fill a limit by themselves, shape (m, n)."""
+        """Coefficients that each reach a limit alone, shape (m, n)."""
         x = self.limits
         sizes = ((x.high - x.low) / 2, x.speed, x.acceleration, x.jerk)
         reach = np.abs(self.fine.bases).max(axis=1)  # (4, m)
@@ -127,7 +127,7 @@ class MotionProgram:
         return np.asarray(start)
 
     def usage(self, rng: np.random.Generator) -> list[Path]:
-        """Random motions as an arm with these limits may run them."""
+        """Random motions within the limits, as the arm may run them in use."""
         points = [self.random(child, fill=1.0) for child in rng.spawn(_USAGE)]
         return [self.grid.path(self.coefficients(x)) for x in points]
 
@@ -160,7 +160,7 @@ class MotionProgram:
         return self.known + self.observation.gram(path)
 
     def objective(self, x: Array) -> tuple[float, Array]:
-        """See :class:`~hybrid.excitation.solver.Program`."""
+        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
         path = self.grid.path(self.coefficients(x))
         W = self.observation.matrix(path)
         rows = W.reshape(-1, self.observation.size)
@@ -179,7 +179,7 @@ class MotionProgram:
         return np.asarray((self.grid.gradient(*parts) * self.scale).ravel())
 
     def conditions(self, x: Array) -> tuple[Array, Array]:
-        """See :class:`~hybrid.excitation.solver.Program`."""
+        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
         values, slopes = [np.zeros(0)], [np.zeros((0, x.size))]
         for constraint, (path, found) in zip(
             self.constraints, self._excesses(x), strict=True
@@ -201,7 +201,7 @@ class MotionProgram:
         return np.concatenate(values), np.concatenate(slopes)
 
     def excess(self, x: Array) -> float:
-        """See :class:`~hybrid.excitation.solver.Program`."""
+        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
         every = [found.max(initial=-np.inf) for _, found in self._excesses(x)]
         return float(max(every, default=-np.inf)) + self.margin
 
@@ -229,7 +229,7 @@ class MotionProgram:
         return {}
 
     def impossible(self) -> tuple[str, ...]:
-        """Conditions that no posture keeps, out of some hundred random ones."""
+        """Conditions that none of some hundred random postures satisfies."""
         still = self._postures(np.random.default_rng(0), _POSTURES)
         found = [
             name

@@ -13,14 +13,14 @@ from typing import Protocol
 
 import numpy as np
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 PENALTY = 5.0  # of the largest excess, against an objective of order 1
 _FIRST_REACH, _MOST_REACH, _LEAST_REACH = 0.1, 0.5, 1e-5
 _ENOUGH = 1e-6  # predicted decrease at which to stop
 
 
-class Program(Protocol):
+class ConstrainedProblem(Protocol):
     """What is to be minimised, and under which conditions."""
 
     def objective(self, x: Array) -> tuple[float, Array]:
@@ -34,7 +34,7 @@ class Program(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Optimum:
     """Where a minimisation ended.
 
     Attributes:
@@ -55,13 +55,13 @@ class Solution:
 
 
 def solve(
-    program: Program,
+    program: ConstrainedProblem,
     x: Array,
     *,
     iterations: int,
     curvature: Array | None = None,
     penalty: float = PENALTY,
-) -> Solution:
+) -> Optimum:
     """Minimise from a start, which need not keep the conditions.
 
     Args:
@@ -98,7 +98,7 @@ def solve(
             reach /= 2
         elif gain > 0.7 * predicted and np.abs(step).max() > 0.9 * reach:
             reach = min(2 * reach, _MOST_REACH)
-    return Solution(x, value, excess, B, tried, converged)
+    return Optimum(x, value, excess, B, tried, converged)
 
 
 def quadratic_program(
@@ -109,7 +109,7 @@ def quadratic_program(
     reach: float,
     penalty: float,
 ) -> Array:
-    """The step within ``reach`` that lowers the model; excess is paid for.
+    """Step within ``reach`` that minimises the quadratic model plus the penalty.
 
     Minimises gᵀs + ½ sᵀBs + c·max(0, limits + slopes·s) with every |sᵢ| ≤ reach.
     """

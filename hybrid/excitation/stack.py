@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.excitation.path import Trajectory
 from hybrid.excitation.program import MotionProgram
-from hybrid.robot.chain import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class StackProgram:
         return tuple(self.motion.trajectory(part) for part in self._parts(x))
 
     def objective(self, x: Array) -> tuple[float, Array]:
-        """See :class:`~hybrid.excitation.solver.Program`."""
+        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
         motion = self.motion
         paths = [motion.grid.path(motion.coefficients(y)) for y in self._parts(x)]
         matrices = [motion.observation.matrix(path) for path in paths]
@@ -61,7 +61,7 @@ class StackProgram:
         return value, np.concatenate(gradients)
 
     def conditions(self, x: Array) -> tuple[Array, Array]:
-        """See :class:`~hybrid.excitation.solver.Program`."""
+        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
         values, slopes = [], []
         for k, part in enumerate(self._parts(x)):
             value, by = self.motion.conditions(part)
@@ -72,7 +72,7 @@ class StackProgram:
         return np.concatenate(values), np.concatenate(slopes)
 
     def excess(self, x: Array) -> float:
-        """See :class:`~hybrid.excitation.solver.Program`."""
+        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
         return max(self.motion.excess(part) for part in self._parts(x))
 
     def verified(self, x: Array) -> dict[str, float]:

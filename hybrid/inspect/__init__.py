@@ -1,4 +1,4 @@
-"""Whether a log can be what its columns say, of the arm it is said to be of."""
+"""Check logs against physics: order, signs, units and clock of their columns."""
 
 from hybrid.inspect.doubt import Doubt
 from hybrid.inspect.inspect import check_recordings, inspect_recording

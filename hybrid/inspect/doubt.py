@@ -1,4 +1,4 @@
-"""What speaks against a log being what its columns say."""
+"""Reasons to mistrust a log."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def is_error(doubt: Doubt) -> bool:
 
 
 def act_on(doubts: Iterable[Doubt], source: str) -> None:
-    """Refuse a log of which one doubt is an error, and warn of all others.
+    """Refuse a log if one of its doubts is an error; warn of the others.
 
     Args:
         doubts: What was found, the weightiest first.

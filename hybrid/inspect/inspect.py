@@ -1,4 +1,4 @@
-"""One question for every verb: can this log be what its columns say, of this arm?"""
+"""Check whether a log can come from this arm, for every verb."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hybrid.robot import Robot
 
 
 def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspection:
-    """All that is known of a log before anything is fitted to it.
+    """Inspect a log: its clock, its excitation, and reasons to mistrust it.
 
     Samples are looked at first, then positions against limits, then order, sign, unit
     and clock against physics. Nothing is asked of physics where a sample is wrong.
@@ -65,7 +65,7 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
 
 
 def check_recordings(recordings: Sequence[Recording], robot: Robot) -> list[Recording]:
-    """Logs as every verb takes them, or the reason why one cannot be taken.
+    """Check logs for a verb, and refuse those that would mislead it.
 
     Args:
         recordings: Joint logs.

@@ -1,4 +1,4 @@
-"""All that is known of a log before anything is fitted to it."""
+"""The result of an inspection: clock, excitation and doubts of a log."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.files import write_json
 from hybrid.inspect.coverage import Excitation, JointCoverage
 from hybrid.inspect.doubt import Doubt, is_error
 from hybrid.recording import Recording
@@ -61,8 +62,8 @@ class Inspection(Shown):
         return any(map(is_error, self.doubts))
 
     def save(self, path: str | Path) -> None:
-        """Write a page of all that is known of the log; ``path`` is an HTML file."""
-        Shown.views().write_page(path, self)
+        """Write all that is known of the log to a JSON file."""
+        write_json(path, self.as_dict())
 
     def as_dict(self) -> dict[str, Any]:
         """The same as names, numbers and lists."""

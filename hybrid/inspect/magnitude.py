@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.inspect.doubt import Doubt
-from hybrid.inspect.masses import Columns, unit_masses
+from hybrid.inspect.masses import MassColumns, unit_masses
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 
 _TOUCHES = 0.1  # of the largest torque: one that never comes near zero has one sign
 _SURE = 0.5  # half the logarithm of the share that signs take off what is left
@@ -23,7 +24,7 @@ _TURNS = 8  # rounds in which signs and torques are found from each other
 def doubts_of_magnitude(
     recording: Recording, chain: Chain, state: State
 ) -> Iterator[Doubt]:
-    """Torques that are never negative, though they are if masses explain them.
+    """Detect torques whose sign was not logged.
 
     Signs are those of the torque that the arm explains, which is found with them.
 
@@ -39,11 +40,11 @@ def doubts_of_magnitude(
         return
     masses, n = unit_masses(chain), chain.size
     plain = np.arange(n), np.ones(n)
-    before = after = Columns(chain, state, masses).left(*plain)
+    before = after = MassColumns(chain, state, masses).left(*plain)
     likely = _likely_torque(chain, state)
     for _ in range(_TURNS):
         sign = np.where(suspect & (likely < 0), -1.0, 1.0)
-        columns = Columns(chain, replace(state, tau=sign * state.tau), masses)
+        columns = MassColumns(chain, replace(state, tau=sign * state.tau), masses)
         after, likely = columns.left(*plain), columns.explained
     gain = 0.5 * np.log(before / after)
     for j in np.flatnonzero(suspect & (gain > _SURE)).tolist():

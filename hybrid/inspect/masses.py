@@ -61,7 +61,7 @@ def file_masses(chain: Chain) -> Array:
     return columns
 
 
-class Columns:
+class MassColumns:
     """Torque per unit of every mass and drive along a motion, as normal equations.
 
     Args:

@@ -1,4 +1,4 @@
-"""Order, sign, unit of angle and clock of a log, held against what arms can do.
+"""Test order, signs, angle unit and clock of a log by rigid-body dynamics.
 
 Of all ways to read a log the right one leaves least torque that no arm of real masses
 explains. With s the share of its variance that is left of each joint's torque, a
@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt, Severity
-from hybrid.inspect.masses import Columns, file_masses, unit_masses
-from hybrid.inspect.reading import Reading, readings
+from hybrid.inspect.masses import MassColumns, file_masses, unit_masses
+from hybrid.inspect.reading import OtherReading, readings
 from hybrid.inspect.speeds import bear_out
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
@@ -52,15 +52,15 @@ class _Bench:
     chain: Chain
     state: State
     masses: dict[str, Array]
-    _columns: dict[tuple[str, object], Columns] = field(default_factory=dict)
+    _columns: dict[tuple[str, object], MassColumns] = field(default_factory=dict)
     _left: dict[object, Array] = field(default_factory=dict)
 
-    def left(self, reading: Reading, design: str, rounds: int = 2) -> Array:
+    def left(self, reading: OtherReading, design: str, rounds: int = 2) -> Array:
         """Shares of torque that a reading leaves, shape (n,)."""
         key = design, reading.motion
         if key not in self._columns:
             moved = reading.moved(self.state)
-            self._columns[key] = Columns(self.chain, moved, self.masses[design])
+            self._columns[key] = MassColumns(self.chain, moved, self.masses[design])
         asked = key, reading, rounds
         if asked not in self._left:
             left = self._columns[key].left(*reading.torque, rounds=rounds)
@@ -69,13 +69,13 @@ class _Bench:
         return self._left[asked]
 
     def gain(
-        self, plain: Reading, reading: Reading, design: str, rounds: int = 2
+        self, plain: OtherReading, reading: OtherReading, design: str, rounds: int = 2
     ) -> float:
         """How much better a reading is than the plain one."""
         before = self.left(plain, design, rounds)
         return _gain(before, self.left(reading, design, rounds))
 
-    def best_order(self, plain: Reading) -> NDArray[np.intp]:
+    def best_order(self, plain: OtherReading) -> NDArray[np.intp]:
         """Which column of torque suits each joint best, shape (n,)."""
         from scipy.optimize import linear_sum_assignment
 
@@ -108,14 +108,14 @@ def doubts_of_physics(
 
 def _likelier(
     bench: _Bench, clocked: bool
-) -> tuple[Reading, Array, Array, Severity] | None:
+) -> tuple[OtherReading, Array, Array, Severity] | None:
     """The reading that is better than the plain one, if any is by far.
 
     Returns:
         It, the shares left before and after, and how serious it is.
     """
     n = bench.chain.size
-    plain = Reading((), (), "", np.arange(n), np.ones(n))
+    plain = OtherReading((), (), "", np.arange(n), np.ones(n))
     before = {design: bench.left(plain, design) for design in bench.masses}
     hopeful = [d for d, x in before.items() if _gain(x, np.minimum(x, _USUAL)) > _SURE]
     if not hopeful:
@@ -146,7 +146,7 @@ def _gain(before: Array, after: Array) -> float:
 
 def _doubt(
     recording: Recording,
-    reading: Reading,
+    reading: OtherReading,
     before: Array,
     after: Array,
     severity: Severity,

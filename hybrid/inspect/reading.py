@@ -1,4 +1,4 @@
-"""Ways in which a log may have been written, other than its columns say."""
+"""Alternative readings of a log: other order, signs, units or clock."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _CLOCKS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class OtherReading:
     """One way to read a log.
 
     Attributes:
@@ -82,7 +82,7 @@ class Reading:
 
 def readings(
     chain: Chain, moving: list[int], best: NDArray[np.intp]
-) -> Iterator[Reading]:
+) -> Iterator[OtherReading]:
     """Other orders, signs, units and clocks that a log may be in, simple ones first.
 
     Args:
@@ -95,30 +95,32 @@ def readings(
     for channels in (("tau",), ("q",), ("q", "tau")):
         among = list(range(n)) if channels == ("tau",) else moving
         for j in among:
-            yield Reading(channels, (j,), _ROUND, kept, np.where(kept == j, -1.0, 1.0))
+            yield OtherReading(
+                channels, (j,), _ROUND, kept, np.where(kept == j, -1.0, 1.0)
+            )
         for pair in combinations(among, 2):
             order = kept.copy()
             order[list(pair)] = order[list(pair[::-1])]
-            yield Reading(channels, pair, "swapped", order, ones)
+            yield OtherReading(channels, pair, "swapped", order, ones)
         seen: set[bytes] = set()
         for words, order in _orders(chain, best if channels == ("tau",) else kept):
             joints = tuple(np.flatnonzero(order != kept).tolist())
             new = order.tobytes() not in seen
             seen.add(order.tobytes())
             if new and len(joints) > 2 and set(joints) <= set(among):
-                yield Reading(channels, joints, words, order, ones)
+                yield OtherReading(channels, joints, words, order, ones)
     if n > 1:
-        yield Reading(("tau",), tuple(range(n)), _ROUND, kept, -ones)
+        yield OtherReading(("tau",), tuple(range(n)), _ROUND, kept, -ones)
         for factor, words in _UNITS.items():
             for j in moving:
                 each = np.where(kept == j, factor, 1.0)
-                yield Reading(("tau",), (j,), words, kept, each)
+                yield OtherReading(("tau",), (j,), words, kept, each)
     turning = tuple(j for j in moving if chain.revolute[j])
     for joints in dict.fromkeys([turning, *((j,) for j in turning)]):
         each = np.where(np.isin(kept, joints), _DEGREE, 1.0)
-        yield Reading(("q",), joints, "to be in degrees", kept, each)
+        yield OtherReading(("q",), joints, "to be in degrees", kept, each)
     for clock, words in _CLOCKS.items():
-        yield Reading(("t",), (), words, kept, ones, clock)
+        yield OtherReading(("t",), (), words, kept, ones, clock)
 
 
 def _orders(

@@ -1,4 +1,4 @@
-"""Unit of torque, from what the robot file's links ask for.
+"""Infer the unit of torque from the weight of the robot file's links.
 
 Each torque is a sum of the file's, times a scale, and of friction, rotor and offset.
 Files are wrong by a factor of two or so, payloads add to it; units by ten or more.

@@ -86,7 +86,7 @@ def doubts_of_speeds(recording: Recording, state: State) -> Iterator[Doubt]:
 
 
 def bear_out(state: State) -> bool:
-    """Whether measured speeds bear out the clock: it is not in doubt then."""
+    """Whether measured speeds confirm the clock."""
     if state.logged is None:
         return False
     moving = _moving(state, state.logged)

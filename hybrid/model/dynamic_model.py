@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -110,10 +110,6 @@ class DynamicModel:
     @cached_property
     def _reporting(self) -> tuple[Effect, ...]:
         return tuple(effect for effect in self.effects if effect.reports)
-
-    def without_remainder(self) -> DynamicModel:
-        """The physical terms alone."""
-        return replace(self, remainder=None)
 
     def save(self, path: str | Path) -> None:
         """Write ``path``, one JSON file with a hash of all that it says.

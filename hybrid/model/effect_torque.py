@@ -1,4 +1,4 @@
-"""The torque of a model's effects, worked out together where they are laws.
+"""Torque of a model's effects; laws of one instant are evaluated together.
 
 Laws of one instant are written down once for a model, so that what is common to them is
 worked out once. Effects that look at a whole motion are asked one by one.
@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics import Law, RigidBody, Tape, inverse_dynamics
 from hybrid.effects import Effect, JointState
 from hybrid.errors import HybridError
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
 

@@ -1,4 +1,4 @@
-"""Dynamic parameters tracked while the arm works, from whatever stream it gives."""
+"""Track dynamic parameters while the arm works."""
 
 from hybrid.online.health import Health
 from hybrid.online.identifier import OnlineIdentifier

@@ -7,19 +7,19 @@ from functools import partial
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.dynamics.sample import SampleRegressor
 from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
 from hybrid.online.laws import STEP, InstantLaws, Numbered
-from hybrid.online.layout import PAYLOAD, Layout
+from hybrid.online.layout import PAYLOAD, RowLayout
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion
 
 
-class Columns:
+class InstantColumns:
     """Torque of B instants, linearised in all unknowns.
 
     After :meth:`begin` each task writes its part of ``rows``, shape (B, P).
@@ -35,7 +35,7 @@ class Columns:
     """
 
     def __init__(
-        self, robot: Robot, problem: Problem, layout: Layout, instants: int
+        self, robot: Robot, problem: Problem, layout: RowLayout, instants: int
     ) -> None:
         self._problem, self._layout = problem, layout
         self._regressor = SampleRegressor(robot)

@@ -1,4 +1,4 @@
-"""The estimate of all unknowns, and what rows of a block tell about it."""
+"""Update the estimate of all unknowns with the rows of a block."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.online.layout import Indices, Layout
+from hybrid.arrays import Array
+from hybrid.online.layout import Indices, RowLayout
 from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import PayloadChange
 from hybrid.online.square_root import SquareRootFilter
-from hybrid.robot.chain import Array
 
 _SURPRISE = 5.0  # standard deviations to which an error is cut
 
@@ -27,7 +27,7 @@ class _News:
     repeats: float  # see TorqueNoise
 
 
-class Estimate:
+class OnlineEstimate:
     """Filter, noise and payload detector together, a few tasks for each row.
 
     Args:
@@ -62,8 +62,8 @@ class Estimate:
         self._news: _News | None = None
         self._seen, self._spread = np.zeros((0, len(root.mean))), np.zeros(0)
 
-    def judge(self, row: Array, layout: Layout) -> None:
-        """See what a row says of the estimate.
+    def judge(self, row: Array, layout: RowLayout) -> None:
+        """Compute the errors of a row under the present estimate.
 
         Args:
             row: Flat row, shape (P,).
@@ -81,7 +81,7 @@ class Estimate:
             self._news = _News(joints, H, error, payload, repeats)
 
     def foresee(self) -> None:
-        """How far errors may be from 0 by what is not known yet; 1 if all is known."""
+        """Expected size of errors from uncertain unknowns; 1 if all are known."""
         if self._news is not None:
             self._seen = self.filter.seen(self._news.H)
             square = np.einsum("ij,ij->i", self._seen, self._seen)

@@ -1,4 +1,4 @@
-"""How well a stream of samples arrives: counts, its rate, and whether all is well."""
+"""The health of a stream of samples: counts, rate, problems."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _RATE_OFF = 0.05  # of the stated rate
 
 @dataclass(frozen=True)
 class Health:
-    """What became of the samples.
+    """Counts of accepted and rejected samples, and the rate.
 
     ``received`` is the sum of ``used`` and of those that were left out: ``not_finite``,
     ``implausible``, ``repeated``, ``late`` and ``jumped``.
@@ -51,7 +51,7 @@ class Health:
 
     @property
     def ok(self) -> bool:
-        """Whether the stream is as it was promised: nothing is lost, the rate right."""
+        """Whether hardly any sample is lost and the rate is as stated."""
         return self.lost <= _LOST and self.rate_is_right
 
     @property

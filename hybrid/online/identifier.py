@@ -18,14 +18,15 @@ from itertools import pairwise
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
 from hybrid.model.dynamic_model import DynamicModel
-from hybrid.online.columns import Columns
-from hybrid.online.estimate import Estimate
+from hybrid.online.columns import InstantColumns
+from hybrid.online.estimate import OnlineEstimate
 from hybrid.online.health import Health
 from hybrid.online.intake import Intake, Sample
-from hybrid.online.layout import Layout
+from hybrid.online.layout import RowLayout
 from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import Change, PayloadChange, likely_payload
 from hybrid.online.pipeline import Pipeline
@@ -35,7 +36,6 @@ from hybrid.parameters import Parameter
 from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 _STANDING = 0.01  # of a joint's rated speed
@@ -46,7 +46,7 @@ _SETTLING = 1.5  # periods of the cut-off for which rows mix what was with what 
 
 
 class OnlineIdentifier:
-    """Base parameters and the gains and shapes of effects, always up to date.
+    """Tracks base parameters, and the gains and shapes of effects, sample by sample.
 
     Positions are differentiated by local polynomials, columns and torque pass the same
     low-pass, and an extended square-root filter takes them in, a few times per period
@@ -113,11 +113,11 @@ class OnlineIdentifier:
         if np.isfinite(cutoff):
             self._derive = LocalPolynomial(rate, cutoff, self._group)
             self._smooth = BlockLowPass(rate / self._group, cutoff, rows)
-        self._layout = Layout(self.problem, shape_prior > 0)
-        self._columns = Columns(robot, self.problem, self._layout, rows)
+        self._layout = RowLayout(self.problem, shape_prior > 0)
+        self._columns = InstantColumns(robot, self.problem, self._layout, rows)
         updates, size = rate / self._block, len(start.theta)
         self._payload_sizes = payload_sizes(payload)
-        self._estimate = Estimate(
+        self._estimate = OnlineEstimate(
             SquareRootFilter(start.theta, start.root),
             bounds=start.bounds(),
             gains=problem.size,
@@ -152,7 +152,7 @@ class OnlineIdentifier:
 
     @property
     def delay(self) -> float:
-        """How long ago the newest sample was that is in a new estimate, [s]."""
+        """Delay of the estimate behind the newest sample, [s]."""
         margin = self._derive.margin if self._derive else 0
         return (margin + self._block - 1) / self.rate
 
@@ -210,10 +210,10 @@ class OnlineIdentifier:
 
     @property
     def taken(self) -> Array:
-        """What the last link carries more than before the last change, shape (10,).
+        """Payload that the last change added to the last link, shape (10,).
 
-        Mass, first moments and inertia about its frame origin; what the torque cannot
-        tell of them is as small as it can be.
+        Mass, first moments and inertia about the origin of its frame. What the torque
+        cannot tell is as small as possible.
         """
         mean, covariance = self._estimate.before
         change = self._estimate.filter.mean - mean

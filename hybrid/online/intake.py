@@ -1,4 +1,4 @@
-"""Which samples of a stream are taken in, and in what blocks."""
+"""Accept or reject the samples of a stream, and group them into blocks."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.online.health import Health
-from hybrid.robot.chain import Array
 from hybrid.signals.streaming import STRETCH
 
 _FATES = ("used", "not_finite", "implausible", "repeated", "late", "jumped")
@@ -42,7 +42,7 @@ class Sample:
 
 
 class Intake:
-    """Samples that follow each other, block by block with what came before.
+    """Accepts samples that follow each other, and groups them into blocks.
 
     One rule holds for clock and position: a sample is taken in if it follows the last
     one within reach of the window, no faster than ``speed``. One that does not is left
@@ -86,7 +86,7 @@ class Intake:
 
     @property
     def now(self) -> float:
-        """Stamp of the last sample that was taken in, [s]."""
+        """Time stamp of the last accepted sample, [s]."""
         return math.nan if self._last is None else float(self._last[0])
 
     @property

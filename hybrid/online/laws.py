@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics import Law, Tape
 from hybrid.effects import Effect, JointEffect, JointState
 from hybrid.errors import HybridError
-from hybrid.online.layout import Indices, Layout
-from hybrid.robot.chain import Array
+from hybrid.online.layout import Indices, RowLayout
 
 STEP = 1e-4  # relative, for slopes of the shapes
 
@@ -43,7 +43,7 @@ class InstantLaws:
         layout: Where their columns stand in a row.
     """
 
-    def __init__(self, effects: Sequence[Numbered], layout: Layout) -> None:
+    def __init__(self, effects: Sequence[Numbered], layout: RowLayout) -> None:
         n, tape = layout.joint_count, Tape()
         names = ["t", *(f"{x}[{j}]" for x in ("q", "v", "a", "load") for j in range(n))]
         t, *signals = (tape.input(name) for name in names)
@@ -85,7 +85,7 @@ class InstantLaws:
 
 
 def _columns(
-    own: Numbered, states: Sequence[JointState], layout: Layout, tape: Tape
+    own: Numbered, states: Sequence[JointState], layout: RowLayout, tape: Tape
 ) -> dict[int, Any]:
     """Place -> column of a gain or slope of a shape, as symbols."""
     effect = own.effect

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.regression.problem import Problem
-from hybrid.robot.chain import Array
 
 Indices = NDArray[np.intp]
 
@@ -15,7 +15,7 @@ PAYLOAD = 4
 _EXTRA = PAYLOAD + 2
 
 
-class Layout:
+class RowLayout:
     """Places of a flat row: joint after joint, the unknowns that ever move its torque.
 
     Behind them stand the joint's derivatives by mass and first moments of the last

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 _MEMORY = 5.0  # s
 _FIRST = 20  # updates over which the first guess counts
@@ -15,7 +15,7 @@ _MOST_CORRELATED = 0.98
 
 
 class TorqueNoise:
-    """Fading mean square of the errors of each joint, and how far one repeats itself.
+    """Size and correlation in time of the errors of each joint, with fading memory.
 
     Args:
         std: First guess of the standard deviation, shape (n,), [N·m].

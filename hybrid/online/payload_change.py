@@ -1,4 +1,4 @@
-"""Noticing that the last link has taken or lost a payload.
+"""Detect that the last link has taken or lost a payload.
 
 Source: Willsky and Jones 1976, doi 10.1109/TAC.1976.1101146 (generalised likelihood
 ratio of a jump, here with fading memory).
@@ -12,8 +12,8 @@ from itertools import repeat
 import numpy as np
 from scipy.linalg import lapack
 
+from hybrid.arrays import Array
 from hybrid.online.layout import PAYLOAD
-from hybrid.robot.chain import Array
 
 _THRESHOLD = 50.0
 _HOLD = 1.0  # s after a change in which none is looked for

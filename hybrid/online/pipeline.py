@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hybrid.online.columns import Columns
-from hybrid.online.layout import Layout
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
+from hybrid.online.columns import InstantColumns
+from hybrid.online.layout import RowLayout
 from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 
@@ -29,8 +29,8 @@ class Pipeline:
 
     def __init__(
         self,
-        columns: Columns,
-        layout: Layout,
+        columns: InstantColumns,
+        layout: RowLayout,
         *,
         group: int,
         derive: LocalPolynomial | None,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 _ROUNDING = 1e-12  # information, or share of a variance, below which there is none
 

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 REACH = 0.15  # m: usual size of a link, and distance of a payload from the last joint
 

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointEffect, Port
+from hybrid.effects.registry import check_effects
 from hybrid.errors import EffectError, HybridError
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 Index = NDArray[np.intp]
@@ -134,7 +135,7 @@ def has_hook(effect: Effect) -> bool:
 
 
 def drives(effect: Effect) -> bool:
-    """Whether the drive delivers another torque than it believes to."""
+    """Whether the drive delivers a torque that differs from the commanded one."""
     return overrides(effect, "deliver") or overrides(effect, "follow")
 
 
@@ -142,8 +143,10 @@ def check_simulable(effects: Sequence[Effect], size: int) -> None:
     """Check that every effect has a realisation and joints of an arm of n joints.
 
     Raises:
-        EffectError: It has neither a hook nor a law, or a joint out of range.
+        EffectError: One is no effect, has neither a hook nor a law, or a joint out of
+            range.
     """
+    check_effects(effects)
     for effect in effects:
         if not (has_hook(effect) or isinstance(effect, JointEffect)):
             raise EffectError(

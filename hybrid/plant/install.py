@@ -1,4 +1,4 @@
-"""Effects and learned torque that MuJoCo has no word for, added while it steps."""
+"""Add effects and learned torque that MJCF lacks while MuJoCo steps."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
 from hybrid.plant.arm import has_hook, overrides
 from hybrid.plant.laws import Laws, part
 from hybrid.plant.native import split_effects, springs
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ _INSTALLED: dict[int, Installed] = {}
 def install(
     model: mujoco.MjModel, data: mujoco.MjData, dynamic_model: _Model
 ) -> Installed:
-    """Let a simulation feel what its MJCF file cannot say.
+    """Add what MJCF cannot express to a running simulation.
 
     MuJoCo knows links, rotors, viscous and dry friction of a joint; an exported MJCF
     file holds them, and of a curve over speed what comes nearest to it. This puts the

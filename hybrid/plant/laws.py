@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointEffect, JointState, Port
 from hybrid.plant.arm import Index, has_hook
-from hybrid.robot.chain import Array
 
 Side = Literal["dry", "drive", "link"]
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.errors import HybridError
 from hybrid.plant.arm import Arm, drives, overrides
 from hybrid.plant.laws import Laws, part
-from hybrid.robot.chain import Array
 
 # Nothing real turns this fast: the simulation has diverged.
 _FASTEST = 1e3  # rad/s
@@ -146,7 +146,7 @@ class Lockstep:
             self._push()
 
     def _resist(self, motor: JointState) -> None:
-        """Add the torque of effects with a past to that of the drives' laws."""
+        """Add the torque of effects with memory to that of the drives' laws."""
         step = self._arm.model.opt.timestep
         for k, effect in enumerate(self._resisting):
             j = list(effect.joints)

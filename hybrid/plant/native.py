@@ -1,4 +1,4 @@
-"""What of an effect a simulator's joint has a field for, and what is left of it."""
+"""Split effects into what a simulator's joint has fields for, and the rest."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.spring import Spring
 from hybrid.effects.viscous import Viscous
-from hybrid.robot.chain import Array
 
 # Of a joint with a preload and no spring, [N·m/rad]: the spring that has the preload
 # pulls no differently wherever the joint is.
@@ -22,7 +22,7 @@ _SOFT = 1e-9
 def split_effects(
     effects: Sequence[Effect], fields: Collection[str], size: int
 ) -> tuple[dict[str, Array], list[Effect]]:
-    """Take out of effects what a simulator's joints have fields for.
+    """Split effects into values of joint fields and remaining effects.
 
     Args:
         effects: Effects of an arm.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import HybridError
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 # Usual sizes: see `Noise.typical`.

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.plant.arm import Arm, build_arm, drives, overrides
@@ -16,7 +17,6 @@ from hybrid.plant.noise import Noise
 from hybrid.plant.reference import Reference
 from hybrid.plant.servo import Servo
 from hybrid.recording.recording import Recording
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 # The arm waits this long at the start of a motion, so that the servo has taken up
@@ -102,13 +102,16 @@ class Plant:
         return self.servo
 
     def run(
-        self, references: Sequence[Reference], *, rng: np.random.Generator
+        self,
+        references: Sequence[Reference],
+        *,
+        seed: int | np.random.Generator = 0,
     ) -> list[Recording]:
         """Follow references, all in lockstep, and log.
 
         Args:
             references: Motions to follow, B of them, of any lengths.
-            rng: Source of the noise; the motion itself is not random.
+            seed: Seed or generator of the noise; the motion itself is not random.
 
         Returns:
             One recording for each reference.
@@ -123,6 +126,7 @@ class Plant:
         if not references or any(r.q.shape[1] != n for r in references):
             raise HybridError(f"one reference or more of {n} joints is needed")
         clock, signals = self._simulate(references)
+        rng = np.random.default_rng(seed)
         return [
             self._record(k, reference, clock, signals, child)
             for k, (reference, child) in enumerate(
@@ -174,7 +178,7 @@ class Plant:
         return signal
 
     def _gains(self) -> tuple[Array, Array]:
-        """Stiffness and damping of the servo as they really are, shape (n,)."""
+        """True stiffness and damping of the servo, shape (n,)."""
         kp, kd = self._servo.kp.copy(), self._servo.kd.copy()
         for effect in self.effects:
             j = list(effect.joints)

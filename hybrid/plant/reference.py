@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import HybridError
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 # What stands in for a limit that a robot file does not state.
@@ -78,7 +78,7 @@ def random_fourier(
     *,
     duration: float,
     rate: float,
-    rng: np.random.Generator,
+    seed: int | np.random.Generator = 0,
     order: int = 5,
     fundamental: float | None = None,
     fill: float = 0.7,
@@ -99,7 +99,7 @@ def random_fourier(
             10 rad/s².
         duration: Length of the motion, [s].
         rate: Samples per second, [Hz].
-        rng: Source of the coefficients.
+        seed: Seed or generator of the coefficients.
         order: Number of harmonics, at least 3.
         fundamental: Lowest frequency, [Hz]; rounded to a whole number of periods in
             the duration. By default 0.1 Hz, or one period if the motion is shorter.
@@ -119,6 +119,7 @@ def random_fourier(
         )
     omega = 2 * np.pi * periods / duration * np.arange(1.0, order + 1)  # (order,)
     t = np.linspace(0.0, duration, round(duration * rate) + 1)
+    rng = np.random.default_rng(seed)
     sine, cosine = _coefficients(omega, robot.size, rng)
     s, c = np.sin(np.outer(t, omega)), np.cos(np.outer(t, omega))  # (N, order)
     v = s @ sine + c @ cosine

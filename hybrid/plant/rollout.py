@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.plant.arm import Arm, Index, build_arm, overrides
 from hybrid.plant.lockstep import Lockstep
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 from hybrid.signals import Motion
 
@@ -136,7 +136,7 @@ class _Moving(Lockstep):
         self.a, self.load = start.a.copy(), load.copy()
 
     def bend(self, torques: Sequence[Array]) -> None:
-        """Set what effects with a past resist with, shape (B, k) each, [N·m]."""
+        """Set the torque of effects with memory, shape (B, k) each, [N·m]."""
         self._resisted = [np.array(x) for x in torques]
 
     def _read(self) -> None:

@@ -1,4 +1,4 @@
-"""Size of an arm's joints, in which the usual sizes of effects are stated."""
+"""Size of an arm's joints: the unit in which usual sizes of effects are stated."""
 
 from __future__ import annotations
 

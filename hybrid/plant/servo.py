@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from hybrid.plant.arm import Arm, inverse_dynamics
 from hybrid.plant.noise import rated_torque
 from hybrid.plant.reference import Reference
-from hybrid.robot.chain import Array
 from hybrid.robot.robot import Robot
 
 # Damping times period over rotor inertia: a sampled servo is unstable at 2.
@@ -89,10 +89,6 @@ class Servo:
             limit=robot.tau_max,
             feedforward=robot,
         )
-
-    def without_feedforward(self) -> Servo:
-        """The same gains, PD only."""
-        return replace(self, feedforward=None)
 
     def plan(self, reference: Reference, t: Array) -> tuple[Array, Array, Array]:
         """Position, speed and feed-forward torque at the control samples.

@@ -61,9 +61,9 @@ def simulate(
             plant.nominal or plant.robot,
             duration=duration,
             rate=plant.log_rate,
-            rng=child,
+            seed=child,
             fill=fill,
         )
         for child in motion_rng.spawn(trajectories)
     ]
-    return plant.run(references, rng=noise_rng)
+    return plant.run(references, seed=noise_rng)

@@ -1,4 +1,4 @@
-"""A documented truth: the plant that a YAML file describes."""
+"""Read a simulated truth, the plant that a YAML file describes."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import effect_from_dict
 from hybrid.errors import HybridError
 from hybrid.files import read_yaml
 from hybrid.plant.noise import Noise
 from hybrid.plant.plant import Plant
-from hybrid.robot.chain import Array
 from hybrid.robot.library import robot_file
 from hybrid.robot.robot import Robot
 from hybrid.robot.spatial import central_inertia, inertial_about

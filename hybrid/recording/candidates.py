@@ -1,4 +1,4 @@
-"""Labels -> the columns of each channel: the map's, or those whose words say so."""
+"""Find the columns of each channel by the map or by the words of labels."""
 
 from __future__ import annotations
 

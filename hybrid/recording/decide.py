@@ -18,7 +18,7 @@ from hybrid.recording.joints import MatchedJoints, match_joints
 from hybrid.recording.mapping import Mapping, preset_of
 from hybrid.recording.reading import Reading, Used
 from hybrid.recording.recording import CHANNELS, joint_mismatch, numbered_joints
-from hybrid.recording.table import MOST_COLUMNS, Table
+from hybrid.recording.table import MOST_COLUMNS, LogTable
 from hybrid.recording.units import SI, converted
 from hybrid.recording.words import (
     CHANNEL_WORDS,
@@ -43,7 +43,7 @@ class Decision:
 
 
 def decide(
-    table: Table,
+    table: LogTable,
     *,
     joints: tuple[str, ...] | None = None,
     mapping: Mapping | None = None,
@@ -74,7 +74,7 @@ class _Decider:
 
     def __init__(
         self,
-        table: Table,
+        table: LogTable,
         joints: tuple[str, ...] | None,
         mapping: Mapping,
         torque: bool,
@@ -322,7 +322,7 @@ class _Decider:
 
 
 def decide_command(
-    table: Table, joints: tuple[str, ...], mapping: Mapping
+    table: LogTable, joints: tuple[str, ...], mapping: Mapping
 ) -> Decision | None:
     """Columns of the command alone, for a stream without positions; None if none.
 

@@ -37,7 +37,7 @@ class Source:
     dropped: bool = False
 
     def over(self, below: Source) -> Source:
-        """This source, with what it leaves open from another."""
+        """This source, completed from another."""
         columns = below.columns if self.columns is None else self.columns
         factors = below.factors | self.factors
         return Source(columns, self.unit or below.unit, factors, self.dropped)
@@ -80,7 +80,7 @@ class Mapping:
     origin: str = "map"
 
     def source(self, channel: str) -> Source:
-        """Where a channel comes from; a channel without a word leaves all open."""
+        """The source of a channel; an empty one if the map does not mention it."""
         return self.sources.get(channel, Source())
 
     def own(self, channel: str) -> bool:
@@ -89,7 +89,7 @@ class Mapping:
         return self.source(channel) != preset.source(channel)
 
     def over(self, below: Mapping) -> Mapping:
-        """This map, with what it leaves open from another."""
+        """This map, completed from another."""
         return replace(
             self,
             preset=self.preset or below.preset,

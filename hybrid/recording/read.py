@@ -23,7 +23,7 @@ from hybrid.recording.mapping import Mapping, read_mapping
 from hybrid.recording.reading import Used
 from hybrid.recording.recording import Recording
 from hybrid.recording.streams import main_stream
-from hybrid.recording.table import LARGEST_FILE, NoJointsError, Table
+from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
 from hybrid.recording.units import seconds
 
 Map = str | Path | MappingType[str, Any] | Mapping | None
@@ -138,7 +138,7 @@ def recording_from_table(
 
 
 def recording_of(
-    tables: tuple[Table, ...],
+    tables: tuple[LogTable, ...],
     *,
     joints: tuple[str, ...] | None = None,
     map: Map = None,
@@ -161,19 +161,19 @@ def recording_of(
         decision = decide(tables[0], joints=joints, mapping=mapping, torque=torque)
         return _recording(tables[0], decision, torque)
 
-    def decided(table: Table, quiet: bool) -> Decision:
+    def decided(table: LogTable, quiet: bool) -> Decision:
         return decide(table, joints=joints, mapping=mapping, torque=torque, quiet=quiet)
 
-    def commanded(table: Table, joints: tuple[str, ...]) -> Decision | None:
+    def commanded(table: LogTable, joints: tuple[str, ...]) -> Decision | None:
         return decide_command(table, joints, mapping)
 
-    def built(table: Table, decision: Decision) -> Recording:
+    def built(table: LogTable, decision: Decision) -> Recording:
         return _recording(table, decision, torque)
 
     return main_stream(tables, decided, built, commanded)
 
 
-def _recording(table: Table, decision: Decision, torque: bool) -> Recording:
+def _recording(table: LogTable, decision: Decision, torque: bool) -> Recording:
     reading, time = decision.reading, decision.time
     wanted = (u.index for u in reading.columns if u.index >= 0)
     columns = table.load(tuple(dict.fromkeys(wanted)))
@@ -206,7 +206,7 @@ def _recording(table: Table, decision: Decision, torque: bool) -> Recording:
 
 
 def _channel(
-    table: Table,
+    table: LogTable,
     columns: dict[int, NDArray[Any]],
     used: tuple[Used, ...],
     shape: tuple[int, ...],
@@ -229,7 +229,7 @@ def _channel(
     return values
 
 
-def _check_numbers(x: NDArray[Any], used: Used, table: Table) -> None:
+def _check_numbers(x: NDArray[Any], used: Used, table: LogTable) -> None:
     kinds = "fiuM" if used.channel == "t" else "fiu"
     if x.ndim != 1 or x.dtype.kind not in kinds:
         raise RecordingError(
@@ -262,7 +262,7 @@ def _opened(path: Path) -> Path:
 
 def _logs(
     path: Path, progress: Callable[[str], None] | None
-) -> Iterator[tuple[Table, ...]]:
+) -> Iterator[tuple[LogTable, ...]]:
     """The tables of each recording of a file or folder."""
     kind = kind_of(path) or ""
     reader = FOLDERS.get(kind) or READERS[kind]

@@ -1,4 +1,4 @@
-"""How a log was read: which column became which channel, and which were set aside."""
+"""How a log was read: the channel of each column, and the unused columns."""
 
 from __future__ import annotations
 

@@ -14,15 +14,15 @@ import numpy as np
 from hybrid.errors import RecordingError
 from hybrid.recording.decide import Decision
 from hybrid.recording.recording import Recording
-from hybrid.recording.table import Table
+from hybrid.recording.table import LogTable
 from hybrid.recording.units import seconds
 
 
 def main_stream(
-    tables: tuple[Table, ...],
-    decided: Callable[[Table, bool], Decision],
-    build: Callable[[Table, Decision], Recording],
-    commanded: Callable[[Table, tuple[str, ...]], Decision | None],
+    tables: tuple[LogTable, ...],
+    decided: Callable[[LogTable, bool], Decision],
+    build: Callable[[LogTable, Decision], Recording],
+    commanded: Callable[[LogTable, tuple[str, ...]], Decision | None],
 ) -> Recording:
     """Find the stream with the joints, and build its recording.
 
@@ -46,10 +46,10 @@ def main_stream(
 
 
 def _best(
-    tables: tuple[Table, ...], decided: Callable[[Table, bool], Decision]
-) -> Table:
+    tables: tuple[LogTable, ...], decided: Callable[[LogTable, bool], Decision]
+) -> LogTable:
     """The stream with most channels: torques before all, then joint states."""
-    good: list[tuple[tuple[bool, bool, int], Table]] = []
+    good: list[tuple[tuple[bool, bool, int], LogTable]] = []
     bad = []
     for table in tables:
         try:
@@ -73,7 +73,7 @@ def _best(
 
 
 def _with_command(
-    recording: Recording, main: Table, table: Table, decision: Decision
+    recording: Recording, main: LogTable, table: LogTable, decision: Decision
 ) -> Recording:
     """The recording with a command of another stream, interpolated to its clock.
 

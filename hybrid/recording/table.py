@@ -23,7 +23,7 @@ Load = Callable[[tuple[int, ...]], dict[int, NDArray[Any]]]
 
 
 @dataclass(frozen=True)
-class Table:
+class LogTable:
     """Named columns on one clock.
 
     Attributes:
@@ -64,7 +64,7 @@ class Table:
 
 def table_of_arrays(
     columns: dict[str, NDArray[Any]], source: str, **more: Any
-) -> Table:
+) -> LogTable:
     """A table of columns at hand.
 
     Args:
@@ -73,7 +73,7 @@ def table_of_arrays(
         more: Further fields of the table.
     """
     values = list(columns.values())
-    return Table(
+    return LogTable(
         source, tuple(columns), lambda used: {k: values[k] for k in used}, **more
     )
 
@@ -103,7 +103,7 @@ def named_labels(labels: Sequence[str], texts: Mapping[str, str]) -> tuple[str, 
 
 
 def labels_of(recording: Recording) -> dict[str, NDArray[np.float64]]:
-    """The columns of a recording under the labels that read back to it.
+    """Columns of a recording, under labels that the readers understand.
 
     Args:
         recording: Joint log.
@@ -120,4 +120,4 @@ def labels_of(recording: Recording) -> dict[str, NDArray[np.float64]]:
 
 
 class NoJointsError(RecordingError):
-    """A valid file in which no channel of any joint is; the message says what is."""
+    """A valid file without any joint channel; the message says what it has."""

@@ -79,7 +79,7 @@ class _Word:
 
 
 def is_time(label: str) -> bool:
-    """Whether a label, without unit, is one for time."""
+    """Whether a label without its unit means time."""
     word = label.strip().lower()
     return word in TIME or word.endswith(("/stamp", ".stamp", "/__time", ".__time"))
 

@@ -1,17 +1,20 @@
-"""Recordings -> files."""
+"""Recordings, and other columns of numbers, -> files."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.files import atomic_path
-from hybrid.recording.formats.csv import write_csv
-from hybrid.recording.formats.npz import write_npz
-from hybrid.recording.formats.parquet import write_parquet
 from hybrid.recording.recording import Recording
+from hybrid.recording.table import labels_of
 
-WRITERS = {".csv": write_csv, ".parquet": write_parquet, ".npz": write_npz}
+Columns = Mapping[str, NDArray[Any]]
 
 
 def write(recording: Recording, path: str | Path) -> None:
@@ -26,13 +29,68 @@ def write(recording: Recording, path: str | Path) -> None:
     Raises:
         RecordingError: The suffix is unknown or the file cannot be written.
     """
-    path = Path(path)
-    if path.suffix.lower() not in WRITERS:
-        raise RecordingError(
-            f"{path}: unknown kind of recording; valid are {', '.join(WRITERS)}"
-        )
+    columns: dict[str, NDArray[Any]] = {**labels_of(recording)}
+    if Path(path).suffix.lower() == ".npz":  # whole arrays, and the names beside them
+        columns = {"t": recording.t, "joints": np.array(recording.joints)}
+        columns |= recording.channels
     try:
-        with atomic_path(path) as temporary:
-            WRITERS[path.suffix.lower()](recording, temporary)
+        write_columns(path, columns)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error}") from error
+
+
+def write_columns(path: str | Path, columns: Columns) -> None:
+    """Write columns; the suffix, ``.csv``, ``.parquet`` or ``.npz``, says how.
+
+    The file appears whole or not at all, and every number reads back to the last bit.
+
+    Args:
+        path: Where the file shall be.
+        columns: Samples by label, each of shape (N,).
+
+    Raises:
+        RecordingError: The suffix is unknown.
+    """
+    path = Path(path)
+    writer = writer_of(path)
+    with atomic_path(path) as temporary:
+        writer(columns, temporary)
+
+
+def writer_of(path: Path) -> Callable[[Columns, Path], None]:
+    """The function that writes files of this suffix.
+
+    Raises:
+        RecordingError: The suffix is unknown.
+    """
+    if path.suffix.lower() not in WRITERS:
+        raise RecordingError(
+            f"{path}: unknown kind of file; valid are {', '.join(WRITERS)}"
+        )
+    return WRITERS[path.suffix.lower()]
+
+
+def _write_csv(columns: Columns, path: Path) -> None:
+    import pyarrow as pa
+    from pyarrow import csv
+
+    options = csv.WriteOptions(quoting_style="needed")
+    csv.write_csv(pa.table(dict(columns)), path, options)
+
+
+def _write_parquet(columns: Columns, path: Path) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    parquet.write_table(pa.table(dict(columns)), path)
+
+
+def _write_npz(columns: Columns, path: Path) -> None:
+    np.savez(path, **dict(columns))  # type: ignore[arg-type]
+
+
+WRITERS: dict[str, Callable[[Columns, Path], None]] = {
+    ".csv": _write_csv,
+    ".parquet": _write_parquet,
+    ".npz": _write_npz,
+}

@@ -13,10 +13,10 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.regression.problem import Problem, part
 from hybrid.regression.scores import Scores, Scoring, runs_of
-from hybrid.robot.chain import Array
 from hybrid.signals import Motion, Sampler
 
 _CHUNK = 16384  # samples worked on at a time, at full rate

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.stats import t as student
 
+from hybrid.arrays import Array
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import (
     RANK,
@@ -24,7 +25,6 @@ from hybrid.regression.least_squares import (
     unit_columns,
 )
 from hybrid.regression.prior import Prior
-from hybrid.robot.chain import Array
 
 _FEWEST_BLOCKS = 24
 _UNCORRELATED = 0.05
@@ -125,7 +125,7 @@ def estimated(
 
 
 def _held(A: Array, prior: Prior | None) -> tuple[int, ...]:
-    """Unknowns whose value would follow data by less than half of any change."""
+    """Unknowns that follow a change in the data by less than half of it."""
     if prior is None:
         return ()
     follows = np.diag(pseudo_inverse(A + prior.precision) @ A)

@@ -16,10 +16,10 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.prior import Prior
-from hybrid.robot.chain import Array
 
 Estimator = Literal["ls", "wls", "irls"]
 ESTIMATORS: tuple[Estimator, ...] = ("ls", "wls", "irls")
@@ -52,7 +52,7 @@ def settle(
     robust: bool = False,
     prior: Prior | None = None,
 ) -> Settled:
-    """Unknowns and weights of :func:`solve`, without saying how sure they are."""
+    """Unknowns and weights, without their covariance."""
     n, p = len(products.problem.support), products.problem.size
     if products.samples * n <= p:
         raise IdentificationError(

@@ -15,11 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.effects import Effect, Scale
 from hybrid.model.declared import declared_effects
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 
 _LEAST_MASS = 0.3  # of the mean mass of the links: a flange may carry a tool
 _LEAST_SIZE = 0.1  # of the length of the arm

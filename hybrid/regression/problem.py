@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.dynamics import (
     BaseParameters,
     RigidBody,
@@ -22,7 +23,7 @@ from hybrid.dynamics import (
     stacked_columns,
 )
 from hybrid.effects import Effect
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
 _WEIGHTLESS = 1e-9

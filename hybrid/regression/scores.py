@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.regression.problem import Problem
-from hybrid.robot.chain import Array
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,6 @@ class Scoring:
 
 
 def runs_of(*labels: NDArray[np.intp]) -> list[tuple[int, int]]:
-    """First sample and the one behind the last of each run of equal labels."""
+    """Start and end (exclusive) of each run of equal labels."""
     steps = np.sum([np.abs(np.diff(x, prepend=-1)) for x in labels], axis=0)
     return list(pairwise([*np.flatnonzero(steps), len(labels[0])]))

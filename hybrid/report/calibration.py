@@ -9,7 +9,7 @@ import numpy as np
 from hybrid.report.table import Table
 
 if TYPE_CHECKING:
-    from hybrid.calibrate import Calibration, Errors
+    from hybrid.calibration import Calibration, Errors
 
 # What a reader reads: millimetres and milliradians.
 _SHOWN = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/(N·m)": (1e6, "µrad/(N·m)")}

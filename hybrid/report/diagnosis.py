@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from hybrid.diagnose.units import units
+from hybrid.diagnosis.units import units
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report.diagnosis_curves import joint_curves, rms_table
@@ -26,13 +26,12 @@ from hybrid.report.diagnosis_text import (
     verdict_sentence,
     words,
 )
-from hybrid.report.output import write_results
+from hybrid.report.output import provenance, write_results
 from hybrid.report.page import render_template
-from hybrid.report.provenance import provenance
 
 if TYPE_CHECKING:
-    from hybrid.diagnose.diagnosis import Advice, Diagnosis, Finding, Shrink
-    from hybrid.diagnose.result import Result
+    from hybrid.diagnosis.diagnosis import Advice, Diagnosis, Finding, Shrink
+    from hybrid.diagnosis.result import Result
 
 PAGE, CONTENT = "report.html", "diagnosis.json"
 

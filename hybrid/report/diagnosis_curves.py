@@ -1,4 +1,4 @@
-"""What a diagnosis draws of each joint: few enough points for a page.
+"""Curves of each joint for the page of a diagnosis, with few points.
 
 All of it is on samples that no step of the diagnosis has seen.
 """
@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.diagnose.units import units
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
+from hybrid.diagnosis.units import units
 
 if TYPE_CHECKING:
-    from hybrid.diagnose.explanation import Explanation
-    from hybrid.diagnose.result import Result
+    from hybrid.diagnosis.explanation import Explanation
+    from hybrid.diagnosis.result import Result
 
 MOST_POINTS = 1500  # of a curve or a cloud
 _DIGITS = 4
@@ -145,7 +145,7 @@ def _clouds(
 
 
 def _clearest(over: Mapping[str, Array], y: Array) -> list[str]:
-    """What y is most clearly a function of, first."""
+    """Sort variables by how clearly y depends on them, the clearest first."""
     return sorted(over, key=lambda name: _roughness(over[name], y))
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from hybrid.diagnose.result import Result
+    from hybrid.diagnosis.result import Result
     from hybrid.effects import Effect
 
 _LITTLE = 3.0  # nats: a row with less is only named
@@ -40,14 +40,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class Matrix:
-    """Rows of cells, strongest first, and the effects for which nothing speaks."""
+    """Rows of cells, strongest first, and the effects without evidence."""
 
     rows: tuple[tuple[str, tuple[Cell, ...]], ...]
     silent: tuple[str, ...]
 
 
 def evidence_matrix(result: Result) -> Matrix:
-    """What speaks for every effect at every joint.
+    """Collect the evidence for every effect at every joint.
 
     Args:
         result: A diagnosis with the search that found its terms.

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hybrid.diagnose.diagnosis import Diagnosis, Finding, Region, Shrink, Value
+from hybrid.diagnosis.diagnosis import Diagnosis, Finding, Region, Shrink, Value
 
 MOST_LINES = 10
 _ABOVE = 1.2  # times its noise: a joint with less of a gap is not worth a word
@@ -15,7 +15,7 @@ _BOUND = "\u00a0"  # between a number and its unit
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
-    """What a diagnosis comes to."""
+    """The verdict of a diagnosis, in a sentence."""
     count, explained = len(diagnosis.findings), 1.0 - diagnosis.unexplained
     effects = "one effect accounts" if count == 1 else f"{count} effects account"
     part = "all" if explained >= 0.995 else f"{explained:.0%}"

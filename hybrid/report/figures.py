@@ -1,87 +1,36 @@
-"""Figures of an identification: errors, torques and friction laws.
+"""Measured and predicted torque over time.
 
-Each function returns a figure of its own and leaves matplotlib's global state alone.
-Colours are told apart by colour-blind readers, and by their lightness in print.
+A figure is one of its own and leaves matplotlib's global state alone. Colours are told
+apart by colour-blind readers, and by their lightness in print.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from hybrid.names import figure_text
 from hybrid.report.style import (
     BEST,
-    BLUE,
-    GREY,
     OTHERS,
     PALE,
-    RED,
     check_shape,
     clean,
     finish,
     legend,
-    new_figure,
     panels,
-    stage_inks,
 )
+from hybrid.signals import Motion, Sampler, motion_from_recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hybrid.identify import Validation
+    from hybrid.identification import DynamicModel
+    from hybrid.recording import Recording
 
-
-# More points than this hide each other.
-MOST_POINTS = 3000
-
-
-def rms_figure(validation: Validation) -> Figure:
-    """Torque error of every stage, per joint and mean: in N·m above, in % below.
-
-    Args:
-        validation: Errors of every stage on motions that no fit has seen.
-
-    Returns:
-        Figure of two axes.
-    """
-    figure = new_figure(height=4.6)
-    above, below = figure.subplots(2, 1, sharex=True)
-    rms = np.array([np.append(row.rms, row.mean) for row in validation.rows])
-    inks = stage_inks([row.name for row in validation.rows])
-    share = np.array([row.relative for row in validation.rows])
-    share = 100 * np.column_stack([share, share.mean(axis=1)])  # (stages, n + 1)
-    # The last group, the mean, stands apart from the joints.
-    x = np.append(np.arange(len(validation.joints)), len(validation.joints) + 0.4)
-    width = 0.84 / len(rms)
-    for axes, values in ((above, rms), (below, share)):
-        clean(axes, grid="y")
-        bars = []
-        for k, (row, height) in enumerate(zip(validation.rows, values, strict=True)):
-            ink = inks[row.name]
-            left = x - 0.42 + k * width
-            bars.append(
-                axes.bar(
-                    left, height, 0.92 * width, align="edge", color=ink, label=row.name
-                )
-            )
-    handles: list[Any] = bars
-    if validation.noise_floor is not None:
-        floor = np.append(validation.noise_floor, validation.noise_floor.mean())
-        ends = np.stack([x - 0.45, x + 0.43])
-        lines = above.plot(ends, np.stack([floor, floor]), color=RED, linewidth=1.4)
-        lines[0].set_label("noise floor")
-        handles.append(lines[0])
-    above.margins(x=0.01)
-    above.set_ylabel("RMS error [N·m]")
-    below.set_ylabel("relative error [%]")
-    below.set_xticks(x, [*map(figure_text, validation.joints), "mean"])
-    legend(figure, handles)
-    return figure
+_EXCERPT_SECONDS = 3.0  # of a recording: more is not to be made out
 
 
 def torque_figure(
@@ -128,47 +77,27 @@ def torque_figure(
     return figure
 
 
-def friction_figure(
-    v: Array,
-    residual: Array,
-    curves: Sequence[tuple[Array, Array]],
-    joints: Sequence[str],
-) -> Figure:
-    """Torque that other terms leave, against speed, and the law fitted to it.
+def excerpt_figure(model: DynamicModel, recording: Recording) -> Figure:
+    """Torque in the middle of a recording, and what models predict of it.
 
     Args:
-        v: Joint speed, shape (N, n), in [rad/s].
-        residual: Measured torque less all terms but the law, shape (N, n), in [N·m].
-        curves: Per joint the fitted law: speed, shape (m,), in [rad/s], and torque,
-            shape (m,), in [N·m]. NaN breaks the line.
-        joints: Joint names, n of them.
-
-    Returns:
-        Figure of n axes.
-
-    Raises:
-        HybridError: A shape does not fit.
+        model: The model, with its plain version among the simpler ones.
+        recording: A log of the arm.
     """
-    check_shape("residual", residual, v.shape)
-    if not v.shape[1] == len(curves) == len(joints):
-        raise HybridError(
-            f"speeds of {v.shape[1]} joints, {len(curves)} curves and "
-            f"{len(joints)} joint names: one of each per joint is needed"
-        )
-    figure, cells = panels(len(joints), height=1.9)
-    step = -(-len(v) // MOST_POINTS)
-    for j, ((axes,), (speed, torque)) in enumerate(zip(cells, curves, strict=True)):
-        clean(axes, grid="both")
-        axes.plot(
-            v[::step, j], residual[::step, j], ".", color=GREY, markersize=2.5,
-            alpha=0.5, markeredgewidth=0, rasterized=True,
-            label="measured − other terms",
-        )  # fmt: skip
-        axes.plot(speed, torque, color=BLUE, linewidth=1.6, label="fitted law")
-        axes.set_title(
-            figure_text(joints[j]), loc="left", fontsize=9, fontweight="bold"
-        )
-        axes.set_ylabel("torque [N·m]")
-    finish(figure, [axes for (axes,) in cells], "speed [rad/s]")
-    legend(figure, cells[0][0].get_legend_handles_labels()[0])
-    return figure
+    motion, sampler = seen_by(model, recording)
+    half = round(_EXCERPT_SECONDS * motion.rate / 2)
+    middle = len(motion.t) // 2
+    part = slice(max(0, middle - half), middle + half)
+    torques = {"measured": motion.tau, "all stages": model.predict(motion)}
+    if "LS" in model.simpler:
+        plain = model.simpler["LS"].predict(motion)
+        torques = {"measured": motion.tau, "plain least squares": plain} | torques
+    shown = {name: sampler(tau)[part] for name, tau in torques.items()}
+    measured = shown.pop("measured")
+    return torque_figure(motion.t[part], measured, shown, model.robot.joints)
+
+
+def seen_by(model: DynamicModel, recording: Recording) -> tuple[Motion, Sampler]:
+    """Motion as the identification sees it, and its filter without decimation."""
+    motion = motion_from_recording(recording, cutoff=2 * model.cutoff)
+    return motion, Sampler(motion.rate, model.cutoff, 1)

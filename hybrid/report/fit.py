@@ -10,7 +10,7 @@ from hybrid.report.table import Table, error_table
 
 if TYPE_CHECKING:
     from hybrid.effects import Effect
-    from hybrid.identify import Fit
+    from hybrid.identification import Fit
 
 
 def held_out_table(fit: Fit) -> Table:
@@ -21,7 +21,7 @@ def held_out_table(fit: Fit) -> Table:
 
 
 def effects_table(fit: Fit) -> Table:
-    """Effects that were found, joint by joint, with 95 % intervals and units.
+    """The effects found, by joint, with 95 % intervals and units.
 
     Gains at zero without an interval were not found, and are left out.
     """

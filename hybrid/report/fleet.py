@@ -13,8 +13,8 @@ from markupsafe import Markup
 from scipy.stats import median_abs_deviation
 
 from hybrid.files import atomic_path
-from hybrid.fleet.changes import Change
-from hybrid.fleet.fleet import Fleet, State
+from hybrid.fleets.changes import Change
+from hybrid.fleets.fleet import Fleet, State
 from hybrid.names import figure_text, file_stem
 from hybrid.report.page import Section, write_page
 from hybrid.report.style import (

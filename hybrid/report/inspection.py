@@ -1,4 +1,4 @@
-"""What is known of logs before anything is fitted: tables, a picture and a page."""
+"""Tables, figure and page of the inspection of logs."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def write_inspection(
     *,
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write a page of all that is known of some logs.
+    """Write the page of the inspection of some logs.
 
     Args:
         path: HTML file.

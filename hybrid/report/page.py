@@ -64,7 +64,7 @@ def write_page(
     lead: str = "",
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a page; where anything fails, a page that was there before stays.
+    """Write a page; if this fails, an older page stays.
 
     Args:
         path: HTML file.

@@ -1,4 +1,4 @@
-"""What became of servos that were fitted by replay: tables, a picture and a page."""
+"""Tables, figure and page of servos that were fitted by replay."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hybrid.servo.drive import QUANTITIES
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hybrid.servo.replay import Replay
+    from hybrid.servo.replay import ServoReplay
     from hybrid.servo.servo_fit import ServoFit
 
 
@@ -38,7 +38,7 @@ def gap_table(fit: ServoFit) -> Table:
 
 
 def findings_table(fit: ServoFit) -> Table:
-    """What the file has wrong, the most worthy first."""
+    """Wrong numbers of the robot's file, the most important first."""
     rows = [
         (
             x.joint,
@@ -68,7 +68,7 @@ def servos_table(fit: ServoFit) -> Table:
     return Table(("", *fit.robot.joints), tuple(rows))
 
 
-def replay_figure(replay: Replay, joints: Sequence[str]) -> Figure:
+def replay_figure(replay: ServoReplay, joints: Sequence[str]) -> Figure:
     """Position of every joint, measured and replayed, before and after.
 
     Args:
@@ -97,7 +97,7 @@ def replay_figure(replay: Replay, joints: Sequence[str]) -> Figure:
 def write_servo_page(
     path: str | Path,
     fit: ServoFit,
-    replay: Replay,
+    replay: ServoReplay,
     *,
     provenance: Mapping[str, Any],
 ) -> None:

@@ -1,4 +1,4 @@
-"""How figures look: few inks, small type, no box around the data."""
+"""The style of all figures: few colours, small type, no box around the data."""
 
 from __future__ import annotations
 

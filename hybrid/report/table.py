@@ -14,7 +14,7 @@ from hybrid.names import markdown
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-    from hybrid.identify import Validation
+    from hybrid.identification import Validation
 
 
 @dataclass(frozen=True)
@@ -81,15 +81,6 @@ def error_table(
     )
 
 
-def validation_table(validation: Validation) -> RichTable:
-    """The table for a terminal.
-
-    Args:
-        validation: Errors of every stage on motions that no fit has seen.
-    """
-    return numbers_table(table_from_validation(validation))
-
-
 def numbers_table(table: Table) -> RichTable:
     """A table of numbers for a terminal; rows without a last cell are dim."""
     from rich.box import SIMPLE_HEAD
@@ -115,15 +106,6 @@ def numbers_table(table: Table) -> RichTable:
         # As Text, so that a bracket in a joint's name is not taken for markup.
         rich.add_row(*map(Text, row), style=None if is_model else "dim")
     return rich
-
-
-def validation_markdown(validation: Validation) -> str:
-    """The table for a README.
-
-    Args:
-        validation: Errors of every stage on motions that no fit has seen.
-    """
-    return markdown_table(table_from_validation(validation))
 
 
 def markdown_table(table: Table) -> str:

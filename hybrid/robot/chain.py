@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array as Array
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.names import name_fault
 
@@ -98,3 +98,15 @@ class Chain:
     def size(self) -> int:
         """Number of joints n."""
         return len(self.joints)
+
+
+def zero_frames(chain: Chain) -> tuple[Array, Array]:
+    """Orientation and origin of each link at q = 0, shapes (n, 3, 3) and (n, 3)."""
+    R, p = np.eye(3), np.zeros(3)
+    rotations, origins = [], []
+    for rotation, translation in zip(chain.rotation, chain.translation, strict=True):
+        p = p + R @ translation
+        R = R @ rotation
+        rotations.append(R)
+        origins.append(p)
+    return np.array(rotations), np.array(origins)

@@ -13,7 +13,7 @@ _CORNERS = [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]  # of a tetrahedron
 
 
 def compiled(path: str | Path) -> Any:
-    """MuJoCo's model of a file with all that it names; what MuJoCo warns of is a fault.
+    """Compile a file with MuJoCo; a warning of MuJoCo counts as an error.
 
     Raises:
         RobotError: The file does not compile.
@@ -50,7 +50,7 @@ def _spec(path: Path) -> Any:
 
 
 def compiled_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
-    """MuJoCo's model of a spec, which is changed where files are missing.
+    """Compile a spec; stand-ins replace missing files in it.
 
     Returns:
         The model, and the missing file that each body's inertia would come from.

@@ -1,4 +1,4 @@
-"""What the links look like to a collision check: capsules that cover their geometry."""
+"""Capsules that cover the collision geometry of the links."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import zero_frames
 from hybrid.robot.compiled import compiled
 from hybrid.robot.mjcf import joint_names
 from hybrid.robot.mjcf import start as mujoco_start
@@ -72,18 +73,6 @@ def capsules_from_robot(robot: Robot) -> Capsules:
     if not any(k >= 0 for k in link):
         raise RobotError(f"{path.name} holds no collision geometry of the arm")
     return Capsules(np.array(link), np.array(ends), np.array(radius), tuple(names))
-
-
-def zero_frames(chain: Chain) -> tuple[Array, Array]:
-    """Orientation and origin of each link at q = 0, shapes (n, 3, 3) and (n, 3)."""
-    R, p = np.eye(3), np.zeros(3)
-    rotations, origins = [], []
-    for rotation, translation in zip(chain.rotation, chain.translation, strict=True):
-        p = p + R @ translation
-        R = R @ rotation
-        rotations.append(R)
-        origins.append(p)
-    return np.array(rotations), np.array(origins)
 
 
 Piece = tuple[int, Array, float, str]  # link, points in the world, growth, name

@@ -1,4 +1,4 @@
-"""How much a robot file asks for, found before anything is built of it.
+"""Estimate how much memory and time a robot file demands, before it is built.
 
 A few bytes of MJCF can ask for a billion bodies. The text is gone through once, tag by
 tag, as the parsers of MuJoCo and of URDF do it, which take more for XML than XML is. It
@@ -56,7 +56,7 @@ class _Demand:
 
 
 def check_demand(path: Path) -> None:
-    """Refuse a robot file that asks for more than a robot is.
+    """Refuse a robot file that demands more than any robot needs.
 
     Raises:
         RobotError: It is too large, or would become so, or has a number that is none.

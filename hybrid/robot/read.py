@@ -1,4 +1,4 @@
-"""Whatever stands for a robot -> fields of a robot, and MuJoCo's own model of it."""
+"""Read a robot from a file, a name, or a model of another library."""
 
 from __future__ import annotations
 

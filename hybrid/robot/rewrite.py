@@ -1,4 +1,4 @@
-"""A robot file with other joint placements, and every other byte as it was."""
+"""Rewrite the joint placements of a robot file; every other byte stays."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.files import atomic_path
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.robot.compiled import compiled_without_files
 from hybrid.robot.edit.document import Document, element
 from hybrid.robot.spatial import rotation_from_axis_angle

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.names import name_fault
-from hybrid.robot.chain import Array, Chain
+from hybrid.robot.chain import Chain
 from hybrid.robot.read import read_robot
 from hybrid.robot.unmodelled import check_modelled
 

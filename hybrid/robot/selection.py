@@ -1,4 +1,4 @@
-"""Which joints of a tree form the arm; the rest is held, and said to be."""
+"""Select the joints of a tree that form the arm; the others are held."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Tree:
         return [name for name in self.parents if name not in self.kinds]
 
     def line(self, name: str, among: Collection[str]) -> list[str]:
-        """A joint and those before it, base first, as far as they are in a set."""
+        """A joint and its ancestors within a set, base first."""
         line: list[str] = []
         here: str | None = name
         while here is not None and here in among:

@@ -63,7 +63,7 @@ def central_inertia(inertial: Array) -> tuple[float, Array, Array]:
 
 
 def inertia_fault(mass: float, about: Array) -> str:
-    """Why no body has a mass and an inertia about its centre, or nothing.
+    """Say why no body can have a mass and an inertia; empty if one can.
 
     Args:
         mass: Mass, [kg].

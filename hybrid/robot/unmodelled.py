@@ -1,4 +1,4 @@
-"""A robot against MuJoCo's own model: nothing that acts on its joints is left out.
+"""Compare a robot with MuJoCo's own model, to find forces not modelled.
 
 Both are asked for the torque of the same motions. Where they differ, the elements of
 the file without which MuJoCo's torque is another are those that are not modelled.
@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.chain import Array
 from hybrid.robot.mjcf import joint_names, start
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _ELEMENTS = {
 
 
 def check_modelled(robot: Robot, model: Any) -> None:
-    """Refuse a robot that needs another torque than MuJoCo's model of it.
+    """Refuse a robot whose torque differs from that of MuJoCo's model.
 
     Args:
         robot: What was read of the model.

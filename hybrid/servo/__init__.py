@@ -2,5 +2,6 @@
 
 from hybrid.servo.drive import Drive
 from hybrid.servo.servo_fit import ServoFit, fit_servo
+from hybrid.servo.stretch import without_torque
 
-__all__ = ["Drive", "ServoFit", "fit_servo"]
+__all__ = ["Drive", "ServoFit", "fit_servo", "without_torque"]

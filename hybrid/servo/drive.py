@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 
 _FAR = 20.0  # logarithm of a number in SI units that no servo has
 PRESLIDING = 1e-3  # rad: how far bristles bend before a joint breaks loose, mostly
@@ -25,7 +25,7 @@ _LITTLE = 1e-4  # of a torque: what stands for none where a logarithm is fitted
 
 
 @dataclass(frozen=True)
-class Quantity:
+class DriveQuantity:
     """One number of every servo, and what is known of it before a log is seen.
 
     Attributes:
@@ -49,17 +49,17 @@ class Quantity:
 
 
 QUANTITIES = (
-    Quantity("stiffness", "N·m/rad", "controller_gain", 2.0),
-    Quantity("damping", "N·m·s/rad", "viscous", 2.0),
-    Quantity("coulomb", "N·m", "coulomb", 2.0),
-    Quantity("stiction", "N·m", "stribeck", 0.05, "torque", False, 0.0),
-    Quantity("stribeck_speed", "rad/s", "stribeck", 1.0),
-    Quantity("bristle", "N·m/rad", "presliding", 2.0),
-    Quantity("armature", "kg·m²", "armature", 2.0),
-    Quantity("stall", "N·m", "saturation", 1.0),
-    Quantity("offset", "N·m", "torque_offset", 0.05, "torque", False),
-    Quantity("zero", "rad", "encoder_offset", 0.05, "", False),
-    Quantity("delay", "s", "command_latency", 0.03, "", False, 0.0),
+    DriveQuantity("stiffness", "N·m/rad", "controller_gain", 2.0),
+    DriveQuantity("damping", "N·m·s/rad", "viscous", 2.0),
+    DriveQuantity("coulomb", "N·m", "coulomb", 2.0),
+    DriveQuantity("stiction", "N·m", "stribeck", 0.05, "torque", False, 0.0),
+    DriveQuantity("stribeck_speed", "rad/s", "stribeck", 1.0),
+    DriveQuantity("bristle", "N·m/rad", "presliding", 2.0),
+    DriveQuantity("armature", "kg·m²", "armature", 2.0),
+    DriveQuantity("stall", "N·m", "saturation", 1.0),
+    DriveQuantity("offset", "N·m", "torque_offset", 0.05, "torque", False),
+    DriveQuantity("zero", "rad", "encoder_offset", 0.05, "", False),
+    DriveQuantity("delay", "s", "command_latency", 0.03, "", False, 0.0),
 )
 NAMES = tuple(x.name for x in QUANTITIES)
 PLAIN = ("stiffness", "damping", "coulomb", "armature", "offset", "delay")

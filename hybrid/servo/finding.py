@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Finding:
+class ServoFinding:
     """One number of the file that is wrong.
 
     Attributes:

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 from hybrid.servo.drive import QUANTITIES, Drive
-from hybrid.servo.simulator import Simulator
+from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import Stretch
 
 _FAR = 3.0  # σ beyond which an error counts less
@@ -34,7 +34,7 @@ _LONGEST = 200  # samples of autocorrelation
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class DriveEstimate:
     """Servos, and how sure they are.
 
     Attributes:
@@ -74,7 +74,7 @@ class Estimate:
         x[self.free] += self.covariance[i] / self.covariance[i, i] * off
         return self.drive.moved(x)
 
-    def keeping(self, prior: Drive, stays: NDArray[np.bool_]) -> Estimate:
+    def keeping(self, prior: Drive, stays: NDArray[np.bool_]) -> DriveEstimate:
         """The same with all numbers of some joints, shape (n,), from the prior."""
         values = np.where(stays, prior.values, self.drive.values)
         left = ~stays[np.argwhere(self.free)[:, 1]]
@@ -85,7 +85,7 @@ class Estimate:
             covariance=self.covariance[np.ix_(left, left)],
         )
 
-    def without(self, prior: Drive, k: int, j: int) -> Estimate:
+    def without(self, prior: Drive, k: int, j: int) -> DriveEstimate:
         """The same with one number known to be the prior's."""
         places = np.argwhere(self.free)
         i = int(np.flatnonzero((places == (k, j)).all(axis=1))[0])
@@ -101,7 +101,7 @@ class Estimate:
 class _Problem:
     def __init__(
         self,
-        simulator: Simulator,
+        simulator: ServoSimulator,
         stretches: Sequence[Stretch],
         prior: Drive,
         free: NDArray[np.bool_],
@@ -168,14 +168,14 @@ class _Problem:
 
 
 def fitted(
-    simulator: Simulator,
+    simulator: ServoSimulator,
     stretches: Sequence[Stretch],
     *,
     start: Drive,
     prior: Drive,
     free: NDArray[np.bool_],
     progress: Callable[[str], None] = lambda _: None,
-) -> Estimate:
+) -> DriveEstimate:
     """The most probable servos.
 
     Args:
@@ -211,7 +211,7 @@ def fitted(
         std > _UNTOLD * problem.spread[free], problem.center[free], x[free]
     )
     cost = problem.cost(errors, x)
-    return Estimate(prior.moved(x), free, covariance, problem.sigma, cost)
+    return DriveEstimate(prior.moved(x), free, covariance, problem.sigma, cost)
 
 
 def _step(

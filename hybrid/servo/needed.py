@@ -14,15 +14,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 from hybrid.servo.drive import Drive
-from hybrid.servo.fit import Estimate
-from hybrid.servo.simulator import Simulator
+from hybrid.servo.fit import DriveEstimate
+from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import Stretch
 
 
 def missed(
-    simulator: Simulator, logs: Sequence[Stretch], drives: Sequence[Drive | None]
+    simulator: ServoSimulator, logs: Sequence[Stretch], drives: Sequence[Drive | None]
 ) -> Array:
     """RMS error of replays, shape (len(drives), n), [rad]."""
     found = []
@@ -33,10 +33,10 @@ def missed(
 
 
 def needed(
-    simulator: Simulator,
+    simulator: ServoSimulator,
     logs: Sequence[Stretch],
     prior: Drive,
-    found: Estimate,
+    found: DriveEstimate,
     step: Array,
 ) -> NDArray[np.bool_]:
     """Numbers that differ from the file's, (len(QUANTITIES), n).

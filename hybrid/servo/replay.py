@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hybrid.robot.chain import Array
+from hybrid.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class ServoReplay:
     """One log beside its replays, N samples.
 
     Attributes:

@@ -20,18 +20,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive
-from hybrid.servo.finding import Finding
-from hybrid.servo.fit import Estimate, fitted, resolution
+from hybrid.servo.finding import ServoFinding
+from hybrid.servo.fit import DriveEstimate, fitted, resolution
 from hybrid.servo.needed import missed, needed
-from hybrid.servo.replay import Replay
-from hybrid.servo.simulator import Simulator, converged
+from hybrid.servo.replay import ServoReplay
+from hybrid.servo.simulator import ServoSimulator, converged
 from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
+from hybrid.shown import Shown
 from hybrid.threads import one_thread
 
 _COST = 5.0  # nats: prior odds of one number, among some hundred, to be wrong
@@ -48,7 +49,7 @@ _SHAPES = ("stribeck_speed", "bristle")
 
 
 @dataclass(frozen=True, eq=False)
-class ServoFit:
+class ServoFit(Shown):
     """Servos of an arm, from logs of command and position.
 
     Attributes:
@@ -73,7 +74,7 @@ class ServoFit:
     drive: Drive
     plain_drive: Drive
     std: Array
-    findings: tuple[Finding, ...]
+    findings: tuple[ServoFinding, ...]
     before: Array
     plain: Array
     after: Array
@@ -109,7 +110,7 @@ class ServoFit:
             f"(encoder: {floor:.2f})."
         )
 
-    def replayed(self, recording: Recording) -> Replay:
+    def replayed(self, recording: Recording) -> ServoReplay:
         """A log, and what the file's servos and these make of its commands.
 
         Args:
@@ -117,12 +118,18 @@ class ServoFit:
         """
         whole = stretches_of([recording.in_order(self.robot.joints)])
         longest = max(whole, key=lambda x: x.duration)
-        simulator = Simulator(self.robot)
+        simulator = ServoSimulator(self.robot)
         (before,), (after,) = simulator.replay([longest], [None]) + simulator.replay(
             [longest], [self.drive]
         )
         t = np.arange(len(longest.q), dtype=np.float64) * longest.step
-        return Replay(t, longest.command, longest.q, before, after, longest.source)
+        return ServoReplay(t, longest.command, longest.q, before, after, longest.source)
+
+    def save(self, path: str | Path) -> None:
+        """Write the robot's own file with these servos, as MJCF."""
+        from hybrid.servo.write import write_servos
+
+        write_servos(self.robot, self.drive, path)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
@@ -197,7 +204,7 @@ def fit_servo(
     parts, others = parts[:count], parts[count:] or parts
     moving = np.ones_like(prior.values, dtype=bool)
     moving[:, rests] = False
-    simulator = Simulator(robot)
+    simulator = ServoSimulator(robot)
     start = best_start(simulator, parts, first_guess(robot, learn), prior)
     start = Drive(np.where(moving, start.values, prior.values), prior.stall)
     simulator = converged(robot, others, start, floor)
@@ -253,11 +260,11 @@ def _resting(logs: Sequence[Stretch]) -> list[int]:
 def _findings(
     robot: Robot,
     prior: Drive,
-    found: Estimate,
+    found: DriveEstimate,
     differs: NDArray[np.bool_],
-    simulator: Simulator,
+    simulator: ServoSimulator,
     unseen: Sequence[Stretch],
-) -> tuple[Finding, ...]:
+) -> tuple[ServoFinding, ...]:
     """Numbers that differ with probability 0.95, and whose file's value is worse."""
     file, x, spread = prior.coordinates, found.drive.coordinates, prior.spread
     std = np.minimum(np.maximum(found.std, 1e-9), spread)
@@ -282,7 +289,7 @@ def _findings(
         worth = float(error[j] - errors[0, j])
         if worth > 0:
             findings.append(
-                Finding(
+                ServoFinding(
                     effect=quantity.effect,
                     joint=robot.joints[j],
                     quantity=quantity.name,

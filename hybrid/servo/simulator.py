@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.servo.drive import Drive
 from hybrid.servo.stretch import Stretch
 
@@ -27,7 +27,7 @@ SOFT = 1e-6  # N·m/rad
 _CREEPS = 0.05  # rad/s: below, friction holds a joint
 
 
-class Simulator:
+class ServoSimulator:
     """An arm with servos, replayed from the state in which a stretch begins.
 
     Args:
@@ -157,7 +157,7 @@ def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Arr
 
 def converged(
     robot: Robot, stretches: Sequence[Stretch], drive: Drive, error: Array
-) -> Simulator:
+) -> ServoSimulator:
     """Replays with the longest step that is fine enough.
 
     Args:
@@ -169,14 +169,14 @@ def converged(
     steps = [_STEP / 2**k for k in range(_HALVINGS)]
     before: Array | None = None
     for step in steps:
-        (moved,) = Simulator(robot, step).replay(stretches, [drive])
+        (moved,) = ServoSimulator(robot, step).replay(stretches, [drive])
         after = np.concatenate(moved)
         if before is not None:
             off = np.sqrt(np.mean((after - before) ** 2, axis=0))
             if (off <= error).all():
-                return Simulator(robot, 2 * step)
+                return ServoSimulator(robot, 2 * step)
         before = after
-    return Simulator(robot, steps[-1])
+    return ServoSimulator(robot, steps[-1])
 
 
 def delayed(stretch: Stretch, delay: Array, parts: int) -> Array:

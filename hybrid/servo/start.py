@@ -14,11 +14,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.robot import Robot
-from hybrid.robot.chain import Array
 from hybrid.servo.drive import PRESLIDING, Drive
-from hybrid.servo.simulator import Simulator
+from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import Stretch
 from hybrid.signals.filters import butterworth, central_difference
 
@@ -66,7 +66,10 @@ def first_guess(robot: Robot, stretches: Sequence[Stretch]) -> Drive:
 
 
 def best_start(
-    simulator: Simulator, stretches: Sequence[Stretch], guess: Drive, declared: Drive
+    simulator: ServoSimulator,
+    stretches: Sequence[Stretch],
+    guess: Drive,
+    declared: Drive,
 ) -> Drive:
     """For each joint the servo that replays best: guessed or the file's, with a delay.
 

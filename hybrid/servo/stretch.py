@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.recording import Recording, resample, unbroken
-from hybrid.robot.chain import Array
 
 _SHORTEST = 2.0  # s: a servo settles in less
 
@@ -45,6 +45,28 @@ class Stretch:
             v = np.gradient(self.q[near], self.step, axis=0).mean(axis=0)
         part = slice(first, first + samples)
         return Stretch(self.step, self.command[part], self.q[part], v, self.source)
+
+
+def without_torque(recordings: Sequence[Recording]) -> bool:
+    """Whether no log has torque.
+
+    Raises:
+        RecordingError: Some have and some have not, or a log has neither torque nor
+            command.
+    """
+    lacking = [x for x in recordings if not x.has_torque]
+    if lacking and len(lacking) < len(recordings):
+        raise RecordingError(
+            f"{lacking[0].source}: no torque, but other recordings have it; valid are "
+            "logs that all have torque, or none"
+        )
+    for x in lacking:
+        if x.command is None:
+            raise RecordingError(
+                f"{x.source}: neither torque nor command; valid are columns of one of "
+                "them beside positions"
+            )
+    return bool(lacking)
 
 
 def stretches_of(recordings: Sequence[Recording]) -> list[Stretch]:

@@ -41,17 +41,23 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
     Raises:
         RobotError: The file is gone, or a joint or actuator stands in another file.
     """
-    if Path(robot.path).suffix.lower() == ".urdf":
-        text = _skeleton(robot, drive).encode()
-    else:
-        text = _edited(robot, drive)
+    own = Path(robot.path).suffix.lower() != ".urdf"
+    document = Document.load(robot.path) if own else _skeleton(robot)
+    _set_servos(document, robot, drive)
     with atomic_path(path) as temporary:
-        temporary.write_bytes(text)
+        temporary.write_bytes(document.written())
 
 
-def _edited(robot: Robot, drive: Drive) -> bytes:
-    """The file with other attributes of joints and actuators."""
-    document = Document.load(robot.path)
+def _skeleton(robot: Robot) -> Document:
+    """Links, joints and servos of an arm as MJCF, without shapes."""
+    spec = servo_spec(robot, np.zeros(robot.size))
+    spec.option.timestep = file_step(robot)
+    spec.compile()
+    return Document(spec_text(spec).encode(), robot.path)
+
+
+def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
+    """Change the attributes of joints and actuators."""
     step = file_step(robot)
     stiffness, relaxed = springs(robot, drive)
     for j, name in enumerate(robot.joints):
@@ -80,7 +86,6 @@ def _edited(robot: Robot, drive: Drive) -> bytes:
             document.put_in(sections[0], text)
         else:
             raise RobotError(f"{robot.path}: no <actuator> section to put a servo into")
-    return document.written()
 
 
 def actuator_attributes(drive: Drive, j: int, step: float) -> dict[str, Any]:
@@ -117,25 +122,3 @@ def actuator_attributes(drive: Drive, j: int, step: float) -> dict[str, Any]:
         given |= {"delay": delay, "nsample": math.ceil(delay / step) + 1}
         given["interp"] = "linear"
     return given
-
-
-def _skeleton(robot: Robot, drive: Drive) -> str:
-    """Links, joints and servos of an arm as MJCF; no shapes."""
-    step = file_step(robot)
-    spec = servo_spec(robot, drive["zero"])
-    spec.option.timestep = step
-    stiffness, relaxed = springs(robot, drive)
-    for j, actuator in enumerate(spec.actuators):
-        joint = spec.joint(robot.joints[j])
-        joint.armature, joint.frictionloss = drive["armature"][j], 0.0
-        joint.damping = np.array([drive["damping"][j], 0.0, 0.0])
-        joint.stiffness = np.array([stiffness[j], 0.0, 0.0])
-        joint.springref = relaxed[j]
-        given = actuator_attributes(drive, j, step)
-        for name in ("gainprm", "biasprm", "dynprm"):
-            getattr(actuator, name)[: len(given[name])] = given[name]
-        actuator.delay = given.get("delay", 0.0)
-        actuator.nsample = given.get("nsample", 0)
-        actuator.interp = int("interp" in given)
-    spec.compile()
-    return spec_text(spec)

@@ -55,7 +55,7 @@ class Sampler:
 
     @property
     def margin(self) -> int:
-        """Input samples after which what lies outside has decayed below 1e-6."""
+        """Input samples after which the influence of a sample is below 1e-6."""
         if passes_all(self.rate, self.cutoff):
             return 0
         return filter_reach(self.cutoff / self.rate, order=5, tolerance=1e-6)

@@ -122,7 +122,7 @@ def _judged(both: _Spectra, lag: Array) -> SpeedCheck:
 def correction_by_speed(
     recording: Recording, *, cutoff: float, mask: NDArray[np.bool_]
 ) -> Array:
-    """What measured speeds add to low-passed positions to give those of least noise.
+    """Correction of low-passed positions by measured speed, for the least noise.
 
     Where that is more than the noise of positions can be, a speed contradicts them: it
     is then not used at all.

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter
 
+from hybrid.arrays import Array
 from hybrid.errors import RecordingError
-from hybrid.robot.chain import Array
 
 _ORDER = 4  # of the local polynomial
 _WIDER = 2.5  # bandwidth of the derivatives in cut-offs

@@ -12,9 +12,9 @@ from hybrid.recording.formats.mat import read_mat
 from hybrid.recording.formats.npz import read_npz
 from hybrid.recording.formats.parquet import read_parquet
 from hybrid.recording.formats.ros import is_bag, read_ros
-from hybrid.recording.table import Table
+from hybrid.recording.table import LogTable
 
-Reader = Callable[[Path], Iterable[tuple[Table, ...]]]
+Reader = Callable[[Path], Iterable[tuple[LogTable, ...]]]
 
 READERS: dict[str, Reader] = {
     ".csv": read_csv,

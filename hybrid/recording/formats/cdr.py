@@ -1,4 +1,4 @@
-"""Messages of ROS as they lie in a bag: where each number of a message is.
+"""Layout of serialised ROS messages: the byte offset of each number.
 
 A bag's own definitions say how a message is laid out. They are walked as data and never
 become code. Messages of one length whose lengths and texts agree have one layout, so
@@ -34,7 +34,7 @@ class LayoutError(Exception):
 
 
 @dataclass(frozen=True)
-class Layout:
+class MessageLayout:
     """Where the numbers of a message are.
 
     Attributes:
@@ -62,7 +62,9 @@ class Layout:
         return taken.view(kind)[:, 0]
 
 
-def layout_of(raw: bytes, kind: str, types: dict[str, Any], *, ros2: bool) -> Layout:
+def layout_of(
+    raw: bytes, kind: str, types: dict[str, Any], *, ros2: bool
+) -> MessageLayout:
     """Walk one message.
 
     Args:
@@ -84,7 +86,7 @@ def layout_of(raw: bytes, kind: str, types: dict[str, Any], *, ros2: bool) -> La
         varies[start : start + dtype.itemsize] = True
     fixed = np.flatnonzero(~varies)
     shared = np.frombuffer(raw, np.uint8)[fixed]
-    return Layout(len(raw), walk.numbers, walk.texts, fixed, shared)
+    return MessageLayout(len(raw), walk.numbers, walk.texts, fixed, shared)
 
 
 class _Walk:

@@ -15,8 +15,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.recording import Recording, row_words
-from hybrid.recording.table import LARGEST_FILE, Table, labels_of, named_labels
+from hybrid.recording.recording import row_words
+from hybrid.recording.table import LARGEST_FILE, LogTable, named_labels
 
 DELIMITERS = (",", ";", "\t")
 
@@ -29,7 +29,7 @@ class _Dialect:
     first: tuple[str, ...] = ()  # cells of the first row
 
 
-def read_csv(path: Path) -> list[tuple[Table]]:
+def read_csv(path: Path) -> list[tuple[LogTable]]:
     """A line of column names and one line for each sample.
 
     Args:
@@ -47,18 +47,9 @@ def read_csv(path: Path) -> list[tuple[Table]]:
     texts = dict(zip(labels, dialect.first, strict=False))
     labels = named_labels(labels, texts)
     return [
-        (Table(str(path), labels, lambda used: _read_columns(path, dialect, used),
+        (LogTable(str(path), labels, lambda used: _read_columns(path, dialect, used),
                kind="CSV"),)
     ]  # fmt: skip
-
-
-def write_csv(recording: Recording, path: Path) -> None:
-    """Write a log so that every number reads back to the last bit."""
-    import pyarrow as pa
-    from pyarrow import csv as arrow_csv
-
-    options = arrow_csv.WriteOptions(quoting_style="needed")
-    arrow_csv.write_csv(pa.table(labels_of(recording)), path, options)
 
 
 def _read_columns(

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.npz import table_of_named
 from hybrid.recording.formats.parquet import column_of, spread_columns
-from hybrid.recording.table import Table
+from hybrid.recording.table import LogTable
 
 
-def table_of_frame(frame: Any) -> Table:
-    """A table of one of any library that speaks Arrow's or the interchange protocol.
+def table_of_frame(frame: Any) -> LogTable:
+    """A table of a library with Arrow's protocol or the interchange protocol.
 
     Args:
         frame: pandas, polars or pyarrow table, or label -> array.
@@ -51,7 +51,7 @@ def table_of_frame(frame: Any) -> Table:
         return {k: column_of(table, spread[k], "table") for k in used}
 
     labels = tuple(label for label, _, _ in spread)
-    return Table("table", labels, load, kind=type(frame).__module__.split(".")[0])
+    return LogTable("table", labels, load, kind=type(frame).__module__.split(".")[0])
 
 
 def _with_index(frame: Any) -> Any:

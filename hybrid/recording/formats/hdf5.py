@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.hdf5_heap import check_heaps
 from hybrid.recording.formats.npz import table_of_named
-from hybrid.recording.table import LARGEST_FILE, NoJointsError, Table
+from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
 from hybrid.recording.words import is_time, meaning, split_unit
 
 _MOST = 20_000  # groups and arrays in a file
@@ -23,8 +23,8 @@ _EPISODE = re.compile(
 )
 
 
-def read_hdf5(path: Path) -> list[tuple[Table]]:
-    """The arrays of a file; of each group named like an episode, if there are such.
+def read_hdf5(path: Path) -> list[tuple[LogTable]]:
+    """The arrays of a file, or of each group that is named like an episode.
 
     Args:
         path: File.
@@ -87,7 +87,7 @@ def _natural(item: tuple[str, Any]) -> tuple[str, int]:
 
 def _table(
     group: dict[str, NDArray[Any]], episode: str, source: str, rate: float
-) -> tuple[Table]:
+) -> tuple[LogTable]:
     names = group.pop("joints", None)
     if names is None:
         names = group.pop("joint_names", None)

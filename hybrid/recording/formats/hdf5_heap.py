@@ -1,4 +1,4 @@
-"""Heaps of an HDF5 file: a damaged one lets the library walk for ever.
+"""Check the heaps of an HDF5 file: the library would hang on a damaged one.
 
 Text of any length lies in global heaps, object after object until the heap's end. The
 library goes on by the size that each states, and one of no size never ends (HDF5 2.0).
@@ -20,7 +20,7 @@ _HEADER = 16  # bytes: of a heap, and of an object in it
 
 
 def check_heaps(path: Path) -> None:
-    """Walk every heap as the library will.
+    """Walk every heap as the HDF5 library does.
 
     Args:
         path: File of HDF5.

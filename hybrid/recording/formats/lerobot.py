@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hybrid.errors import RecordingError
 from hybrid.files import read_json
 from hybrid.recording.formats.parquet import column_of, damaged, spread_columns
-from hybrid.recording.table import LARGEST_FILE, Table
+from hybrid.recording.table import LARGEST_FILE, LogTable
 
 VERSIONS = ("v2.0", "v2.1", "v3.0")
 _MOST_FILES = 100_000
@@ -29,7 +29,7 @@ def is_dataset(folder: Path) -> bool:
     return (folder / "meta" / "info.json").is_file()
 
 
-def read_lerobot(folder: Path) -> Iterator[tuple[Table]]:
+def read_lerobot(folder: Path) -> Iterator[tuple[LogTable]]:
     """The episodes of a dataset, one table each.
 
     Args:
@@ -56,7 +56,7 @@ def read_lerobot(folder: Path) -> Iterator[tuple[Table]]:
 
 def _episodes(
     file: Path, features: dict[str, Any], home: str
-) -> Iterator[tuple[Table]]:
+) -> Iterator[tuple[LogTable]]:
     table = _loaded(file)
     first = table.slice(0, 1).combine_chunks().to_batches()
     if "episode_index" not in table.column_names or not first:
@@ -75,7 +75,7 @@ def _episodes(
             return {k: column_of(part, spread[k], str(file)) for k in used}
 
         yield (
-            Table(str(file), labels, load, kind="LeRobot", name=f"episode {episode}",
+            LogTable(str(file), labels, load, kind="LeRobot", name=f"episode {episode}",
                   preset="lerobot", home=home),
         )  # fmt: skip
 

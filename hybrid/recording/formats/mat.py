@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.mat_elements import check_elements
 from hybrid.recording.formats.npz import table_of_named
-from hybrid.recording.table import Table
+from hybrid.recording.table import LogTable
 from hybrid.recording.words import is_time, split_unit
 
 
-def read_mat(path: Path) -> list[tuple[Table]]:
+def read_mat(path: Path) -> list[tuple[LogTable]]:
     """The variables of a file, or the fields of its struct.
 
     Args:
@@ -45,7 +45,7 @@ def read_mat(path: Path) -> list[tuple[Table]]:
 
 
 def _upright(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Rows are samples: what lies along the other side than time is turned."""
+    """Transpose arrays so that rows are samples."""
     times = [x for k, x in arrays.items() if is_time(split_unit(k)[0])]
     rows = max((x.size for x in times), default=0)
     found = {}

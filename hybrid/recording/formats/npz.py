@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.names import printable
-from hybrid.recording.recording import Recording
-from hybrid.recording.table import LARGEST_FILE, Table, table_of_arrays
+from hybrid.recording.table import LARGEST_FILE, LogTable, table_of_arrays
 from hybrid.recording.words import is_time, meaning, split_unit
 
 _DAMAGE = (
@@ -34,7 +33,7 @@ _DAMAGE = (
 )
 
 
-def read_npz(path: Path) -> list[tuple[Table]]:
+def read_npz(path: Path) -> list[tuple[LogTable]]:
     """Arrays ``t``, ``q``, ``tau``, ..., or one for each column.
 
     Args:
@@ -56,7 +55,7 @@ def table_of_named(
     source: str,
     kind: str,
     name: str = "",
-) -> Table:
+) -> LogTable:
     """A table of arrays by name, whose matrices have a column for each joint.
 
     Args:
@@ -78,12 +77,6 @@ def table_of_named(
         else:
             columns |= _split(label, values, joints, source)
     return table_of_arrays(columns, source, joints=joints, kind=kind, name=name)
-
-
-def write_npz(recording: Recording, path: Path) -> None:
-    """Write a log as arrays ``t``, ``q``, ... and the names ``joints``."""
-    arrays = {"t": recording.t, "joints": np.array(recording.joints)}
-    np.savez(path, **(arrays | recording.channels))  # type: ignore[arg-type]
 
 
 def _split(
@@ -137,7 +130,7 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
-    """Refuse an archive that would unpack to more than any log."""
+    """Refuse an archive that unpacks to more than any log."""
     total = sum(info.file_size for info in archive.infolist())
     if total > LARGEST_FILE:
         raise RecordingError(
@@ -149,7 +142,7 @@ def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
 def _member(
     archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path
 ) -> NDArray[Any]:
-    """One array, whose header must not ask for more than the archive holds."""
+    """Read one array; its header must not claim more than the archive holds."""
     with archive.open(info) as file:
         version = np.lib.format.read_magic(file)
         shape, _, dtype = _header(version, file)

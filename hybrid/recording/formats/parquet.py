@@ -9,17 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.recording import Recording
 from hybrid.recording.table import (
     LARGEST_FILE,
     MOST_COLUMNS,
-    Table,
-    labels_of,
+    LogTable,
     named_labels,
 )
 
 
-def read_parquet(path: Path) -> list[tuple[Table]]:
+def read_parquet(path: Path) -> list[tuple[LogTable]]:
     """A table with a column for each channel of each joint, or lists of them.
 
     Args:
@@ -57,7 +55,7 @@ def read_parquet(path: Path) -> list[tuple[Table]]:
             raise damaged(source, error) from error
         return {k: column_of(table, spread[k], source) for k in used}
 
-    return [(Table(source, labels, load, kind="Parquet"),)]
+    return [(LogTable(source, labels, load, kind="Parquet"),)]
 
 
 def damaged(source: str, error: Exception) -> RecordingError:
@@ -151,11 +149,3 @@ def column_of(
             f"{source}: column {label!r} holds {kind}; valid are numbers"
         )
     return np.asarray(values.to_numpy())
-
-
-def write_parquet(recording: Recording, path: Path) -> None:
-    """Write a log so that every number reads back to the last bit."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    parquet.write_table(pa.table(labels_of(recording)), path)

@@ -15,7 +15,7 @@ from typing import Any
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.names import printable
 from hybrid.recording.formats.topic import Topic
-from hybrid.recording.table import LARGEST_FILE, NoJointsError, Table
+from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
 
 _LARGEST_DEFINITION = 200_000  # bytes of text
 _MOST_TOPICS = 10_000
@@ -39,8 +39,8 @@ def is_bag(folder: Path) -> bool:
 
 def read_ros(
     path: Path, *, tell: Callable[[int, int], None] | None = None
-) -> Iterator[tuple[Table, ...]]:
-    """The topics of a bag that have lists of real numbers.
+) -> Iterator[tuple[LogTable, ...]]:
+    """Read the topics of a bag that have lists of real numbers.
 
     Args:
         path: Bag of ROS 2 as folder or file, or of ROS 1.

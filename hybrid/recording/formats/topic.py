@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.names import printable
-from hybrid.recording.formats.cdr import Layout, LayoutError, Path, layout_of
-from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, Table
+from hybrid.recording.formats.cdr import LayoutError, MessageLayout, Path, layout_of
+from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, LogTable
 
 BATCH = 4096  # messages decoded at once
 _MOST_BYTES = 16 << 20  # of messages held before they are decoded
@@ -53,8 +53,8 @@ class Topic:
         self._stamps: list[int] = []
         self._held = self._size = 0
         self._streams: dict[tuple[str, ...], _Stream] = {}
-        self._layouts: dict[int, list[tuple[Layout, dict[str, Path]]]] = {}
-        self._plans: list[tuple[int, Layout, bytes]] = []
+        self._layouts: dict[int, list[tuple[MessageLayout, dict[str, Path]]]] = {}
+        self._plans: list[tuple[int, MessageLayout, bytes]] = []
 
     def add(self, stamp: int, raw: bytes) -> None:
         """Take a message and the recorder's time of it, [ns]."""
@@ -83,7 +83,7 @@ class Topic:
                 self._take(layout, columns, messages[same], stamps[rows[same]])
                 messages, rows = messages[~same], rows[~same]
 
-    def tables(self) -> Iterator[Table]:
+    def tables(self) -> Iterator[LogTable]:
         """A table for each set of columns that came."""
         if self._plans:
             yield self._planned()
@@ -101,21 +101,21 @@ class Topic:
         clock: NDArray[np.int64],
         values: Array,
         note: str = "",
-    ) -> Table:
+    ) -> LogTable:
         def load(used: tuple[int, ...]) -> dict[int, NDArray[Any]]:
             return {k: clock if k == 0 else values[:, k - 1] for k in used}
 
         names = (f"{self.name}/__time", *labels)
         units = ("ns", *("" for _ in labels))
         preset = "joint_state" if self.kind.endswith("/JointState") else ""
-        return Table(
+        return LogTable(
             self.source, names, load, units, kind=f"ROS ({self.kind})",
             name=self.name, preset=preset, note=note,
         )  # fmt: skip
 
     def _layout(
         self, messages: NDArray[np.uint8], length: int
-    ) -> tuple[Layout, dict[str, Path]]:
+    ) -> tuple[MessageLayout, dict[str, Path]]:
         """The layout of the first message, known or walked."""
         known = self._layouts.setdefault(length, [])
         for layout, columns in known:
@@ -140,7 +140,7 @@ class Topic:
         known.append((layout, {} if planned else self._labels(layout)))
         return known[-1]
 
-    def _labels(self, layout: Layout) -> dict[str, Path]:
+    def _labels(self, layout: MessageLayout) -> dict[str, Path]:
         """Label -> path of the numbers in lists, with names for places where it can."""
         names: dict[Path, dict[int, str]] = {}
         for path, text in layout.texts.items():
@@ -155,7 +155,7 @@ class Topic:
 
     def _take(
         self,
-        layout: Layout,
+        layout: MessageLayout,
         columns: dict[str, Path],
         messages: NDArray[np.uint8],
         times: NDArray[np.int64],
@@ -185,7 +185,7 @@ class Topic:
         stream.times.append(times)
         stream.values.append(values)
 
-    def _planned(self) -> Table:
+    def _planned(self) -> LogTable:
         """Points of trajectories as a command; a new one takes over from the last."""
         clock: list[int] = []
         rows: list[list[float]] = []
@@ -218,7 +218,7 @@ class Topic:
 
 
 def _words(
-    path: Path, names: dict[Path, dict[int, str]], layout: Layout
+    path: Path, names: dict[Path, dict[int, str]], layout: MessageLayout
 ) -> list[str] | None:
     """Words of a path; a place in a list takes the name at the same place beside it."""
     words: list[str] = []

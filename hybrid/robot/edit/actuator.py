@@ -1,4 +1,4 @@
-"""What is new of a joint's drive, in the terms of a simulator's actuator."""
+"""Changes of a joint's drive, in terms of a simulator's actuator."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Actuator:
     damping: float = 1.0
 
     def and_then(self, other: Mapping[str, float]) -> Actuator:
-        """Both changes, of which the other is given by name."""
+        """Combine with further changes, given by name."""
         new = {}
         for name, x in other.items():
             own = getattr(self, name)

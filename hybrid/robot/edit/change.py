@@ -1,4 +1,4 @@
-"""What shall be different in a robot file."""
+"""The changes to make in a robot file."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ Structure = Callable[["mujoco.MjSpec", Sequence[str]], Any]
 
 
 @dataclass(frozen=True)
-class Change:
-    """An arm as its file shall have it.
+class Edit:
+    """The arm that the edited file must describe.
 
     Attributes:
         robot: Links, gravity, rotors, friction and springs; all else is the file's.

@@ -1,4 +1,4 @@
-"""Actuators of an MJCF file with other numbers."""
+"""Edit the actuators of an MJCF file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An arm's MJCF file with other numbers, and every other byte as it was."""
+"""Edit numbers in an arm's MJCF file; every other byte stays."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.robot.build import simulable, spec_text
-from hybrid.robot.chain import Array
 from hybrid.robot.compiled import compiled_spec
-from hybrid.robot.edit.change import Change, Structure
+from hybrid.robot.edit.change import Edit, Structure
 from hybrid.robot.edit.document import Document, Tag, element, moved_path
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.part import Part, changed_parts, mjcf_parts
@@ -32,7 +32,7 @@ _USUAL = {
 }  # fmt: skip  # what a default class of the file may have otherwise
 
 
-def edit_mjcf(document: Document, change: Change, old: Robot) -> tuple[str, ...]:
+def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     """Change an MJCF file.
 
     Args:
@@ -60,7 +60,7 @@ def edit_mjcf(document: Document, change: Change, old: Robot) -> tuple[str, ...]
 
 
 def model_of(document: Document, robot: Robot) -> Any:
-    """MuJoCo's model of a document that stands where the arm's file does.
+    """MuJoCo's model of the document, in the folder of the arm's file.
 
     Raises:
         RobotError: It does not compile.
@@ -69,7 +69,7 @@ def model_of(document: Document, robot: Robot) -> Any:
 
 
 def check_mjcf(document: Document, robot: Robot) -> Robot:
-    """The arm that the document has, where the arm's file stands."""
+    """Read the arm back from the document, in the folder of its file."""
     spec = spec_of(document, robot)
     # What a tendon of the file adds is not in it, and is no fault here.
     try:
@@ -80,7 +80,7 @@ def check_mjcf(document: Document, robot: Robot) -> Robot:
 
 
 def spec_of(document: Document, robot: Robot) -> Any:
-    """A document as a spec that stands where the arm's file does."""
+    """The document as a spec, in the folder of the arm's file."""
     import mujoco
 
     try:
@@ -93,7 +93,7 @@ def spec_of(document: Document, robot: Robot) -> Any:
 
 
 def move_assets(document: Document, home: Path, folder: Path) -> None:
-    """Let a file that moves to another folder find its meshes and pictures."""
+    """Adapt the paths of meshes and pictures to another folder."""
     assets = ("mesh", "hfield", "skin", "texture", "flexcomp", "model")
     if home.resolve() == folder.resolve() or not any(
         "file" in t.attributes for t in document.tags if t.path[-1] in assets

@@ -1,4 +1,4 @@
-"""The bodies of a file of which each link of an arm is made."""
+"""The bodies of a robot file that make up each link of the arm."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.chain import Array
 from hybrid.robot.mjcf import joint_names, start
 from hybrid.robot.robot import Robot
 from hybrid.robot.spatial import central_inertia, inertia_fault, inertial_about

@@ -1,4 +1,4 @@
-"""An arm as a robot file without shapes, for an arm whose own file is not there."""
+"""Write an arm as a robot file without shapes, where its own file is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The file of an arm that is edited: its own, or one that is made from it."""
+"""The document to edit: the arm's own file, or one made from the arm."""
 
 from __future__ import annotations
 

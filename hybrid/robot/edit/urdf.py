@@ -1,4 +1,4 @@
-"""An arm's URDF file with other numbers, and every other byte as it was."""
+"""Edit numbers in an arm's URDF file; every other byte stays."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from hybrid.robot.chain import Array
-from hybrid.robot.edit.change import Change
+from hybrid.arrays import Array
+from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.part import Part, changed_parts, urdf_parts
 from hybrid.robot.robot import Robot
@@ -17,7 +17,7 @@ from hybrid.robot.robot import Robot
 _DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
 
 
-def edit_urdf(document: Document, change: Change, old: Robot) -> tuple[str, ...]:
+def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     """Change a URDF file.
 
     Args:
@@ -46,7 +46,7 @@ def edit_urdf(document: Document, change: Change, old: Robot) -> tuple[str, ...]
 
 
 def check_urdf(document: Document, robot: Robot) -> Robot:
-    """The arm that the document has."""
+    """Read the arm back from the document."""
     with TemporaryDirectory() as folder:
         file = Path(folder, "robot.urdf")
         file.write_bytes(document.written())
@@ -55,7 +55,7 @@ def check_urdf(document: Document, robot: Robot) -> Robot:
 
 
 def move_meshes(document: Document, home: Path, folder: Path) -> None:
-    """Let a file that moves to another folder find its meshes and pictures."""
+    """Adapt the paths of meshes and pictures to another folder."""
     home, folder = home.resolve(), folder.resolve()
     for tag in document.tags:
         file = tag.attributes.get("filename", "")

@@ -1,0 +1,121 @@
+"""First guesses of where instrument, base and tool are.
+
+Linear least squares in the entries of an arbitrary matrix, of which the nearest
+rotation is kept, after Shah 2013, doi 10.1115/1.4024473; it needs no first guess.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.calibration.measurements import Measurements
+from hybrid.calibration.steps import FixedStep, Frame
+
+IDENTITY = FixedStep(np.eye(3), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """First guesses.
+
+    Attributes:
+        base: Base of the arm in the instrument's frame.
+        tools: Each measured point (with its axes) in the flange's frame.
+        stations: Stations of a distance meter in the base frame, shape (s, 3), [m].
+    """
+
+    base: FixedStep
+    tools: tuple[FixedStep, ...]
+    stations: Array
+
+
+def align(
+    flange: Frame, data: Measurements, *, base: bool = True, tool: bool = True
+) -> Alignment:
+    """Guess base and tool frames, or stations, from the nominal arm.
+
+    Args:
+        flange: Nominal pose of the flange in the base frame, N samples.
+        data: What was measured in them.
+        base: Whether the base is unknown; it is the instrument's frame otherwise.
+        tool: Whether the tool is unknown; it is the flange otherwise.
+    """
+    if data.distance is not None:
+        return Alignment(IDENTITY, (IDENTITY,), _stations(flange.origin, data.distance))
+    nowhere = np.zeros((0, 3))
+    points = data.position
+    if data.rotation is not None:  # the tips of the tool's axes are points as well
+        points = points + np.concatenate(
+            [np.zeros((data.size, 1, 3)), data.rotation.swapaxes(1, 2)], axis=1
+        )
+    M, offsets = _linear(flange, points, base=base, tool=tool)
+    turn = _nearest_rotation(M).T
+    rotation = np.eye(3)
+    if data.rotation is not None:
+        if tool:
+            rotation = _nearest_rotation((offsets[1:] - offsets[0]).T)
+        offsets = offsets[:1]
+    reached = flange.origin[:, None] + offsets @ flange.rotation.swapaxes(1, 2)
+    shift = np.nanmean(data.position - reached @ turn.T, axis=(0, 1))
+    return Alignment(
+        FixedStep(turn, shift if base else np.zeros(3)),
+        tuple(FixedStep(rotation, offset) for offset in offsets),
+        nowhere,
+    )
+
+
+def _linear(
+    flange: Frame, points: Array, *, base: bool, tool: bool
+) -> tuple[Array, Array]:
+    """Solve M p + u − R x = t for M, u and the offset x of each point."""
+    count = points.shape[1]
+    if not (base or tool):
+        return np.eye(3), np.zeros((count, 3))
+    center = np.nanmean(points, axis=(0, 1))
+    blocks, targets = [], []
+    for j in range(count):
+        p, R, t = points[:, j] - center, flange.rotation, flange.origin
+        own = np.zeros((len(p), 3, 3 * count))
+        own[:, :, 3 * j : 3 * j + 3] = -R
+        spread = np.einsum("ab,nc->nabc", np.eye(3), p).reshape(len(p), 3, 9)
+        shift = np.broadcast_to(np.eye(3), (len(p), 3, 3))
+        columns = ([spread, shift] if base else []) + ([own] if tool else [])
+        offset = np.eye(4, 3, -1)[j] if points.shape[1] == 4 else np.zeros(3)
+        target = t if tool else t + R @ offset
+        target = target if base else target - points[:, j]
+        seen = np.isfinite(p).all(axis=1)
+        blocks.append(np.concatenate(columns, axis=-1)[seen])
+        targets.append(target[seen])
+    A = np.concatenate(blocks).reshape(-1, blocks[0].shape[-1])
+    # Directions that these poses hardly show are left at zero.
+    solution = np.linalg.lstsq(A, np.concatenate(targets).ravel(), rcond=1e-3)[0]
+    M = solution[:9].reshape(3, 3) if base else np.eye(3)
+    offsets = solution[12 if base else 0 :] if tool else np.zeros(3 * count)
+    return M, offsets.reshape(count, 3)
+
+
+def _nearest_rotation(M: Array) -> Array:
+    U, _, Vt = np.linalg.svd(M)
+    U[:, -1] *= np.linalg.det(U @ Vt)
+    rotation: Array = U @ Vt
+    return rotation
+
+
+def _stations(point: Array, distance: Array) -> Array:
+    """Trilaterate: |p|² − d² = 2 p·s − |s|² is linear in s and |s|²."""
+    found = []
+    center = point.mean(axis=0)
+    p = point - center
+    for d in distance.T:
+        seen = np.isfinite(d)
+        A = np.column_stack([2 * p[seen], -np.ones(seen.sum())])
+        rhs = (p[seen] ** 2).sum(axis=1) - d[seen] ** 2
+        *at, square = np.linalg.lstsq(A, rhs, rcond=1e-2)[0]
+        _, size, directions = np.linalg.svd(p[seen], full_matrices=False)
+        if size[-1] < 1e-2 * size[0]:  # points in a plane: the height is in |s|² alone
+            at += directions[-1] * np.sqrt(max(square - np.dot(at, at), 0.0))
+        found.append(at + center)
+    return np.array(found)

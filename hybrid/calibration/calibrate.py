@@ -1,0 +1,317 @@
+"""Calibrate the geometry of an arm from measured poses."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.calibration.align import align
+from hybrid.calibration.geometry import (
+    Geometry,
+    chain_from_values,
+    geometry_from_chain,
+)
+from hybrid.calibration.measurements import Measurements
+from hybrid.calibration.model import KinematicModel, Steps, station_label
+from hybrid.calibration.observability import observability_index
+from hybrid.calibration.solve import KinematicSolution, Rejected, solve
+from hybrid.calibration.steps import follow, free_frame, start
+from hybrid.dynamics import inverse_dynamics
+from hybrid.errors import CalibrationError, HybridWarning, RobotError
+from hybrid.parameters import Parameter
+from hybrid.robot import Robot
+from hybrid.robot.rewrite import write_placements
+from hybrid.shown import Shown
+
+GROUPS = ("base", "tool", "geometry", "compliance", "scale")
+USUAL = ("base", "tool", "geometry")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """The problem that :func:`calibrate` solves: an arm in front of an instrument.
+
+    Attributes:
+        robot: Nominal arm.
+        geometry: Its axes as Denavit-Hartenberg rows.
+        model: From the instrument to the measured points, aligned.
+        labels: Free parameters; the first of equivalent ones is kept.
+        units: Their units.
+        load: Torque of gravity on each joint, shape (N, n), [N·m]; None if not used.
+    """
+
+    robot: Robot
+    geometry: Geometry
+    model: KinematicModel
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    load: Array | None
+
+
+@dataclass(frozen=True)
+class Calibration(Shown):
+    """A calibrated arm.
+
+    Attributes:
+        setup: The problem.
+        solution: Its estimates.
+        data: What it was fitted to.
+    """
+
+    setup: Setup
+    solution: KinematicSolution
+    data: Measurements
+
+    @cached_property
+    def robot(self) -> Robot:
+        """The arm with calibrated geometry."""
+        nominal, values = self.setup.robot, self.solution.values()
+        chain = chain_from_values(nominal.chain, self.setup.geometry, values)
+        return replace(nominal, chain=chain)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Corrections to the nominal arm, with standard deviations."""
+        return tuple(
+            Parameter(label, float(x), unit=self.units[label], std=float(std))
+            for label, x, std in zip(
+                self.solution.labels, self.solution.x, self.solution.std, strict=True
+            )
+        )
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each free parameter."""
+        return dict(zip(self.setup.labels, self.setup.units, strict=True))
+
+    def interval(self, level: float = 0.95) -> tuple[Array, Array]:
+        """Confidence limits of the corrections, shape (b,) each."""
+        return self.solution.interval(level)
+
+    @property
+    def rejected(self) -> tuple[Rejected, ...]:
+        """Measurements that do not fit the others, and were left out."""
+        return self.solution.rejected
+
+    @property
+    def unidentifiable(self) -> tuple[str, ...]:
+        """Corrections that these measurements cannot tell apart, in words."""
+        chain = self.setup.robot.chain
+        lines = [
+            f"{label}: joins {joined}" if joined else f"{label}: moves nothing measured"
+            for label, joined in self.solution.reduced.dropped.items()
+        ]
+        if any(label.startswith("theta_") for label in self.setup.labels):
+            lines += [
+                f"d_{chain.joints[k]}: joins d_{chain.joints[k + 1]}, the axes are "
+                "parallel"
+                for k in np.flatnonzero(self.setup.geometry.parallel)
+            ]
+        return tuple(lines)
+
+    @property
+    def observability(self) -> float:
+        """Index O₁ of the poses used, in units of the noise; see ``poses``."""
+        return observability_index(self.solution.jacobian, self.data.size)
+
+    @property
+    def base(self) -> tuple[Array, Array]:
+        """Rotation (3, 3) and place (3,) [m] of the base in the instrument's frame."""
+        steps = self.setup.model.steps
+        return self._frame(steps[: len(steps) - len(self.setup.geometry.steps)])
+
+    @property
+    def tools(self) -> list[tuple[Array, Array]]:
+        """Rotation (3, 3) and place (3,) [m] of each point on the last link."""
+        return [self._frame(steps) for steps in self.setup.model.tools]
+
+    @property
+    def stations(self) -> Array:
+        """Stations of a distance meter in the base frame, shape (s, 3), [m]."""
+        values, nominal = self.solution.values(), self.setup.model.stations
+        names = [[station_label(j, c) for c in range(3)] for j in range(len(nominal))]
+        shift = [[values.get(name, 0.0) for name in row] for row in names]
+        found: Array = nominal + np.array(shift).reshape(nominal.shape)
+        return found
+
+    def save(self, path: str | Path) -> None:
+        """Write the robot's file with calibrated joint placements.
+
+        Raises:
+            RobotError: The robot's file is gone, or has no place for a placement.
+
+        Warns:
+            HybridWarning: The new file cannot be read from where it is.
+        """
+        write_placements(self.setup.robot, self.robot.chain, path)
+        try:
+            Robot.load(path, joints=self.robot.joints, held=self.robot.held)
+        except RobotError:
+            warnings.warn(
+                f"{path} refers to files beside {Path(self.setup.robot.path).name}; "
+                "move it there",
+                HybridWarning,
+                stacklevel=2,
+            )
+
+    def _frame(self, steps: Steps) -> tuple[Array, Array]:
+        q = np.zeros((1, self.setup.robot.size))
+        end = follow(start(q), steps, q, self.solution.values())
+        return end.rotation[0], end.origin[0]
+
+    def errors(self, data: Measurements) -> dict[str, Array]:
+        """Distance between model and measurement for each unit, by kind, [m or rad]."""
+        load = _load(self.setup.robot, data.q, self.setup.load is not None)
+        found = self.setup.model.blocks(
+            data, self.solution.labels, self.solution.x, load
+        )
+        return {b.name: np.linalg.norm(b.residual, axis=1) for b in found}
+
+
+def calibrate(
+    robot: Robot,
+    data: Measurements,
+    *,
+    free: Collection[str] = USUAL,
+    robust: bool = True,
+) -> Calibration:
+    """Calibrate an arm.
+
+    Args:
+        robot: Nominal arm.
+        data: Static poses and what an instrument saw of them.
+        free: What is unknown: ``base`` and ``tool`` frames, ``geometry`` of the arm,
+            ``compliance`` of its joints under gravity, ``scale`` of a distance meter.
+        robust: Whether measurements that do not fit the others are left out.
+
+    Raises:
+        CalibrationError: The data are not of this arm, or too few.
+
+    Warns:
+        HybridWarning: The estimates have not settled.
+    """
+    setup = build_setup(robot, data, free=free)
+    if not setup.labels:
+        raise CalibrationError(f"nothing is free; valid are {', '.join(GROUPS)}")
+    solution = solve(
+        setup.model,
+        data,
+        setup.labels,
+        setup.units,
+        frames=sum(_group(label) in ("base", "tool") for label in setup.labels),
+        load=setup.load,
+        robust=robust,
+    )
+    if not solution.converged:
+        warnings.warn(
+            f"{data.source}: the estimates have not settled after "
+            f"{solution.iterations} iterations; measure more, or more different, poses",
+            HybridWarning,
+            stacklevel=2,
+        )
+    return Calibration(setup, solution, data)
+
+
+def build_setup(
+    robot: Robot, data: Measurements, *, free: Collection[str] = USUAL
+) -> Setup:
+    """The problem that :func:`calibrate` solves, aligned and ready to inspect.
+
+    Args:
+        robot: Nominal arm.
+        data: Static poses and what an instrument saw of them.
+        free: What is unknown, of ``GROUPS``.
+
+    Raises:
+        CalibrationError: The data are not of this arm, or a group is unknown.
+    """
+    _check(robot, data, free)
+    geometry = geometry_from_chain(robot.chain)
+    flange = follow(start(data.q), geometry.steps, data.q, {})
+    guess = align(flange, data, base="base" in free, tool="tool" in free)
+    base: Steps = () if data.stations else (guess.base, *free_frame("base"))
+    names = ["tool"]
+    if data.reflectors > 1:
+        names = [f"reflector_{j + 1}" for j in range(data.reflectors)]
+    tools: tuple[Steps, ...] = tuple(
+        (tool, *free_frame(name, turns=data.rotation is not None))
+        for name, tool in zip(names, guess.tools, strict=True)
+    )
+    model = KinematicModel((*base, *geometry.steps), tools, guess.stations)
+    labels = sorted(
+        (x for x in model.labels if _group(x) in free or x.startswith("station_")),
+        key=_rank,
+    )
+    load = _load(robot, data.q, "compliance" in free)
+    units = tuple(_unit(label, robot) for label in labels)
+    return Setup(robot, geometry, model, tuple(labels), units, load)
+
+
+# Of parameters that cannot be told apart the first is kept: frames of the instrument
+# before those of the arm, angles of the drives before lengths before tilts.
+_ORDER = (
+    "base", "tool", "reflector", "station", "theta", "a", "alpha", "d", "beta",
+    "compliance", "scale",
+)  # fmt: skip
+
+
+def _rank(label: str) -> int:
+    return _ORDER.index(label.split("_")[0])
+
+
+def _group(label: str) -> str:
+    kind = label.split("_")[0]
+    named = {"reflector": "tool", "station": "base"}
+    return kind if kind in GROUPS else named.get(kind, "geometry")
+
+
+def _unit(label: str, robot: Robot) -> str:
+    kind, _, rest = label.partition("_")
+    if kind == "compliance":
+        turns = robot.chain.revolute[robot.joints.index(rest)]
+        return "rad/(N·m)" if turns else "m/N"
+    if kind == "scale":
+        return ""
+    turns = kind in ("theta", "alpha", "beta") or rest.split("_")[-1] in _TURNS
+    return "rad" if turns and kind not in ("a", "d") else "m"
+
+
+_TURNS = ("rx", "ry", "rz")
+
+
+def _load(robot: Robot, q: Array, wanted: bool) -> Array | None:
+    """Torque of gravity on each joint at rest, shape (N, n), [N·m]."""
+    if not wanted:
+        return None
+    still = np.zeros_like(q)
+    held = inverse_dynamics(robot.chain, robot.chain.inertial, q, still, still)
+    return -held
+
+
+def _check(robot: Robot, data: Measurements, free: Collection[str]) -> None:
+    unknown = [group for group in free if group not in GROUPS]
+    if unknown:
+        raise CalibrationError(
+            f"cannot free {', '.join(unknown)}; valid are {', '.join(GROUPS)}"
+        )
+    if data.q.shape[1] != robot.size:
+        raise CalibrationError(
+            f"{data.source}: positions of {data.q.shape[1]} joints; {robot.name} has "
+            f"{robot.size}: {', '.join(robot.joints)}"
+        )
+    if data.reflectors > 1 and "tool" not in free:
+        raise CalibrationError(
+            "of several points on the flange the places are unknown; add tool to what "
+            "is free"
+        )
+    if "compliance" in free and not robot.chain.inertial[:, 0].any():
+        raise CalibrationError(
+            f"{robot.name} has no masses, so gravity bends nothing; leave compliance "
+            "out of what is free"
+        )

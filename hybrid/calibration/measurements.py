@@ -1,0 +1,100 @@
+"""Measurements of an arm at rest: poses, points or distances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.arrays import Array
+from hybrid.errors import CalibrationError
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """N static poses and what an instrument saw of each; NaN where it saw nothing.
+
+    Either points on the flange (reflectors), the first of them with an orientation if
+    that was measured too, or distances of one point from stations that stand still.
+
+    Attributes:
+        q: Joint positions, shape (N, n), [rad or m].
+        position: Points, shape (N, r, 3), in the instrument's frame, [m]; r may be 0.
+        rotation: Orientation of the tool, shape (N, 3, 3), or None.
+        distance: Distance from each station, shape (N, s), [m]; s may be 0.
+        source: File name for messages.
+    """
+
+    q: Array
+    position: Array
+    rotation: Array | None = None
+    distance: Array | None = None
+    source: str = "measurements"
+
+    def __post_init__(self) -> None:
+        size = len(self.q)
+        if self.q.ndim != 2 or self.position.shape[::2] != (size, 3):
+            raise CalibrationError(
+                f"{self.source}: q of shape {self.q.shape} and position of shape "
+                f"{self.position.shape}; valid are (N, n) and (N, r, 3)"
+            )
+        for name, shape in (("rotation", (size, 3, 3)), ("distance", (size, None))):
+            found = getattr(self, name)
+            if found is not None and (
+                found.ndim != len(shape)
+                or any(
+                    w not in (None, g) for g, w in zip(found.shape, shape, strict=True)
+                )
+            ):
+                raise CalibrationError(
+                    f"{self.source}: {name} has shape {found.shape}, valid is {shape}"
+                )
+        if self.rotation is not None and self.reflectors != 1:
+            raise CalibrationError(
+                f"{self.source}: an orientation goes with one point, not with "
+                f"{self.reflectors}"
+            )
+        if bool(self.reflectors) == bool(self.stations):
+            raise CalibrationError(
+                f"{self.source}: {self.reflectors} points and {self.stations} "
+                "distances; valid are points or distances, not both"
+            )
+        if not np.isfinite(self.q).all():
+            row = int(np.flatnonzero(~np.isfinite(self.q).all(axis=1))[0])
+            raise CalibrationError(
+                f"{self.source}: pose {row + 1} has a joint position that is no number"
+            )
+
+    @property
+    def size(self) -> int:
+        """Number of poses N."""
+        return len(self.q)
+
+    @property
+    def reflectors(self) -> int:
+        """Number of points r that were measured on the flange."""
+        return int(self.position.shape[1])
+
+    @property
+    def stations(self) -> int:
+        """Number of stations s that distances were measured from."""
+        return 0 if self.distance is None else self.distance.shape[1]
+
+    @cached_property
+    def kind(self) -> str:
+        """``pose``, ``position`` or ``distance``, in words for a reader."""
+        if self.stations:
+            return "distance"
+        return "position" if self.rotation is None else "pose"
+
+    def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Measurements:
+        """Some of the poses."""
+        return Measurements(
+            self.q[rows],
+            self.position[rows],
+            None if self.rotation is None else self.rotation[rows],
+            None if self.distance is None else self.distance[rows],
+            self.source,
+        )

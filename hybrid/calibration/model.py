@@ -1,0 +1,181 @@
+"""Predicted measurements of an arm, and their derivatives by its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from hybrid.arrays import Array
+from hybrid.calibration.measurements import Measurements
+from hybrid.calibration.steps import FixedStep, Frame, Step, Values, follow, start
+
+Steps = tuple[FixedStep | Step, ...]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Residuals of one kind: U units (a point, an orientation) of c components each.
+
+    Attributes:
+        name: ``position``, ``orientation`` or ``distance``.
+        residual: Model − measurement, shape (U, c), [m or rad].
+        jacobian: Its derivative, shape (U, c, p).
+        pose: Index of the pose of each unit, shape (U,).
+    """
+
+    name: str
+    residual: Array
+    jacobian: Array
+    pose: NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class KinematicModel:
+    """Way from the instrument over the arm to each measured point.
+
+    Attributes:
+        steps: From the instrument's frame to the flange.
+        tools: From the flange to each measured point, r of them.
+        stations: Assumed stations of a distance meter, shape (s, 3), [m]; the unknown
+            parts are named ``station_1_x`` and so on.
+    """
+
+    steps: Steps
+    tools: tuple[Steps, ...]
+    stations: Array
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """Names of all parameters, in the order in which they are met."""
+        met = [
+            step.parameter
+            for step in (*self.steps, *(step for tool in self.tools for step in tool))
+            if isinstance(step, Step) and step.parameter
+        ]
+        stations = [
+            station_label(j, c) for j in range(len(self.stations)) for c in range(3)
+        ]
+        scale = ["scale"] if stations else []
+        return tuple(dict.fromkeys([*met, *stations, *scale]))
+
+    def frames(
+        self,
+        q: Array,
+        values: Values,
+        load: Array | None = None,
+        batch: tuple[int, ...] = (),
+    ) -> list[Frame]:
+        """Frame at the end of each tool.
+
+        Args:
+            q: Joint positions, shape (N, n), [rad or m].
+            values: Parameters by name; absent ones are zero.
+            load: Load of each joint, shape (N, n), [N·m].
+            batch: (P,) if the values are arrays of that shape.
+        """
+        flange = follow(start(q, batch), self.steps, q, values, load)
+        return [follow(flange, tool, q, values, load) for tool in self.tools]
+
+    def blocks(
+        self,
+        data: Measurements,
+        labels: Sequence[str],
+        x: Array,
+        load: Array | None = None,
+    ) -> list[Block]:
+        """Residuals and their derivatives; what was not seen is left out.
+
+        Args:
+            data: N measured poses.
+            labels: Names of the free parameters, length p.
+            x: Their values, shape (p,).
+            load: Load of each joint, shape (N, n), [N·m].
+        """
+        values = dict(zip(labels, x.tolist(), strict=True))
+        frames = self.frames(data.q, values, load)
+        if data.distance is not None:
+            return [self._distances(data.distance, frames[0], labels, values)]
+        linear = [_velocities(frame, labels)[0] for frame in frames]
+        residual = np.stack([frame.origin for frame in frames], axis=1) - data.position
+        blocks = [_block("position", residual, np.stack(linear, axis=1))]
+        if data.rotation is not None:
+            angular = _velocities(frames[0], labels)[1]
+            blocks.append(_orientations(data.rotation, frames[0].rotation, angular))
+        return blocks
+
+    def _distances(
+        self, measured: Array, frame: Frame, labels: Sequence[str], values: Values
+    ) -> Block:
+        linear = _velocities(frame, labels)[0]  # (N, 3, p)
+        stretch = 1.0 + values.get("scale", 0.0)
+        residual = np.empty((*measured.shape, 1))
+        jacobian = np.zeros((*measured.shape, 1, len(labels)))
+        for j, nominal in enumerate(self.stations):
+            names = [station_label(j, c) for c in range(3)]
+            at = nominal + np.array([values.get(name, 0.0) for name in names])
+            between = frame.origin - at
+            length = np.linalg.norm(between, axis=-1)
+            toward = between / length[:, None]
+            residual[:, j, 0] = stretch * length - measured[:, j]
+            jacobian[:, j, 0] = stretch * np.einsum("nc,ncp->np", toward, linear)
+            for c, name in enumerate(names):
+                if name in labels:
+                    jacobian[:, j, 0, labels.index(name)] -= stretch * toward[:, c]
+            if "scale" in labels:
+                jacobian[:, j, 0, labels.index("scale")] = length
+        return _block("distance", residual, jacobian)
+
+
+def station_label(j: int, c: int) -> str:
+    """Name of coordinate c of station j, both from zero: ``station_1_x``."""
+    return f"station_{j + 1}_{'xyz'[c]}"
+
+
+def _velocities(frame: Frame, labels: Sequence[str]) -> tuple[Array, Array]:
+    """Linear and angular velocity of a frame per parameter, shape (N, 3, p) each."""
+    linear = np.zeros((*frame.origin.shape, len(labels)))
+    angular = np.zeros_like(linear)
+    here = [k for k, label in enumerate(labels) if label in frame.screws]
+    if here:
+        screws = [frame.screws[labels[k]] for k in here]
+        axis = np.stack([screw.axis for screw in screws], axis=-1)  # (N, 3, p)
+        arm = frame.origin[..., None] - np.stack([s.origin for s in screws], axis=-1)
+        turns = np.array([screw.turns for screw in screws])
+        turned = np.cross(axis, arm, axis=-2)
+        linear[..., here] = np.where(turns, turned, axis)
+        angular[..., here] = np.where(turns, axis, 0.0)
+    return linear, angular
+
+
+def _block(name: str, residual: Array, jacobian: Array) -> Block:
+    """Residuals (N, r, c) and derivatives (N, r, c, p) of what was seen."""
+    seen = np.isfinite(residual).all(axis=-1)
+    return Block(name, residual[seen], jacobian[seen], np.nonzero(seen)[0])
+
+
+def _orientations(measured: Array, model: Array, angular: Array) -> Block:
+    """Turn from the measured to the modelled orientation, as a rotation vector."""
+    seen = np.isfinite(measured).all(axis=(1, 2))
+    turn = model[seen] @ measured[seen].swapaxes(1, 2)
+    vector = Rotation.from_matrix(turn).as_rotvec()
+    jacobian = _log_derivative(vector) @ angular[seen]
+    return Block("orientation", vector, jacobian, np.nonzero(seen)[0])
+
+
+def _log_derivative(vector: Array) -> Array:
+    """Change of a rotation vector per angular velocity, shape (N, 3, 3).
+
+    Inverse left Jacobian of SO(3): Barfoot 2017, doi 10.1017/9781316671528, eq. 7.77.
+    """
+    angle = np.linalg.norm(vector, axis=-1)
+    far = np.where(angle > 1e-3, angle, 1.0)
+    factor = 1 / far**2 - (1 + np.cos(far)) / (2 * far * np.sin(far))
+    factor = np.where(angle > 1e-3, factor, 1 / 12 + angle**2 / 720)
+    skew = np.cross(np.eye(3), vector[:, None, :])  # row k: eₖ × v
+    derivative: Array = np.eye(3) - 0.5 * skew + factor[:, None, None] * (skew @ skew)
+    return derivative

@@ -1,0 +1,123 @@
+"""Choose the poses that tell most about the parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.arrays import Array
+from hybrid.calibration.calibrate import USUAL, build_setup
+from hybrid.calibration.geometry import geometry_from_chain
+from hybrid.calibration.measurements import Measurements
+from hybrid.calibration.solve import USUAL_NOISE
+from hybrid.calibration.steps import follow, start
+from hybrid.dynamics.base import base_parameters
+from hybrid.errors import CalibrationError
+from hybrid.robot import Robot
+
+_ROUNDS = 20  # of exchanges; three or four are usual
+
+
+def random_poses(
+    robot: Robot, count: int, seed: int | np.random.Generator = 0
+) -> Array:
+    """Poses spread evenly over the joint limits, shape (count, n), [rad or m].
+
+    A joint without limits gets a full turn. Collisions are not looked at.
+
+    Raises:
+        CalibrationError: A linear joint has no limits.
+    """
+    low, high = robot.q_min.copy(), robot.q_max.copy()
+    free = ~(np.isfinite(low) & np.isfinite(high))
+    if (free & ~robot.chain.revolute).any():
+        joint = robot.joints[int(np.flatnonzero(free & ~robot.chain.revolute)[0])]
+        raise CalibrationError(f"{robot.name}: linear joint {joint!r} has no limits")
+    low[free], high[free] = -np.pi, np.pi
+    return np.random.default_rng(seed).uniform(low, high, (count, robot.size))
+
+
+def choose_poses(
+    robot: Robot,
+    candidates: Array,
+    count: int,
+    *,
+    kind: str = "position",
+    free: tuple[str, ...] = USUAL,
+) -> NDArray[np.intp]:
+    """Choose the poses with the greatest observability index O₁.
+
+    Poses are added one by one, each the best beside those before it, and exchanged
+    afterwards while that helps: Mitchell 1974, doi 10.1080/00401706.1974.10489175.
+
+    Args:
+        robot: Nominal arm.
+        candidates: Poses to choose from, shape (C, n), [rad or m].
+        count: How many to choose.
+        kind: What will be measured: ``position`` of a point or ``pose`` of the tool.
+        free: What will be unknown; see :func:`~hybrid.calibration.calibrate`.
+
+    Returns:
+        Rows of the chosen poses in increasing order, shape (count,).
+
+    Raises:
+        CalibrationError: There are too few candidates, or poses, for the parameters.
+    """
+    J = _jacobians(robot, candidates, kind, free)  # (C, c, b)
+    least = -(-J.shape[2] // J.shape[1]) + 1
+    if not least <= count <= len(candidates):
+        raise CalibrationError(
+            f"{count} poses; valid are {least}, so that they tell {J.shape[2]} "
+            f"parameters, to {len(candidates)}, the number of candidates"
+        )
+    # A little of everything, so that the first choices have a volume to enlarge.
+    information = 1e-9 * np.einsum("ncb,ncd->bd", J, J)
+    chosen: list[int] = []
+    for _ in range(count):
+        gain = _gain(information, J)
+        gain[chosen] = -np.inf
+        chosen.append(int(np.argmax(gain)))
+        information = information + J[chosen[-1]].T @ J[chosen[-1]]
+    for _ in range(_ROUNDS):
+        before = sorted(chosen)
+        for place in range(count):
+            out = J[chosen[place]]
+            rest = information - out.T @ out
+            gain = _gain(rest, J)
+            gain[[k for k in chosen if k != chosen[place]]] = -np.inf
+            chosen[place] = int(np.argmax(gain))
+            information = rest + J[chosen[place]].T @ J[chosen[place]]
+        if sorted(chosen) == before:
+            break
+    return np.array(sorted(chosen))
+
+
+def _gain(information: Array, J: Array) -> Array:
+    """Growth of log det by each candidate, shape (C,)."""
+    factor = np.linalg.cholesky(information)
+    part = np.linalg.solve(factor, J.reshape(-1, J.shape[2]).T).T.reshape(J.shape)
+    inner = np.eye(J.shape[1]) + part @ part.swapaxes(1, 2)
+    growth: Array = np.linalg.slogdet(inner)[1]
+    return growth
+
+
+def _jacobians(robot: Robot, q: Array, kind: str, free: tuple[str, ...]) -> Array:
+    """Derivatives over noise of what will be measured, shape (C, c, b)."""
+    if kind not in ("position", "pose"):
+        raise CalibrationError(f"no measurement {kind!r}; valid are position and pose")
+    data = _nominal(robot, q, kind)
+    setup = build_setup(robot, data, free=free)
+    zero = np.zeros(len(setup.labels))
+    blocks = setup.model.blocks(data, setup.labels, zero, setup.load)
+    J = np.concatenate([b.jacobian for b in blocks], axis=1) / USUAL_NOISE
+    reduced = base_parameters(J.reshape(-1, len(zero)), setup.labels, setup.units)
+    return J[..., list(reduced.kept)]
+
+
+def _nominal(robot: Robot, q: Array, kind: str) -> Measurements:
+    """Simulated measurements of a point beside the flange of the nominal arm."""
+    flange = follow(start(q), geometry_from_chain(robot.chain).steps, q, {})
+    # A tool in general position: a point on the last axis would hide its turns.
+    point = flange.origin + flange.rotation @ np.array([0.05, 0.07, 0.1])
+    rotation = flange.rotation if kind == "pose" else None
+    return Measurements(q, point[:, None], rotation)

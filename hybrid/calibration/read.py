@@ -1,0 +1,182 @@
+"""Measured poses from a CSV file."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.calibration.measurements import Measurements
+from hybrid.errors import CalibrationError
+
+_UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+_SCALE = {
+    "": 1.0,
+    "m": 1.0,
+    "mm": 1e-3,
+    "rad": 1.0,
+    "deg": np.pi / 180,
+    "°": np.pi / 180,
+}
+_POINT = re.compile(r"([xyz])_?(\d*)")
+_DISTANCE = re.compile(r"distance_?(\d*)")
+_ORIENTATIONS = (
+    ("qx", "qy", "qz", "qw"),
+    ("rx", "ry", "rz"),
+    ("roll", "pitch", "yaw"),
+)
+VALID = (
+    "valid are q1 ... or q_<joint>, and x, y, z (x_2, y_2, z_2 for a second reflector "
+    "and so on), with qx, qy, qz, qw or rx, ry, rz (rotation vector) or roll, pitch, "
+    "yaw where orientation was measured, or distance (distance_2 from a second "
+    "station); units in brackets: m, mm, rad, deg"
+)
+
+
+def read_measurements(path: str | Path, joints: Sequence[str]) -> Measurements:
+    """Read one line of column names and one line for each pose.
+
+    An empty cell, or nan, is a point, orientation or distance that was not seen.
+
+    Args:
+        path: File; comma, semicolon or tab between cells, decimal point.
+        joints: Joint names, base to tip.
+
+    Raises:
+        CalibrationError: A column is missing, unknown or doubled, a cell is no number;
+            the message names file, column and row.
+    """
+    columns = _columns(Path(path))
+    size = len(next(iter(columns.values())))
+    q = np.column_stack([_joint(columns, k, joints, path) for k in range(len(joints))])
+    points = _numbered(columns, _POINT)
+    stations = _numbered(columns, _DISTANCE)
+    position = [np.full((size, 0, 3), np.nan)]
+    for number in sorted({n for _, n in points}):
+        axes = [points.pop((axis, number), None) for axis in "xyz"]
+        if any(axis is None for axis in axes):
+            which = "xyz"[[axis is None for axis in axes].index(True)]
+            raise CalibrationError(
+                f"{path}: no column {which} of point {number}; a point has x, y and z"
+            )
+        position.append(np.stack([columns.pop(str(x)) for x in axes], 1)[:, None])
+    distance = [columns.pop(stations[key]) for key in sorted(stations)]
+    rotation = _rotation(columns, path)
+    if columns:
+        raise CalibrationError(f"{path}: unknown column {', '.join(columns)}; {VALID}")
+    if len(position) == 1 and not distance:
+        raise CalibrationError(f"{path}: no measured points or distances; {VALID}")
+    return Measurements(
+        q,
+        np.concatenate(position, axis=1),
+        rotation,
+        np.column_stack(distance) if distance else None,
+        str(path),
+    )
+
+
+def _columns(path: Path) -> dict[str, Array]:
+    """Columns in SI units by their name in small letters, without the unit."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise CalibrationError(f"{path}: not UTF-8 text") from error
+    lines = text.splitlines()
+    first = lines[0] if lines else ""
+    rows = list(csv.reader(lines, delimiter=max(",;\t", key=first.count)))
+    labels = [label.strip() for label in rows[0]] if rows else []
+    cells = [[x.strip() for x in row] for row in rows[1:]]
+    cells = [row for row in cells if any(row)]
+    if not cells:
+        raise CalibrationError(f"{path}: holds no poses; {VALID}")
+    for k, row in enumerate(cells):
+        if len(row) != len(labels):
+            raise CalibrationError(
+                f"{path}: pose {k + 1} has {len(row)} cells, valid are {len(labels)}"
+            )
+    columns: dict[str, Array] = {}
+    for k, label in enumerate(labels):
+        name, scale = _name(label, path)
+        if name in columns:
+            raise CalibrationError(f"{path}: two columns {name!r}")
+        values = [_number(row[k], label, i, path) for i, row in enumerate(cells)]
+        columns[name] = scale * np.array(values)
+    return columns
+
+
+def _name(label: str, path: Path) -> tuple[str, float]:
+    match = _UNIT.search(label)
+    unit = match.group(1).strip() if match else ""
+    if unit not in _SCALE:
+        raise CalibrationError(
+            f"{path}: column {label!r} is in {unit}; valid are m, mm, rad and deg"
+        )
+    return (label[: match.start()] if match else label).strip().lower(), _SCALE[unit]
+
+
+def _number(cell: str, label: str, row: int, path: Path) -> float:
+    try:
+        return float(cell) if cell else np.nan
+    except ValueError:
+        raise CalibrationError(
+            f"{path}: {label}, pose {row + 1}: {cell!r} is not a number"
+        ) from None
+
+
+def _joint(
+    columns: dict[str, Array], k: int, joints: Sequence[str], path: str | Path
+) -> Array:
+    name = joints[k].lower()
+    for label in (f"q_{name}", f"q{k + 1}", f"q_{k + 1}"):
+        if label in columns:
+            return columns.pop(label)
+    raise CalibrationError(
+        f"{path}: no position of joint {joints[k]!r}; valid is a column q{k + 1} or "
+        f"q_{joints[k]}"
+    )
+
+
+def _numbered(
+    columns: dict[str, Array], pattern: re.Pattern[str]
+) -> dict[tuple[str, int], str]:
+    """Column names by what they hold and its number; none is the first."""
+    found = {}
+    for name in columns:
+        if match := pattern.fullmatch(name):
+            *kind, number = match.groups()
+            found["".join(kind), int(number or 1)] = name
+    return found
+
+
+def _rotation(columns: dict[str, Array], path: str | Path) -> Array | None:
+    from scipy.spatial.transform import Rotation
+
+    for names in _ORIENTATIONS:
+        here = [name for name in names if name in columns]
+        if not here:
+            continue
+        if len(here) < len(names):
+            raise CalibrationError(
+                f"{path}: of an orientation only {', '.join(here)}; valid are "
+                f"{', '.join(names)} together"
+            )
+        values = np.column_stack([columns.pop(name) for name in names])
+        seen = np.isfinite(values).all(axis=1)
+        if len(names) == 4 and (np.linalg.norm(values[seen], axis=1) < 1e-6).any():
+            raise CalibrationError(f"{path}: a quaternion of length zero")
+        rotation = np.full((len(values), 3, 3), np.nan)
+        if names[0] == "qx":
+            turn = Rotation.from_quat(values[seen])
+        elif names[0] == "rx":
+            turn = Rotation.from_rotvec(values[seen])
+        else:  # about fixed x, then y, then z
+            turn = Rotation.from_euler("xyz", values[seen])
+        rotation[seen] = turn.as_matrix()
+        return rotation
+    return None

@@ -1,0 +1,300 @@
+"""Levenberg-Marquardt on the identifiable parameters, without outliers.
+
+Residuals are weighed by the noise of their kind, which is estimated with them. A robust
+loss finds the scale of the noise; what then lies beyond its distribution is left out by
+name, and plain least squares over the rest gives estimates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from hybrid.arrays import Array
+from hybrid.calibration.covariance import clustered_covariance
+from hybrid.calibration.measurements import Measurements
+from hybrid.calibration.model import Block, KinematicModel
+from hybrid.calibration.outliers import misfit
+from hybrid.dynamics.base import BaseParameters, base_parameters
+from hybrid.errors import CalibrationError
+
+USUAL_NOISE = 1e-4  # m or rad: weights before anything is known
+LEAST_NOISE = 1e-9  # m or rad: below it weights would come from rounding
+_NORMAL = 1.4826  # standard deviation of a normal variable over its median size
+_ROUNDS = 20
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A measurement that does not fit: its pose, its kind, how far off [m or rad]."""
+
+    pose: int
+    kind: str
+    size: float
+
+
+@dataclass(frozen=True)
+class KinematicSolution:
+    """Estimates of the identifiable parameters.
+
+    Attributes:
+        labels: Names, length b.
+        x: Estimates, shape (b,), [m, rad, ...].
+        covariance: Of the estimates, shape (b, b); poses are independent.
+        degrees: Degrees of freedom of each estimate's variance, shape (b,).
+        noise: Standard deviation of each kind of measurement, [m or rad].
+        reduced: Which parameters were kept, and what became of the others.
+        jacobian: Derivatives over noise at the estimate, shape (rows, b).
+        rejected: Measurements left out.
+        iterations: Linearisations made, in all rounds together.
+        evaluations: Evaluations of the model, in all rounds together.
+        converged: Whether the last round met its tolerance.
+    """
+
+    labels: tuple[str, ...]
+    x: Array
+    covariance: Array
+    degrees: Array
+    noise: dict[str, float]
+    reduced: BaseParameters
+    jacobian: Array
+    rejected: tuple[Rejected, ...]
+    iterations: int
+    evaluations: int
+    converged: bool
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation of each estimate, shape (b,)."""
+        std: Array = np.sqrt(np.diagonal(self.covariance))
+        return std
+
+    def interval(self, level: float = 0.95) -> tuple[Array, Array]:
+        """Confidence limits of the estimates, shape (b,) each."""
+        half = student.ppf((1 + level) / 2, self.degrees) * self.std
+        return self.x - half, self.x + half
+
+    def values(self) -> dict[str, float]:
+        """Estimates by name."""
+        return dict(zip(self.labels, self.x.tolist(), strict=True))
+
+
+def solve(
+    model: KinematicModel,
+    data: Measurements,
+    labels: Sequence[str],
+    units: Sequence[str],
+    *,
+    frames: int = 0,
+    load: Array | None = None,
+    robust: bool = True,
+) -> KinematicSolution:
+    """Estimate the parameters that these poses reveal.
+
+    Args:
+        model: From the instrument to the measured points.
+        data: What was measured.
+        labels: Free parameters; of several that cannot be told apart, the first stays.
+        units: Their units.
+        frames: How many of the first labels place instrument and tool. They are fitted
+            to the nominal arm first: a tool guessed on an axis would hide parameters.
+        load: Load of each joint, shape (N, n), [N·m].
+        robust: Whether measurements that do not fit are found and left out.
+
+    Raises:
+        CalibrationError: There are not more measurements than parameters.
+    """
+    fit = _Fit(model, data, load)
+    placed: dict[str, float] = {}
+    if frames:
+        fit.reduce(tuple(labels[:frames]), tuple(units[:frames]), placed)
+        x = fit.minimise(np.zeros(len(fit.labels)))
+        placed = dict(zip(fit.labels, x.tolist(), strict=True))
+    reduced = fit.reduce(tuple(labels), tuple(units), placed)
+    x = fit.minimise(np.array([placed.get(label, 0.0) for label in fit.labels]))
+    if robust:
+        x = fit.robust(x)
+    for _ in range(_ROUNDS):
+        settled = not robust or fit.reject(x)
+        before = dict(fit.noise)
+        x = fit.minimise(x)
+        fit.weigh(x)
+        # With one kind of measurement, weights only scale the whole sum of squares.
+        if settled and (len(before) == 1 or _change(before, fit.noise) < 0.02):
+            break
+    residual, jacobian = fit.weighed(x)
+    covariance, degrees = clustered_covariance(jacobian, residual, fit.poses(x))
+    return KinematicSolution(
+        labels=reduced.kept_labels,
+        x=x,
+        covariance=covariance,
+        degrees=degrees,
+        noise=dict(fit.noise),
+        reduced=reduced,
+        jacobian=jacobian,
+        rejected=tuple(fit.rejected),
+        iterations=fit.iterations,
+        evaluations=fit.evaluations,
+        converged=fit.converged,
+    )
+
+
+def _change(before: Mapping[str, float], after: Mapping[str, float]) -> float:
+    return max(abs(after[kind] / before[kind] - 1) for kind in before)
+
+
+class _Fit:
+    """Residuals with their weights, and a count of what they cost."""
+
+    def __init__(
+        self, model: KinematicModel, data: Measurements, load: Array | None
+    ) -> None:
+        self.model, self.data, self.load = model, data, load
+        self.labels: tuple[str, ...] = ()
+        self.noise: dict[str, float] = {}
+        self.freedom: dict[str, float] = {}
+        self.kept: dict[str, NDArray[np.bool_]] = {}
+        self.rejected: list[Rejected] = []
+        self.iterations = self.evaluations = self.rows = 0
+        self.converged = False
+        self._last: tuple[Array, list[Block]] = (np.full(1, np.nan), [])
+
+    def reduce(
+        self,
+        labels: tuple[str, ...],
+        units: tuple[str, ...],
+        values: Mapping[str, float],
+    ) -> BaseParameters:
+        """Keep the parameters that can be told apart at these values; absent are 0."""
+        self.labels = labels
+        x = np.array([values.get(label, 0.0) for label in labels])
+        self._last = (np.full(1, np.nan), [])
+        blocks = self.blocks(x)
+        self.noise = {b.name: USUAL_NOISE for b in blocks}
+        self.kept = {b.name: np.ones(len(b.pose), dtype=bool) for b in blocks}
+        jacobian = self.weighed(x)[1]
+        if not len(jacobian):
+            raise CalibrationError(f"{self.data.source}: nothing was measured")
+        reduced = base_parameters(jacobian, labels, units)
+        self.rows = len(jacobian)
+        if self.rows <= reduced.size:
+            raise CalibrationError(
+                f"{self.data.source}: {self.rows} numbers were measured in "
+                f"{self.data.size} poses; valid are more than the {reduced.size} "
+                "parameters that they shall tell"
+            )
+        share = 1 - reduced.size / self.rows
+        self.freedom = {b.name: share * b.residual.size for b in blocks}
+        self.labels = reduced.kept_labels
+        self._last = (np.full(1, np.nan), [])
+        return reduced
+
+    def blocks(self, x: Array) -> list[Block]:
+        if not np.array_equal(x, self._last[0]):
+            found = self.model.blocks(self.data, self.labels, x, self.load)
+            self._last = (x.copy(), found)
+            self.evaluations += 1
+        return self._last[1]
+
+    def weighed(self, x: Array) -> tuple[Array, Array]:
+        """Residuals and derivatives over noise, shapes (rows,) and (rows, p)."""
+        residual, jacobian = [], []
+        for b in self.blocks(x):
+            kept, noise = self.kept[b.name], self.noise[b.name]
+            residual.append(b.residual[kept].ravel() / noise)
+            jacobian.append(b.jacobian[kept].reshape(-1, len(self.labels)) / noise)
+        return np.concatenate(residual), np.concatenate(jacobian)
+
+    def poses(self, x: Array) -> NDArray[np.intp]:
+        """Pose of each row of the weighed residuals, shape (rows,)."""
+        rows = [
+            np.repeat(b.pose[self.kept[b.name]], b.residual.shape[1])
+            for b in self.blocks(x)
+        ]
+        return np.concatenate(rows)
+
+    def _residual(self, x: Array) -> Array:
+        return self.weighed(x)[0]
+
+    def _jacobian(self, x: Array) -> Array:
+        return self.weighed(x)[1]
+
+    def minimise(
+        self, x: Array, *, loss: Literal["linear", "cauchy"] = "linear"
+    ) -> Array:
+        plain = loss == "linear"
+        result = least_squares(
+            self._residual,
+            x,
+            self._jacobian,
+            method="lm" if plain else "trf",
+            loss=loss,
+            x_scale="jac",
+            xtol=1e-13 if plain else 1e-8,
+            ftol=1e-15 if plain else 1e-8,
+            gtol=1e-15,
+        )
+        self.iterations += int(result.njev or 0)
+        self.converged = bool(result.success)
+        best: Array = result.x
+        return best
+
+    def robust(self, x: Array) -> Array:
+        """Alternate between a robust fit and the scale of its residuals."""
+        for _ in range(10):
+            before = dict(self.noise)
+            for b in self.blocks(x):
+                spread = _NORMAL * float(np.median(np.abs(b.residual)))
+                spread *= np.sqrt(self.rows / (self.rows - len(x)))
+                self.noise[b.name] = max(spread, LEAST_NOISE)
+            if (
+                _change(before, self.noise) < 0.02
+                or max(self.noise.values()) == LEAST_NOISE
+            ):
+                break
+            x = self.minimise(x, loss="cauchy")
+        return x
+
+    def reject(self, x: Array) -> bool:
+        """Leave out units that the others predict badly; True if the same as before.
+
+        So many stay that they outvote those that go, as in least trimmed squares.
+        """
+        before, rows = self.kept, sum(b.residual.size for b in self.blocks(x))
+        R = np.linalg.qr(self.weighed(x)[1], mode="r")
+        way = np.linalg.inv(R)
+        least = (rows + len(x) + 1) / 2 / rows
+        self.kept, self.rejected = {}, []
+        for b in self.blocks(x):
+            noise, kept = self.noise[b.name], before[b.name]
+            over = misfit(
+                b.residual / noise, b.jacobian / noise, way @ way.T, kept,
+                self.freedom[b.name],
+            )  # fmt: skip
+            bound = max(1.0, float(np.quantile(over, least, method="higher")))
+            self.kept[b.name] = over <= bound
+            size = np.linalg.norm(b.residual, axis=1)
+            self.rejected += [
+                Rejected(int(b.pose[k]), b.name, float(size[k]))
+                for k in np.flatnonzero(~self.kept[b.name])
+            ]
+        return all(np.array_equal(before[kind], self.kept[kind]) for kind in before)
+
+    def weigh(self, x: Array) -> None:
+        """Noise of each kind from its residuals and its share of the freedom left."""
+        Q = np.linalg.qr(self.weighed(x)[1])[0]
+        row = 0
+        for b in self.blocks(x):
+            residual = b.residual[self.kept[b.name]].ravel()
+            used = float((Q[row : row + len(residual)] ** 2).sum())
+            row += len(residual)
+            freedom = max(len(residual) - used, 1.0)
+            self.freedom[b.name] = freedom
+            noise = float(np.sqrt(residual @ residual / freedom))
+            self.noise[b.name] = max(noise, LEAST_NOISE)

@@ -1,0 +1,151 @@
+"""A kinematic chain as a product of elementary turns and shifts along x, y or z.
+
+Every table of joint frames, Denavit-Hartenberg's in all its variants among them, is
+such a product, and the derivative of the pose with respect to any one factor is the
+screw of that factor: Corke 2007, doi 10.1109/TRO.2007.896765.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hybrid.arrays import Array
+
+Values = Mapping[str, float | Array]
+
+
+@dataclass(frozen=True)
+class FixedStep:
+    """A constant factor.
+
+    Attributes:
+        rotation: Shape (3, 3).
+        translation: Shape (3,), [m].
+    """
+
+    rotation: Array
+    translation: Array
+
+
+@dataclass(frozen=True)
+class Step:
+    """A turn about, or a shift along, one axis of the frame reached so far.
+
+    Its size is ``nominal`` + parameter · (load of joint ``load``) + q of joint
+    ``joint``; each of the last two terms may be absent, and the load then is one.
+
+    Attributes:
+        axis: 0, 1 or 2 for x, y or z.
+        turns: True for a turn, False for a shift.
+        nominal: Constant part, [rad or m].
+        parameter: Name of the unknown part; empty without one.
+        joint: Index of the joint that moves it.
+        load: Index of the joint whose load multiplies the parameter.
+    """
+
+    axis: int
+    turns: bool
+    nominal: float = 0.0
+    parameter: str = ""
+    joint: int | None = None
+    load: int | None = None
+
+
+@dataclass(frozen=True)
+class Screw:
+    """How what follows moves with one parameter, for N samples.
+
+    Attributes:
+        axis: Direction, shape (..., N, 3); its length is the rate.
+        origin: A point on the axis of a turn, shape (..., N, 3), [m].
+        turns: True for a turn, False for a shift.
+    """
+
+    axis: Array
+    origin: Array
+    turns: bool
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where a product of factors leads, for N samples.
+
+    Attributes:
+        rotation: Shape (..., N, 3, 3).
+        origin: Shape (..., N, 3), [m].
+        screws: The parameters met on the way.
+    """
+
+    rotation: Array
+    origin: Array
+    screws: Mapping[str, Screw] = field(default_factory=dict)
+
+
+def start(q: Array, batch: tuple[int, ...] = ()) -> Frame:
+    """The frame before the first factor, for samples of q, shape (N, n)."""
+    shape = (*batch, len(q))
+    rotation = np.broadcast_to(np.eye(3), (*shape, 3, 3)).copy()
+    return Frame(rotation, np.zeros((*shape, 3)))
+
+
+def follow(
+    frame: Frame,
+    steps: Sequence[FixedStep | Step],
+    q: Array,
+    values: Values,
+    load: Array | None = None,
+) -> Frame:
+    """The frame after some more factors.
+
+    Args:
+        frame: Where to begin.
+        steps: Factors, in order.
+        q: Joint positions, shape (N, n), [rad or m].
+        values: Parameters by name; absent ones are zero. A value of shape (P,) stands
+            for P arms at once, if ``frame`` has that batch.
+        load: Load of each joint, shape (N, n); without it, steps under load stay still.
+    """
+    R, origin, screws = frame.rotation, frame.origin, dict(frame.screws)
+    for step in steps:
+        if isinstance(step, FixedStep):
+            origin = origin + R @ step.translation
+            R = R @ step.rotation
+            continue
+        if step.load is not None and load is None:
+            continue
+        axis = R[..., step.axis]
+        rate = 1.0 if step.load is None or load is None else load[:, step.load]
+        if step.parameter:
+            screw = axis * np.asarray(rate)[..., None]
+            screws[step.parameter] = Screw(screw, origin, step.turns)
+        value = np.asarray(values.get(step.parameter, 0.0), dtype=float)
+        size = step.nominal + value[..., None] * rate
+        if step.joint is not None:
+            size = size + q[:, step.joint]
+        if step.turns:
+            R = _turned(R, step.axis, size)
+        else:
+            origin = origin + axis * size[..., None]
+    return Frame(R, origin, screws)
+
+
+def _turned(R: Array, axis: int, angle: Array) -> Array:
+    b, c = (axis + 1) % 3, (axis + 2) % 3
+    sine, cosine = np.sin(angle)[..., None], np.cos(angle)[..., None]
+    turned = R.copy()
+    turned[..., b] = cosine * R[..., b] + sine * R[..., c]
+    turned[..., c] = cosine * R[..., c] - sine * R[..., b]
+    return turned
+
+
+def free_frame(prefix: str, *, turns: bool = True) -> tuple[Step, ...]:
+    """Three unknown shifts, then three unknown turns: ``base_x`` to ``base_rz``."""
+    shifts = tuple(Step(k, False, parameter=f"{prefix}_{'xyz'[k]}") for k in range(3))
+    if not turns:
+        return shifts
+    return shifts + tuple(
+        Step(k, True, parameter=f"{prefix}_r{'xyz'[k]}") for k in range(3)
+    )

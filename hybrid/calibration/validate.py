@@ -1,0 +1,83 @@
+"""Cross-validate a calibration on poses left out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.calibration.calibrate import USUAL, build_setup, calibrate
+from hybrid.calibration.measurements import Measurements
+from hybrid.errors import CalibrationError
+from hybrid.robot import Robot
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Distance between model and measurement, on poses left out of the fit.
+
+    Attributes:
+        nominal: With frames fitted and the arm as its file has it, by kind of
+            measurement, shape (units,), [m or rad].
+        calibrated: With everything fitted, likewise.
+    """
+
+    nominal: dict[str, Array]
+    calibrated: dict[str, Array]
+
+
+def cross_validate(
+    robot: Robot,
+    data: Measurements,
+    *,
+    free: Collection[str] = USUAL,
+    robust: bool = True,
+    folds: int = 5,
+) -> Errors:
+    """Leave out every ``folds``-th pose in turn, and predict it from the others.
+
+    Args:
+        robot: Nominal arm.
+        data: Static poses and what an instrument saw of them.
+        free: What is unknown; see :func:`~hybrid.calibration.calibrate`.
+        robust: Whether measurements that do not fit the others are left out of the
+            fits. The errors are of all measurements, those too.
+        folds: Number of parts.
+
+    Raises:
+        CalibrationError: There are too few poses.
+    """
+    if not 2 <= folds <= data.size:
+        raise CalibrationError(
+            f"{folds} parts; valid are 2 to {data.size}, the number of poses"
+        )
+    frames: Collection[str] = [group for group in free if group in ("base", "tool")]
+    part = np.arange(data.size) % folds
+    found: tuple[dict[str, list[Array]], ...] = ({}, {})
+    for k in range(folds):
+        fit, test = data.at(part != k), data.at(part == k)
+        for groups, errors in zip((frames, free), found, strict=True):
+            for kind, sizes in _errors(robot, fit, test, groups, robust).items():
+                errors.setdefault(kind, []).append(sizes)
+    nominal, calibrated = (
+        {kind: np.concatenate(parts) for kind, parts in errors.items()}
+        for errors in found
+    )
+    return Errors(nominal, calibrated)
+
+
+def _errors(
+    robot: Robot,
+    fit: Measurements,
+    test: Measurements,
+    free: Collection[str],
+    robust: bool,
+) -> dict[str, Array]:
+    if build_setup(robot, fit, free=free).labels:
+        return calibrate(robot, fit, free=free, robust=robust).errors(test)
+    # Base and tool are known: there is nothing to fit to the nominal arm.
+    setup = build_setup(robot, test, free=free)
+    blocks = setup.model.blocks(test, (), np.zeros(0))
+    return {b.name: np.linalg.norm(b.residual, axis=1) for b in blocks}

@@ -1,0 +1,480 @@
+"""The most probable explanation of a gap.
+
+An explanation is a set of causes. Its score is the log marginal likelihood of the gap,
+with all gains integrated out under their priors, less the odds against each cause:
+
+    log p(gap | causes) + Σ log p(cause).
+
+Causes are effects of the library at places of the arm, and unknown laws of a joint. The
+noise is that of the gap which no flexible regression removes, by its memory, and the
+part of the gap by which any law of the library may be inexact. A cause has to lower the
+squares on recordings that the search has not seen.
+
+Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam factor).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from copy import copy
+from functools import cached_property, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.arrays import Array
+from hybrid.diagnosis.background import background, clocks, rest
+from hybrid.diagnosis.bayes import memory
+from hybrid.diagnosis.candidates import Candidate, Place, same, usual
+from hybrid.diagnosis.evidence import Evidence
+from hybrid.diagnosis.explanations.belief import Belief
+from hybrid.diagnosis.explanations.cause import Cause
+from hybrid.diagnosis.explanations.elsewhere import Elsewhere
+from hybrid.diagnosis.explanations.proposal import Proposal
+from hybrid.diagnosis.explanations.unknown import WAVES, unknown_laws, waves
+from hybrid.diagnosis.gap import Columns, Gap
+from hybrid.diagnosis.noise import LAGS, autocovariance, floored
+from hybrid.diagnosis.pool import REPEATED, Pool
+from hybrid.diagnosis.prior import Prior
+from hybrid.diagnosis.products import Index
+from hybrid.diagnosis.refine import refine
+from hybrid.diagnosis.shapes import price
+from hybrid.diagnosis.split import between
+from hybrid.diagnosis.term import Term
+
+_RIPPLES = 9  # orders at each joint, of which noise is estimated
+_ROUNDS = 4  # of adding, exchanging and widening
+_MOST = 30  # causes, and times that some are refused
+_FEW = 3  # causes: an arm with more of them may have what most have
+_BETTER = 0.5  # nat, for a change to be worth it
+
+
+class Search:
+    """Causes of a gap, added, exchanged and removed until nothing is gained.
+
+    Args:
+        gap: The gap.
+        learn: Samples to learn from, shape (M,); all by default.
+        without: Ids of effects to leave out of the library.
+        prior: What is believed before any recording.
+    """
+
+    def __init__(
+        self,
+        gap: Gap,
+        learn: NDArray[np.bool_] | None = None,
+        without: Sequence[str] = (),
+        prior: Prior | None = None,
+    ) -> None:
+        self.gap, self.prior = gap, prior or Prior()
+        self.learn = np.ones(len(gap.fold), dtype=bool) if learn is None else learn
+        self.evidence = Evidence(gap, self.learn)
+        self.numbers = np.concatenate(self.evidence.add(*background(gap)))
+        self.off = self.prior.file[1]
+        self.evidence.spread(self.numbers, self.off)
+        own = self.evidence.add(*rest(gap)) + self.evidence.add(*clocks(gap))
+        self.rigid = np.concatenate([self.numbers, *own])
+        self.pool = Pool(self.evidence, without)
+        self.pool.take_ripples(self.rigid, _RIPPLES)
+        self.evidence.estimate_noise(np.arange(self.evidence.size))
+        self._weigh()
+        self.pool.take_contacts(self.rigid)
+        self.pool.take_steep(self.rigid)
+        self._waves: dict[Place, Array] = {}
+        self.laws = [law for j in range(gap.robot.size) for law in self._laws(j)]
+        self._kept: dict[tuple[object, ...], tuple[Candidate, float]] = {}
+        self.causes: list[Cause] = []
+        self.refused: set[Place] = set()
+        self.beliefs: list[Belief] = []  # of the known causes, once it has run
+        self.whole: list[Cause] = []  # all causes, once it has run
+        self.library_only = False
+
+    def _weigh(self) -> None:
+        """Let noise be what it is, and what no law and no simulator has exactly.
+
+        What these leave is as slow as what they are of. The stop band of a filter has
+        no less noise than the upper half of its band.
+        """
+        evidence, rigid, gap = self.evidence, self.evidence.solve(self.rigid), self.gap
+        self.noise, covariances = evidence.noise.copy(), list[Array]()
+        for i, rows in enumerate(evidence.rows):
+            covariance = evidence.covariances[i].copy()
+            if len(rows):
+                back = np.argsort(rows)
+                left = evidence.residual(i, rigid.index, rigid.gains)[back]
+                torque = gap.measured[rows[back], i]
+                torque -= np.mean(torque)
+                law = self.prior.inexact**2 * autocovariance(left, rows[back], LAGS)
+                solver = self.prior.solver**2 * np.mean(torque**2)
+                solver *= memory(torque, rows[back])
+                evidence.noise[i] += solver + law[0] * memory(left, rows[back])
+                covariance += law
+                covariance[0] += law[0] + solver
+            covariances.append(floored(covariance, gap.cutoff / gap.rate))
+        evidence.weigh(covariances)
+        self.covariances = covariances
+        rigid = evidence.solve(self.rigid)
+        self._whole = evidence.lost(rigid.index, rigid.gains) / 2
+
+    def _wavy_laws(self, joint: int) -> Iterator[Cause]:
+        """Waves that stand out of what the background leaves, picked out of many."""
+        evidence, rows = self.evidence, self.evidence.rows[joint]
+        found = evidence.solve(self.rigid)
+        left = evidence.residual(joint, found.index, found.gains)
+        for name, x in waves(self.gap, joint, left, rows):
+            if x.shape[1]:
+                self._waves[name, (joint,)] = x
+                picked = WAVES * np.log(len(rows))
+                yield self._law(name, joint, x, self.prior.unknown + float(picked))
+
+    def _laws(self, joint: int) -> Iterator[Cause]:
+        if len(self.evidence.rows[joint]):
+            for name, x in unknown_laws(self.gap, joint):
+                yield self._law(name, joint, x, self.prior.unknown)
+            yield from self._wavy_laws(joint)
+
+    def _law(self, name: str, joint: int, x: Array, cost: float) -> Cause:
+        rows, torque = self.evidence.rows[joint], self.gap.scales[joint].torque
+        size = np.sqrt(np.mean(np.sum(x[rows] ** 2, axis=1))) + 1e-12
+        std = np.full(x.shape[1], self.prior.size * torque / size)
+        (index,) = self.evidence.add([{joint: x}], [std])
+        cost += self._mimicked((joint,), self.prior.misfit)
+        return Cause((name, (joint,)), index, cost)
+
+    def _mimicked(self, joints: Sequence[int], part: float) -> float:
+        """What a cause may be worth that is but the inexactness of another, [nat]."""
+        return float(part**2 * self._whole[list(joints)].max())
+
+    def _cost(self, c: Candidate) -> float:
+        """Odds against an effect at a place, [nat]."""
+        small = self._mimicked(c.place[1], self.prior.inexact)
+        return self.prior.cause + small
+
+    @property
+    def known(self) -> list[Cause]:
+        """The causes that are effects of the library."""
+        return [c for c in self.causes if c.candidate is not None]
+
+    @property
+    def terms(self) -> list[Term]:
+        """The same as effects with their columns."""
+        return [Term(c.candidate, c.index) for c in self.causes if c.candidate]
+
+    @property
+    def background(self) -> Index:
+        """Columns of what is no known cause: the file's numbers, and unknown laws."""
+        unknown = [c.index for c in self.causes if c.candidate is None]
+        return np.concatenate([self.rigid, *unknown])
+
+    def base(self, without: Term | None = None) -> Index:
+        """Columns of the whole explanation, or of all but one known cause."""
+        parts = [
+            t.index
+            for t in self.terms
+            if without is None or t.index is not without.index
+        ]
+        return np.concatenate([self.background, *parts])
+
+    def having(self, chosen: Sequence[Candidate]) -> Search:
+        """The same search with some effects as all of its causes."""
+        other = copy(self)
+        other.causes = [self.cause(c) for c in chosen]
+        return other
+
+    @property
+    def widest(self) -> float:
+        """How far off the file's numbers may be at least, where values are stated."""
+        return max(self.off, self.prior.file[2])
+
+    def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
+        """See :meth:`.Pool.ranked`."""
+        taken = {c.place for c in self.known if c.index[0] in base}
+        return self.pool.ranked(base, taken)
+
+    def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
+        """See :func:`.refine.refine`."""
+        return refine(self.evidence, base, c)
+
+    def loss(self, term: Term) -> float:
+        """Evidence that would be lost without a term, [nat]."""
+        whole, without = (self.evidence.solve(self.base(t)) for t in (None, term))
+        lost = whole.evidence - without.evidence
+        return float(lost - price(term.candidate.effect))
+
+    def placed(self, found: Term | Candidate) -> tuple[str, str]:
+        """The id of an effect, and the name of the joint that it is at."""
+        effect_id, joints = found.place
+        return effect_id, self.gap.robot.joints[joints[-1]]
+
+    def columns(self, causes: Sequence[Cause]) -> Index:
+        """Columns of the background and of some causes."""
+        return np.concatenate([self.rigid, *(c.index for c in causes)])
+
+    def score(self, causes: Sequence[Cause]) -> float:
+        """Log posterior of an explanation, up to a constant, [nat]."""
+        known = self.evidence.solve(self.columns(causes)).evidence
+        return known - sum(c.cost for c in causes)
+
+    def cause(self, c: Candidate) -> Cause:
+        """An effect as a cause."""
+        std = c.wider * c.std
+        (index,) = self.evidence.add([self.gap.columns(c.effect)], [std])
+        cost = self._cost(c) + price(c.effect) + float(np.log(c.wider))
+        return Cause(c.place, index, cost, c)
+
+    def run(self) -> list[Cause]:
+        """The most probable explanation whose causes hold on unseen recordings."""
+        self._settle()
+        if len(self.known) < len(self.causes) or len(self.causes) > _FEW:
+            self._start_again()
+        self.beliefs = self._believe()
+        if self._simplify():
+            self.beliefs = self._believe()
+        self.whole = list(self.causes)
+        return self.causes
+
+    def _start_again(self) -> None:
+        """Start from what most joints have, and keep the more probable explanation.
+
+        One unknown law, or an effect that nearly fits, may have been taken in where two
+        or three others belong.
+        """
+        before = self.score(self.causes), self.causes, self.off
+        self.causes = [self.cause(c) for c in usual(self.gap, self.pool.without)]
+        self.refused = set()
+        self._remove()
+        for self.library_only in (True, False):
+            self._settle()
+        if self.score(self.causes) < before[0]:
+            _, self.causes, self.off = before
+            self.evidence.spread(self.numbers, self.off)
+
+    def stand_in(self) -> None:
+        """Let effects of the library stand in for unknown laws, as far as they help.
+
+        A simulator has no other laws. They are no causes.
+        """
+        if all(c.candidate is not None for c in self.causes):
+            return
+        self.causes, self.library_only = self.known, True
+        self.refused = set()
+        self._settle()
+
+    def _settle(self) -> None:
+        """Grow an explanation until all of its causes hold on unseen recordings."""
+        for _ in range(_MOST):
+            self._grow()
+            bad = [c for c, fall in self.unseen().items() if fall <= 0]
+            if not bad:
+                break
+            self.refused |= {c.place for c in bad}
+            self.causes = [c for c in self.causes if c not in bad]
+
+    def _grow(self) -> None:
+        for _ in range(_ROUNDS):
+            changed = False
+            while len(self.causes) < _MOST and self._add():
+                changed = True
+            for cause in list(self.causes):
+                if cause in self.causes:
+                    changed |= self._renew(cause)
+            if not changed and not self._widen():
+                break
+
+    def _widen(self) -> bool:
+        """Let the file's numbers be as far off as is most probable."""
+
+        def score(off: float) -> float:
+            self.evidence.spread(self.numbers, off)
+            far = np.log(off / self.prior.file[1]) / np.log(self.prior.file_factor)
+            return float(self.score(self.causes) - 0.5 * far**2)
+
+        now, best = self.off, max(self.prior.file, key=score)
+        # A small remainder of an inexact law is no ground for changing all numbers.
+        whole = score(now) - self.evidence.solve(self.rigid).evidence
+        added = max(self.prior.cause, self.prior.rough * whole)
+        self.off = best if score(best) > score(now) + added else now
+        self.evidence.spread(self.numbers, self.off)
+        return self.off != now
+
+    def _add(self) -> bool:
+        base = self.columns(self.causes)
+        self.pool.take_ripples(base)
+        self.pool.take_contacts(base)
+        now = self.score(self.causes)
+        for found in self.proposals(self.causes)[:2]:
+            if found.worth <= _BETTER:
+                break
+            causes = [*self.causes, found.make()]
+            if self.score(causes) > now + _BETTER:
+                self.causes = causes
+                self._remove()
+                return self.score(self.causes) > now + _BETTER
+        return False
+
+    def _remove(self) -> None:
+        """Take out causes that are worth less than their odds."""
+        while self.causes:
+            now = self.score(self.causes)
+            rest = [[x for x in self.causes if x is not c] for c in self.causes]
+            worth = now - np.array([self.score(x) for x in rest])
+            # What a rough law leaves out may look like any other cause, as large.
+            left_out = np.array([c.rough**2 for c in self.causes]) * worth
+            needed = [np.delete(left_out, k).max(initial=0.0) for k in range(len(rest))]
+            weakest = int(np.argmin(worth - needed))
+            if worth[weakest] >= needed[weakest]:
+                return
+            self.causes = rest[weakest]
+
+    def _renew(self, cause: Cause) -> bool:
+        """Exchange a cause for whatever explains most in its place, or for nothing."""
+        now = self.score(self.causes)
+        rest = [c for c in self.causes if c is not cause]
+        alone = self.score(rest)
+        for found in self.proposals(rest, own=cause)[:2]:
+            if alone + found.worth > now + _BETTER:
+                causes = [*rest, found.make()]
+                if self.score(causes) > now + _BETTER:
+                    self.causes = causes
+                    self._remove()
+                    return True
+        if alone > now:
+            self.causes = rest
+            return True
+        return False
+
+    def proposals(
+        self, causes: Sequence[Cause], own: Cause | None = None
+    ) -> list[Proposal]:
+        """What may be added to some causes, and by how much it raises the score.
+
+        Args:
+            causes: The causes.
+            own: A cause that is not among them, whose shapes are fitted anew.
+        """
+        base, found = self.columns(causes), list[Proposal]()
+        whole, less = base, base[:0]
+        if own is not None and own in self.causes:
+            whole, less = self.columns(self.causes), own.index
+        count = Counter(c.place for c in causes)
+        most = self.prior.repeated
+        taken = {x for x, k in count.items() if k >= (most if x[0] in REPEATED else 1)}
+        ranked = self.pool.ranked(whole, taken, less)
+        ranked = [(c, x) for c, x in ranked if c.place not in self.refused]
+        ranked = ranked[: self.prior.shortlist]
+        short = [c for c, x in ranked if x > self.prior.refined * ranked[0][1]]
+        if own is not None and own.candidate is not None:
+            short = [own.candidate, *short]
+        for c in short:
+            better, worth = self._refined(base, c)
+            make = partial(self.cause, better)
+            found.append(Proposal(c.place, worth - self._cost(c), make, better))
+        laws = self._open_laws(causes)
+        if laws and not self.library_only:
+            none = [np.full(len(x.index), -np.inf) for x in self.laws]
+            every = [x.index for x in self.laws]
+            gained = self.evidence.screen(whole, every, none, less=less)
+            worths = {
+                x: float(gain) - x.cost
+                for x, gain in zip(self.laws, gained, strict=True)
+            }
+            law = max(laws, key=lambda x: worths[x])
+            found.append(Proposal(law.place, worths[law], lambda: law))
+        return sorted(found, key=lambda x: -x.worth)
+
+    def _refined(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
+        """See :func:`.refine.refine`; kept, for the same is asked again and again."""
+        shapes = tuple(c.effect.values.items())
+        key = base.tobytes(), self.off, c.place, shapes
+        if key not in self._kept:
+            self._kept[key] = refine(self.evidence, base, c)
+        return self._kept[key]
+
+    def _open_laws(self, causes: Collection[Cause]) -> list[Cause]:
+        """Unknown laws that are not among some causes, where there are few yet."""
+        full = [
+            sum(c.candidate is None and c.place[1] == (j,) for c in causes)
+            >= self.prior.repeated
+            for j in range(self.gap.robot.size)
+        ]
+        return [x for x in self.laws if x not in causes and not full[x.place[1][0]]]
+
+    def _believe(self) -> list[Belief]:
+        """How probable each known cause is, and what might stand in its place."""
+        now, found = self.score(self.causes), []
+        for cause in self.known:
+            rest = [c for c in self.causes if c is not cause]
+            worth = now - self.score(rest)
+            options: dict[Place, Proposal] = {}
+            for x in self.proposals(rest, own=cause):
+                options.setdefault(x.place, x)
+            twins = {place for place, x in options.items() if self._twin(cause, x)}
+            found.append(Belief.of(cause, worth, options, twins, self.prior.alike))
+        return found
+
+    def _twin(self, cause: Cause, other: Proposal) -> bool:
+        """Whether something else has the same torque, and but another prior."""
+        one, two = cause.candidate, other.candidate
+        if one is None or two is None or one.place[1] != two.place[1]:
+            return False
+        return same(*(self.gap.columns(c.effect) for c in (one, two)))
+
+    def unknown_worth(self, cause: Cause) -> float:
+        """What the unknown laws are worth at the joint that a cause is about, [nat]."""
+        evidence, causes = self.evidence, self.causes
+        gains = evidence.solve(self.columns(causes)).of(cause.index)
+        order = np.argsort(cause.index)
+        joint = int(np.argmax(evidence.made(cause.index[order], gains[order])))
+        rest = [c for c in causes if c.candidate is not None or c.place[1] != (joint,)]
+        return self.score(causes) - self.score(rest)
+
+    def _simplify(self) -> bool:
+        """Exchange causes for plainer ones that are as probable; whether there are."""
+        before = list(self.causes)
+        for belief in self.beliefs:
+            plain = belief.plainest(_BETTER)
+            if plain is not None:
+                self.causes[self.causes.index(belief.cause)] = plain.make()
+        return self.causes != before
+
+    def unseen(self) -> dict[Cause, float]:
+        """By how much each known cause lowers the squares on unseen samples, [nat].
+
+        As they are and as independent samples: the less of both. Without it all others
+        are fitted anew. Numbers of the file that take its place are farther off: that
+        counts as much as before any recording.
+        """
+        if not self.known:
+            return {}
+        whole, without = self._lost(self.causes), dict[Cause, float]()
+        for c in self.known:
+            fall = self._lost([x for x in self.causes if x is not c]) - whole
+            without[c] = float(fall.min())
+        return without
+
+    @cached_property
+    def test(self) -> Elsewhere:
+        """The samples kept for scoring."""
+        return Elsewhere(self, ~self.learn & between(self.gap, self.learn))
+
+    def columns_of(self, cause: Cause) -> Columns:
+        """Torque per unit of each gain of a cause at every sample, by joint."""
+        if cause.candidate is not None:
+            return self.gap.columns(cause.candidate.effect)
+        (joint,) = cause.place[1]
+        if (x := self._waves.get(cause.place)) is None:
+            x = dict(unknown_laws(self.gap, joint))[cause.place[0]]
+        return {joint: x}
+
+    def _lost(self, causes: Sequence[Cause]) -> Array:
+        """What some causes lose on unseen samples, less what a fit says, [nat].
+
+        With samples as independent ones, and as they are: shape (2,).
+        """
+        seen, unseen = self.evidence, self.test.evidence
+        lost = self.test.lost(causes), self.test.squares(causes) / seen.noise
+        # As if as much were unseen as was learnt from.
+        more = seen.count.sum() / max(unseen.count.sum(), 1)
+        strain = seen.strain(seen.solve(self.columns(causes)), self.rigid)
+        return np.asarray((np.sum(lost, axis=1) * more + strain) / 2)

@@ -1,0 +1,110 @@
+"""Laws that no library has: smooth functions of what a joint's torque may depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.arrays import Array
+from hybrid.diagnosis.gap import Gap
+from hybrid.diagnosis.ripples import ripple_orders
+from hybrid.signals.filters import butterworth
+
+_KNOTS = 14
+_COARSE = 6
+_LENGTHS = 0.5, 0.1  # of the range, in which a law changes
+_LEAST = 1e-3  # of the power of its slowest change
+_SLOW = 0.3  # of the cut-off
+WAVES = 3
+_SLOWEST = 0.5  # Hz, of a wave in time
+
+
+def unknown_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
+    """What a law is of, and features at every sample, shape (M, d)."""
+    # Derivatives of positions hold their noise, and so does the residual.
+    m = replace(gap.sampled, a=_slow(gap, gap.sampled.a))
+    load = _slow(gap, gap.load[:, joint])
+    q, v, a = m.q[:, joint], m.v[:, joint], m.a[:, joint]
+    sign = np.tanh(v / (0.02 * np.abs(v).max() + 1e-12))
+    yield "position", _smooth(q, 2 * _KNOTS)
+    yield "speed", _smooth(np.sign(v) * np.sqrt(np.abs(v)), 2 * _KNOTS)
+    yield "acceleration", _smooth(a, _KNOTS)
+    yield "load", _smooth(load, _KNOTS)
+    yield "time", _smooth(m.t, 2 * _KNOTS)
+    for name, x in (("position", q), ("load", load), ("acceleration", a)):
+        yield f"direction and {name}", sign[:, None] * _smooth(x, _KNOTS)
+    yield "speed and time", v[:, None] * _smooth(m.t, _KNOTS)
+    yield "speed and position", _products(_smooth(q, _COARSE), _smooth(v, _COARSE))
+    yield "load and position", _products(_smooth(q, _COARSE), _smooth(load, _COARSE))
+    for k in range(gap.robot.size):
+        if k != joint:
+            other = gap.robot.joints[k]
+            yield f"speed of {other}", _smooth(m.v[:, k], _KNOTS)
+            yield f"acceleration of {other}", _smooth(m.a[:, k], _KNOTS)
+            yield (
+                f"position of {other}",
+                _products(_smooth(q, 4), _smooth(m.q[:, k], 4)),
+            )
+    side = np.tanh(load / (0.02 * np.abs(load).max() + 1e-12))
+    past = {"speed": _slow(gap, v), "load": load, "direction": sign, "side": side}
+    for name, x in past.items():
+        steps = [np.roll(x, s) - x for s in (1, 2, 4, 8, 16, 32)]
+        yield f"past of {name}", np.stack(steps, axis=1)
+
+
+def waves(
+    gap: Gap, joint: int, left: Array, rows: NDArray[np.intp]
+) -> Iterator[tuple[str, Array]]:
+    """Strongest waves of a residual over position and over time, shape (M, d).
+
+    Args:
+        gap: The gap.
+        joint: The joint.
+        left: Its residual, shape (R,), [N·m].
+        rows: Samples of the gap that these are, shape (R,).
+    """
+    m = gap.sampled
+    q, v = m.q[:, joint], m.v[:, joint]
+    orders = ripple_orders(left, q[rows], v[rows], gap.cutoff, WAVES)
+    yield "waves of position", _pairs([float(k) * q for k in orders])
+    full = np.zeros(len(q))
+    full[rows] = left
+    power = np.abs(np.fft.rfft(full)) ** 2
+    frequency = np.fft.rfftfreq(len(full), 1.0 / gap.rate)
+    power[frequency < _SLOWEST] = 0.0
+    lines = frequency[np.argsort(-power)[:WAVES]]
+    yield "waves in time", _pairs([2 * np.pi * f * m.t for f in lines])
+
+
+def _pairs(angles: list[Array]) -> Array:
+    return np.stack([f(x) for x in angles for f in (np.sin, np.cos)], axis=1)
+
+
+def _slow(gap: Gap, x: Array) -> Array:
+    """Signals without the upper part of the band, shape (M, ...)."""
+    parts = [x[gap.trajectory == k] for k in range(len(gap.motions))]
+    cutoff = _SLOW * gap.cutoff
+    return np.concatenate([butterworth(p, rate=gap.rate, cutoff=cutoff) for p in parts])
+
+
+def _smooth(x: Array, count: int) -> Array:
+    """Features of a smooth function over the range of x, shape (M, d).
+
+    With independent gains of deviation one they are a Gaussian process, of one long and
+    one short length, that is linear between some knots.
+    """
+    low, high = np.quantile(x, [0.002, 0.998])
+    place = np.clip((x - low) / max(high - low, 1e-12), 0.0, 1.0) * (count - 1)
+    hats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(count)), 0.0)
+    apart = np.subtract.outer(np.arange(count), np.arange(count)) / (count - 1)
+    alike = np.mean([np.exp(-0.5 * (apart / scale) ** 2) for scale in _LENGTHS], axis=0)
+    power, modes = np.linalg.eigh(alike)
+    kept = power > _LEAST * power.max()
+    return np.asarray(hats @ (modes[:, kept] * np.sqrt(power[kept])))
+
+
+def _products(a: Array, b: Array) -> Array:
+    return (a[:, :, None] * b[:, None, :]).reshape(len(a), -1)

@@ -1,0 +1,156 @@
+"""Samples of a recording that are no measurement: frozen, saturated, or in between."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.arrays import Array
+from hybrid.inspect.samples import usual_step
+from hybrid.recording import Recording
+
+_LONGEST_REPEAT = 0.2  # s; quantised torque repeats for less while an arm moves
+_FEWEST = 10  # samples
+_SHARE = 0.01  # of a log, at its extreme value: a peak is a sample or two
+_COARSE = 0.1  # distinct values of a torque that a sensor has rounded, per sample
+_UNUSUAL = 3.0  # times the third longest run
+_ALONE = 5.0  # times the samples of the next level
+_JUMP = 5.0  # times the usual step, by which a frozen encoder is left
+_LEAP = 0.25  # of the range of torque, from one sample to the next
+_KNOCK = 3.0  # times a large step of speed
+_ALIKE = 1 / 3  # of a step, the next one
+_UNDER_WAY, _BESIDE = 0.05, 3  # of the highest speed; samples to either side
+
+
+@dataclass(frozen=True, eq=False)
+class Faults:
+    """What of a recording cannot be used.
+
+    Attributes:
+        posture: Samples whose positions are wrong, shape (N,): of no use to any joint.
+        torque: Samples whose torque is wrong, shape (N, n).
+        notes: The same in words.
+    """
+
+    posture: NDArray[np.bool_]
+    torque: NDArray[np.bool_]
+    notes: tuple[str, ...]
+
+
+def find_faults(recording: Recording) -> Faults:
+    """Samples where a channel repeats one value, though the arm moves, or leaps."""
+    q, tau, t = recording.q, recording.tau, recording.t
+    least = max(_FEWEST, round(_LONGEST_REPEAT / float(np.median(np.diff(t)))))
+    notes = []
+    posture, torque = np.zeros(len(t), dtype=bool), np.zeros(tau.shape, dtype=bool)
+    for j, name in enumerate(recording.joints):
+        frozen = _frozen(q[:, j], least)
+        if frozen.any():
+            posture |= frozen
+            notes.append(f"position of {name} is frozen for {frozen.mean():.0%}")
+        coarse = len(np.unique(tau[:, j])) < _COARSE * len(t)
+        longest = max(5 * least, _usual_run(tau[:, j])) if coarse else least
+        stuck = _moving(q, _runs(tau[:, j], longest))
+        clipped = _clipped(tau[:, j], coarse)
+        for bad, word in ((stuck & ~clipped, "frozen"), (clipped, "saturated")):
+            if bad.any():
+                torque[:, j] |= bad
+                notes.append(f"torque of {name} is {word} for {bad.mean():.0%}")
+    leaps = _leaps(t, q, tau)
+    if leaps.any():
+        posture |= leaps.any(axis=1)
+        where = [recording.joints[j] for j in np.flatnonzero(leaps.any(axis=0))]
+        first = t[leaps.any(axis=1)][0]
+        notes.append(
+            f"torque of {', '.join(where)} jumps on the way, at {first:.3g} s first, "
+            "by more than samples so far apart resolve: what is near is left out"
+        )
+    place = f"{recording.source}: " if recording.source else ""
+    return Faults(posture, torque, tuple(place + note for note in notes))
+
+
+def _leaps(t: Array, q: Array, tau: Array) -> NDArray[np.bool_]:
+    """Samples beside a rare leap of torque while a joint moves, shape (N, n).
+
+    A reference that jumps takes the acceleration along. Between two samples nobody
+    knows when, and derivatives of positions spread it over several.
+    """
+    steps, v = np.diff(tau, axis=0), np.diff(q, axis=0) / np.diff(t)[:, None]
+    around = np.stack([np.roll(v, k, axis=0) for k in (-_BESIDE, 0, _BESIDE)])
+    slowest = _UNDER_WAY * np.abs(v).max(axis=0, initial=0.0)
+    # Where it turns round, dry friction does, between two samples if these are rare.
+    on_the_way = np.all(around > slowest, axis=0) | np.all(around < -slowest, axis=0)
+    size = np.abs(steps)
+    # A drive that hurries takes several steps the same way.
+    same = [np.roll(steps, k, axis=0) * np.sign(steps) for k in (-1, 1)]
+    alone = np.maximum(*same) < _ALIKE * size
+    # What is knocked, as by play that closes, leaps in speed as well.
+    knocks = np.abs(np.diff(v, axis=0, append=v[-1:]))
+    knocked = np.max([np.roll(knocks, k, axis=0) for k in (-1, 0, 1)], axis=0)
+    knocked = knocked > _KNOCK * np.quantile(knocks, 0.99, axis=0)
+    usual = np.quantile(size, 0.99, axis=0)
+    far = size > np.maximum(_JUMP * usual, _LEAP * np.ptp(tau, axis=0))
+    leap = on_the_way & alone & far & ~knocked
+    beside = np.zeros(tau.shape, dtype=bool)
+    beside[1:] |= leap
+    beside[:-1] |= leap
+    return beside
+
+
+def _usual_run(x: Array) -> int:
+    """Length of runs of equal values from which on one is out of the ordinary.
+
+    A coarse sensor holds its level wherever torque hardly changes. A few times what it
+    does otherwise is too long; it may have been stuck twice.
+    """
+    lengths = np.diff(np.flatnonzero(np.diff(x)), prepend=0)
+    return int(_UNUSUAL * np.sort(lengths)[-3]) if len(lengths) > 2 else 0
+
+
+def _runs(x: Array, least: int) -> NDArray[np.bool_]:
+    """Samples within runs of equal values that are at least so long."""
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(x)) + 1, [len(x)]])
+    lengths = np.diff(starts)
+    return np.repeat(lengths >= least, lengths)
+
+
+def _moving(q: Array, runs: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Those of some runs during which the arm moves."""
+    moved = np.any(np.diff(q, axis=0, prepend=q[:1]) != 0, axis=1)
+    kept = np.zeros_like(runs)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], runs, [False]])))
+    for first, last in edges.reshape(-1, 2):
+        kept[first:last] = moved[first:last].mean() > 0.5
+    return kept
+
+
+def _frozen(q: Array, least: int) -> NDArray[np.bool_]:
+    """Runs of one position that a joint enters or leaves by a jump."""
+    runs, steps = _runs(q, least), np.abs(np.diff(q))
+    usual = usual_step(q)
+    frozen = np.zeros_like(runs)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], runs, [False]])))
+    for first, last in edges.reshape(-1, 2):
+        ends = steps[[k for k in (first - 1, last - 1) if 0 <= k < len(steps)]]
+        before = steps[max(0, first - 6) : max(0, first - 1)]
+        sudden = before.size > 0 and before.min() > 0.1 * usual
+        frozen[first:last] = sudden or np.any(ends > _JUMP * usual)
+    return frozen
+
+
+def _clipped(x: Array, coarse: bool) -> NDArray[np.bool_]:
+    """Samples at an extreme value that is held again and again.
+
+    The highest level of a coarse sensor is held too, but so is the next one.
+    """
+    clipped = np.zeros(len(x), dtype=bool)
+    levels, counts = np.unique(x, return_counts=True)
+    for end, beside in ((0, 1), (-1, -2)) if len(levels) > 1 else ():
+        at = x == levels[end]
+        again = (at[1:] & at[:-1]).sum() > 0.5 * at.sum()
+        alone = not coarse or counts[end] > _ALONE * counts[beside]
+        if at.mean() > _SHARE and again and alone:
+            clipped |= at
+    return clipped

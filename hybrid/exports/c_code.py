@@ -1,0 +1,300 @@
+"""A program as one C99 header: no allocation, no recursion, no dependency but libm.
+
+It keeps to MISRA C where that can be read: braces everywhere, no side effect within an
+expression, loops of a length that is known, a status that says what happened.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from hybrid.dynamics.tape import Operation, Symbol
+from hybrid.errors import HybridError
+from hybrid.exports.c_remainder import function_name, remainder_code
+from hybrid.exports.manifest import UNITS_OF_KIND
+from hybrid.exports.program import Program
+from hybrid.names import c_comment, c_identifier
+from hybrid.robot import Robot
+
+_INFIX = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/"}
+_COMPARED = {"less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">="}
+_FUNCTIONS = {
+    "power": "pow", "absolute": "fabs", "sqrt": "sqrt", "exp": "exp", "log": "log",
+    "sin": "sin", "cos": "cos", "tanh": "tanh",
+}  # fmt: skip
+
+_HEADER = """\
+/* Drive torque of {robot}, from positions, speeds and accelerations.
+ *
+ * Joints in order, with units and limits of position, speed and torque:
+{joints}
+ * Model SHA-256: {digest}
+ * Written by hybrid {version}. Do not edit: export the model again.
+ *
+ * C99, no allocation, no loop whose length depends on data. Define {P}_SINGLE before
+ * the #include for single precision.
+ */
+#ifndef {P}_H
+#define {P}_H
+
+#include <math.h>
+#include <stddef.h>
+
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST) || \\
+    (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0))
+#error "fast math removes the checks for numbers that are not finite; leave it out"
+#endif
+
+#ifdef {P}_SINGLE
+typedef float {p}_real;
+#define {P}_M(name) name##f
+#else
+typedef double {p}_real;
+#define {P}_M(name) name
+#endif
+#define {P}_R(x) (({p}_real)(x))
+
+#define {P}_JOINTS {n}
+#define {P}_MODEL "{digest}"
+#define {P}_ROBOT "{fingerprint}"
+
+/* What {p}_torque returns: NOT_FINITE, or else the sum of the others. */
+#define {P}_OK 0
+#define {P}_NOT_FINITE (-1)   /* a number, or the torque of it; nothing was written */
+#define {P}_OUT_OF_RANGE 1    /* a position or a speed is beyond the joint's limits */
+#define {P}_CLAMPED 2         /* a torque was beyond its limit, and is that limit now */
+
+/* Limits of each joint, in its units; INFINITY where the arm's file states none. */
+{limits}
+
+/* What the model remembers from one call to the next. Owned by the caller, one for each
+ * arm; {p}_start sets it. */
+typedef struct {{
+    {p}_real step;  /* time between calls [s] */
+    double t;     /* time since the start [s] */
+    int known;      /* whether there was a call before */
+    {p}_real clamp[{n}];  /* limit of each torque, 0 or more: INFINITY for none */
+{memory}}} {p}_state;
+
+/* Start anew: the arm has stood, or moved evenly, until now. Torques are limited to the
+ * rated ones; write others into the state's clamp after this call. */
+static inline void {p}_start({p}_state *s, {p}_real step)
+{{
+    int j;
+    s->step = step;
+    s->t = 0.0;
+    s->known = 0;
+    for (j = 0; j < {n}; j++) {{
+        s->clamp[j] = {p}_tau_max[j];
+    }}
+{forget}}}
+"""
+
+_TORQUE = """
+/* Torque tau for positions q, speeds v and accelerations a, and the variance of its
+ * learned part (NaN at joints where nothing was learned; may be NULL).
+ *
+ * Returns {P}_OK, {P}_NOT_FINITE (and then writes nothing), or a sum of
+ * {P}_OUT_OF_RANGE and {P}_CLAMPED. */
+static inline int {p}_torque({p}_state *s, const {p}_real q[{n}],
+    const {p}_real v[{n}], const {p}_real a[{n}], {p}_real tau[{n}],
+    {p}_real variance[{n}])
+{{
+    {p}_real out[{n}];
+    {p}_real spread[{n}];
+{room}    int outside = {P}_OK;
+    int clamped = {P}_OK;
+    int j;
+    for (j = 0; j < {n}; j++) {{
+        if (!isfinite(q[j]) || !isfinite(v[j]) || !isfinite(a[j]) ||
+            !(s->clamp[j] >= {P}_R(0))) {{
+            return {P}_NOT_FINITE;
+        }}
+        if ((q[j] < {p}_q_min[j]) || (q[j] > {p}_q_max[j]) ||
+            ({P}_M(fabs)(v[j]) > {p}_v_max[j])) {{
+            outside = {P}_OUT_OF_RANGE;
+        }}
+        spread[j] = {P}_R(NAN);
+    }}
+{lines}
+{outputs}
+    for (j = 0; j < {n}; j++) {{
+        if (!isfinite(out[j])) {{
+            return {P}_NOT_FINITE;
+        }}
+        if ({P}_M(fabs)(out[j]) > s->clamp[j]) {{
+            out[j] = (out[j] > {P}_R(0)) ? s->clamp[j] : -s->clamp[j];
+            clamped = {P}_CLAMPED;
+        }}
+    }}
+{kept}    for (j = 0; j < {n}; j++) {{
+        tau[j] = out[j];
+        if (variance != NULL) {{
+            variance[j] = spread[j];
+        }}
+    }}
+    s->t += (double)s->step;
+    s->known = 1;
+    return outside + clamped;
+}}
+
+#endif
+"""
+
+_KEPT = """\
+    for (j = 0; j < {size}; j++) {{
+        if (!isfinite(keep[j])) {{
+            return {P}_NOT_FINITE;
+        }}
+    }}
+    for (j = 0; j < {size}; j++) {{
+        s->memory[j] = keep[j];
+    }}
+"""
+
+_FORGET = """\
+    for (j = 0; j < {size}; j++) {{
+        s->memory[j] = {P}_R(0);
+    }}
+"""
+LIMITS = ("q_min", "q_max", "v_max", "tau_max")
+
+
+def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> str:
+    """The header's text.
+
+    Args:
+        program: What to write.
+        robot: The arm; functions start with its name.
+        digest: Hash of the model.
+        version: Version of this package.
+
+    Raises:
+        HybridError: The learned remainder has no C, or a number is not finite.
+    """
+    p, n, size = c_identifier(robot.name), robot.size, len(program.memory)
+    marks: dict[str, Any] = {"p": p, "P": p.upper(), "n": n, "size": size}
+    slots = [f"     * {i}: {name}" for i, name in enumerate(program.memory_names)]
+    memory = "\n".join(["    /*", *slots, f"     */\n    {p}_real memory[{size}];\n"])
+    head = _HEADER.format(
+        **marks,
+        robot=c_comment(robot.name),
+        joints="\n".join(_joint(robot, k) for k in range(n)),
+        digest=digest,
+        version=version,
+        fingerprint=robot.fingerprint(),
+        limits="\n".join(_limits(robot, name, marks) for name in LIMITS),
+        memory=memory if size else "",
+        forget=_FORGET.format(**marks) if size else "",
+    )
+    remainder = ""
+    if _has_remainder(program):
+        assert program.remainder is not None
+        remainder = remainder_code(program.remainder, marks)
+    body = _TORQUE.format(
+        **marks,
+        room=f"    {p}_real keep[{size}];\n" if size else "",
+        lines="\n".join(_lines(program, marks)),
+        outputs="\n".join(_outputs(program, marks)),
+        kept=_KEPT.format(**marks) if size else "",
+    )
+    return head + remainder + body
+
+
+def _joint(robot: Robot, k: int) -> str:
+    """A joint in the comment at the top."""
+    units = UNITS_OF_KIND[bool(robot.chain.revolute[k])]
+    q, v, tau = (units[x].replace("·", " ") for x in ("q", "v", "tau"))
+    low, high, speed, most = (float(getattr(robot, name)[k]) for name in LIMITS)
+    return (
+        f" *   {k + 1} {c_comment(robot.joints[k])}: {low:.6g} to {high:.6g} {q}, "
+        f"{speed:.6g} {v}, {most:.6g} {tau}"
+    )
+
+
+def _limits(robot: Robot, name: str, marks: dict[str, Any]) -> str:
+    p, P, n = marks["p"], str(marks["P"]), marks["n"]
+    numbers = [c_number(float(x), P, finite=False) for x in getattr(robot, name)]
+    return f"static const {p}_real {p}_{name}[{n}] = {{\n    {_wrapped(numbers)}}};"
+
+
+def _wrapped(numbers: Sequence[str]) -> str:
+    return ",\n    ".join(
+        ", ".join(numbers[i : i + 3]) for i in range(0, len(numbers), 3)
+    )
+
+
+def _lines(program: Program, marks: dict[str, Any]) -> Iterator[str]:
+    P = str(marks["P"])
+    wanted = program.results if _has_remainder(program) else (
+        *program.torque, *program.memory
+    )  # fmt: skip
+    for line in program.tape.needed(wanted):
+        text = _expression(program.tape.lines[line], P)
+        yield f"    const {marks['p']}_real x{line} = {text};"
+
+
+def _expression(operation: Operation, P: str) -> str:
+    name = operation.name
+    if name == "input":
+        text = str(operation.arguments[0])
+        if text[0] in "qva":
+            return text
+        return f"s->{text}" if text[:6] in ("memory", "step") else f"{P}_R(s->{text})"
+    x = [
+        f"x{y}" if isinstance(y, int) else c_number(float(y), P)
+        for y in operation.arguments
+    ]
+    one, zero = f"{P}_R(1)", f"{P}_R(0)"
+    if name in _INFIX:
+        return f"{x[0]} {_INFIX[name]} {x[1]}"
+    if name in _COMPARED:
+        return f"({x[0]} {_COMPARED[name]} {x[1]}) ? {one} : {zero}"
+    if name in _FUNCTIONS:
+        return f"{P}_M({_FUNCTIONS[name]})({', '.join(x)})"
+    return {
+        "negative": "-{0}",
+        "sign": f"({{0}} > {zero}) ? {one} : (({{0}} < {zero}) ? -{one} : {zero})",
+        "minimum": "({0} < {1}) ? {0} : {1}",
+        "maximum": "({0} > {1}) ? {0} : {1}",
+        "where": f"({{0}} > {P}_R(0.5)) ? {{1}} : {{2}}",
+    }[name].format(*x)
+
+
+def _outputs(program: Program, marks: dict[str, Any]) -> Iterator[str]:
+    p, P, n = marks["p"], str(marks["P"]), len(program.joints)
+
+    def value(x: Any) -> str:
+        return f"x{x.line}" if isinstance(x, Symbol) else c_number(float(x), P)
+
+    for j, x in enumerate(program.torque):
+        yield f"    out[{j}] = {value(x)};"
+    for k, part in enumerate(program.remainder.parts if program.remainder else ()):
+        seen = [*part.positions, *(n + j for j in part.speeds)]
+        inputs = ", ".join(value(program.state[i]) for i in seen)
+        law, j = function_name(part.regression), part.joint
+        yield "    {"
+        yield f"        const {p}_real x[{len(seen)}] = {{{inputs}}};"
+        yield f"        out[{j}] += {p}_{law}(&{p}_part_{k}, x, &spread[{j}]);"
+        yield "    }"
+    for i, x in enumerate(program.memory):
+        yield f"    keep[{i}] = {value(x)};"
+
+
+def _has_remainder(program: Program) -> bool:
+    return program.remainder is not None and bool(program.remainder.parts)
+
+
+def c_number(x: float, P: str, *, finite: bool = True) -> str:
+    """A number as C writes it, to the last bit.
+
+    Raises:
+        HybridError: It is not finite, and has to be.
+    """
+    if math.isfinite(x):
+        return f"{P}_R({x!r})"
+    if finite or math.isnan(x):
+        raise HybridError(f"the model has the number {x}; valid are finite ones")
+    return f"{P}_R({'-' if x < 0 else ''}INFINITY)"

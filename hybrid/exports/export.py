@@ -1,0 +1,99 @@
+"""The public verb: a model in a format that other programs run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from hybrid.errors import HybridError
+from hybrid.exports.c_project import write_c
+from hybrid.exports.manifest import build_manifest, model_digest, seal
+from hybrid.exports.onnx_graph import import_onnx, onnx_model
+from hybrid.exports.program import program_from_model
+from hybrid.exports.simulator import isaac_lab, model_simulator, write_ranges
+from hybrid.extras import check_extra
+from hybrid.files import atomic_folder
+from hybrid.model.dynamic_model import DynamicModel
+from hybrid.names import file_stem
+from hybrid.signals import Motion
+
+FORMATS = (
+    "onnx", "torchscript", "c", "mjcf", "urdf", "isaaclab", "ranges", "json",
+)  # fmt: skip
+
+
+def export(
+    model: DynamicModel,
+    folder: str | Path,
+    *,
+    format: str,
+    motions: Sequence[Motion] = (),
+) -> tuple[str, ...]:
+    """Write a model for other programs, with a manifest that says what it is.
+
+    Files are named after the arm. What the folder holds in another format stays, and
+    stays in the manifest.
+
+    ``c`` is one C99 header with an example and a build file; ``onnx`` and
+    ``torchscript`` the inverse dynamics with a free batch axis; ``mjcf`` and ``urdf``
+    the arm's own file, ``model.robot.path``, with identified links, rotors and friction
+    and a ``.diff`` beside it; ``isaaclab`` its actuators for Isaac Lab; ``ranges`` what
+    the recordings leave open of each number, as YAML and for Isaac Lab and MJX;
+    ``json`` the model itself.
+
+    Args:
+        model: An identified model.
+        folder: Where the files shall be.
+        format: One of ``FORMATS``.
+        motions: Motions at whose speeds friction is fitted that a robot file has no
+            place for.
+
+    Returns:
+        What the format cannot express; it is in the manifest, too.
+
+    Raises:
+        HybridError: The format is unknown, or its package is missing.
+        EffectError: An effect cannot run in a control loop.
+    """
+    if format not in FORMATS:
+        raise HybridError(f"no format {format!r}; valid are {', '.join(FORMATS)}")
+    if format == "onnx":
+        import_onnx()
+    if format == "torchscript":
+        check_extra("torch", "learn", "TorchScript")
+    digest = model_digest(model)
+    left_out: Sequence[str] = ()
+    memory: Sequence[str] = ()
+    stem = file_stem(model.robot.name)
+
+    def finish(before: Path, hidden: Path) -> None:
+        seal(manifest, hidden, before)
+
+    with atomic_folder(folder, finish) as hidden:
+        if format == "json":
+            model.save(hidden / "model.json")
+        elif format in ("mjcf", "urdf"):
+            made = model_simulator(model, kind=format, motions=motions, folder=folder)
+            made.write(hidden / f"{stem}.{'xml' if format == 'mjcf' else 'urdf'}")
+            left_out = made.notes
+        elif format == "isaaclab":
+            text, left_out = isaac_lab(model, motions)
+            (hidden / f"{stem}_isaaclab.py").write_text(text, encoding="utf-8")
+        elif format == "ranges":
+            write_ranges(model, hidden, stem)
+        else:
+            program = program_from_model(model)
+            left_out, memory = program.left_out, program.memory_names
+        manifest = build_manifest(
+            model, format=format, digest=digest, left_out=left_out, memory=memory
+        )
+        if format == "c":
+            write_c(model, program, digest, hidden)
+        elif format == "onnx":
+            content = onnx_model(program, manifest).SerializeToString()
+            (hidden / f"{stem}.onnx").write_bytes(content)
+        elif format == "torchscript":
+            from hybrid.exports.torch_module import write_torchscript  # loads torch
+
+            write_torchscript(program, manifest, hidden / f"{stem}.pt")
+    return tuple(left_out)

@@ -1,0 +1,163 @@
+"""A program as an ONNX graph in double precision, with a free batch axis."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hybrid.dynamics.tape import Symbol
+from hybrid.errors import HybridError
+from hybrid.exports.onnx_remainder import regression_nodes
+from hybrid.exports.program import Program
+
+_OPSET, _FORMAT = 18, 9  # operators and file format, of 2023: old runtimes read them
+_NAMES = {
+    "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div",
+    "power": "Pow", "negative": "Neg", "absolute": "Abs", "sign": "Sign",
+    "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "sin": "Sin", "cos": "Cos",
+    "tanh": "Tanh", "minimum": "Min", "maximum": "Max", "where": "Where",
+    "less": "Less", "less_equal": "LessOrEqual", "greater": "Greater",
+    "greater_equal": "GreaterOrEqual",
+}  # fmt: skip
+
+
+class Graph:
+    """Nodes and constants in the order in which they were added."""
+
+    def __init__(self) -> None:
+        import_onnx()
+        self.nodes: list[Any] = []
+        self.constants: dict[bytes, Any] = {}
+
+    def node(self, operator: str, *inputs: str, **attributes: Any) -> str:
+        """Add an operation; the name of its result."""
+        from onnx import helper
+
+        name = f"x{len(self.nodes)}"
+        self.nodes.append(
+            helper.make_node(operator, list(inputs), [name], **attributes)
+        )
+        return name
+
+    def constant(self, values: Any, kind: Any = np.float64) -> str:
+        """The name of a constant; equal ones are kept once."""
+        from onnx import numpy_helper
+
+        array = np.asarray(values, dtype=kind)
+        key = array.tobytes() + str((array.shape, array.dtype)).encode()
+        if key not in self.constants:
+            name = f"c{len(self.constants)}"
+            self.constants[key] = numpy_helper.from_array(array, name)
+        return str(self.constants[key].name)
+
+    def sum(self, x: str, axis: int, keepdims: int = 1) -> str:
+        """Sum over an axis."""
+        axes = self.constant([axis], np.int64)
+        return self.node("ReduceSum", x, axes, keepdims=keepdims)
+
+    def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int]) -> Any:
+        """The whole graph; ``inputs`` and ``outputs`` are names with their columns."""
+        from onnx import TensorProto, helper
+
+        def infos(columns: Mapping[str, int]) -> list[Any]:
+            return [
+                helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width])
+                for name, width in columns.items()
+            ]
+
+        graph = helper.make_graph(
+            self.nodes, "hybrid", infos(inputs), infos(outputs),
+            list(self.constants.values()),
+        )  # fmt: skip
+        opset = helper.make_opsetid("", _OPSET)
+        return helper.make_model(graph, opset_imports=[opset], ir_version=_FORMAT)
+
+
+def import_onnx() -> None:
+    """Fail early, naming what to install.
+
+    Raises:
+        HybridError: The package onnx is not installed.
+    """
+    try:
+        import onnx  # noqa: F401
+    except ImportError as error:
+        raise HybridError(
+            "ONNX needs the package onnx: pip install 'hybrid-arm[export]'"
+        ) from error
+
+
+def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
+    """The program as an ``onnx.ModelProto``, with the manifest in its metadata.
+
+    Inputs q, v and a, shape (N, n), and where they matter t, step, known (N, 1) and
+    memory (N, s); outputs tau and variance, shape (N, n), and memory_out (N, s).
+    """
+    graph, n, s = Graph(), len(program.joints), len(program.memory)
+    inputs = {"q": n, "v": n, "a": n}
+    inputs |= {x: 1 for x in ("t", "step", "known") if x in program.uses}
+    inputs |= {"memory": s} if s else {}
+    names = _operations(graph, program)
+
+    def columns(values: Sequence[Any]) -> list[str]:
+        return [_column(graph, names, x) for x in values]
+
+    torque, state = columns(program.torque), columns(program.state)
+    variance = [_column(graph, names, np.nan)] * n
+    if program.remainder is not None:
+        for part in program.remainder.parts:
+            seen = [*part.positions, *(n + j for j in part.speeds)]
+            x = graph.node("Concat", *(state[i] for i in seen), axis=1)
+            mean, spread = regression_nodes(graph, part.regression, x)
+            torque[part.joint] = graph.node("Add", torque[part.joint], mean)
+            variance[part.joint] = spread
+    outputs = {"tau": (torque, n), "variance": (variance, n)}
+    if s:
+        outputs["memory_out"] = (columns(program.memory), s)
+    for name, (parts, _) in outputs.items():
+        graph.node("Concat", *parts, axis=1)
+        graph.nodes[-1].output[0] = name
+    model = graph.model(inputs, {name: width for name, (_, width) in outputs.items()})
+    for key, value in manifest.items():
+        text = value if isinstance(value, str) else json.dumps(value)
+        model.metadata_props.add(key=key, value=text)
+    return model
+
+
+def _operations(graph: Graph, program: Program) -> dict[int, str]:
+    """A node for each line of the tape, shape (N, 1); their names."""
+    names: dict[int, str] = {}
+    for line in program.tape.needed(program.results):
+        operation = program.tape.lines[line]
+        if operation.name == "input":
+            whole, _, index = str(operation.arguments[0]).partition("[")
+            names[line] = whole
+            if index:
+                at = graph.constant([int(index.rstrip("]"))], np.int64)
+                names[line] = graph.node("Gather", whole, at, axis=1)
+            continue
+        given = [
+            names[x] if isinstance(x, int) else graph.constant([float(x)])
+            for x in operation.arguments
+        ]
+        if operation.name == "where":
+            given[0] = graph.node("Greater", given[0], graph.constant([0.5]))
+        result = graph.node(_NAMES[operation.name], *given)
+        if operation.name in ("less", "less_equal", "greater", "greater_equal"):
+            from onnx import TensorProto
+
+            result = graph.node("Cast", result, to=TensorProto.DOUBLE)
+        names[line] = result
+    return names
+
+
+def _column(graph: Graph, names: Mapping[int, str], x: Any) -> str:
+    """A result as a column, shape (N, 1), also if it is a plain number."""
+    if isinstance(x, Symbol):
+        return names[x.line]
+    first = graph.node("Gather", "q", graph.constant([0], np.int64), axis=1)
+    zero = graph.node("Mul", first, graph.constant([0.0]))
+    return graph.node("Add", zero, graph.constant([float(x)]))

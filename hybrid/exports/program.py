@@ -1,0 +1,213 @@
+"""A dynamic model as a program for one instant: inputs, a tape, and outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.compensator.arm_remainder import ArmRemainder
+from hybrid.dynamics.newton_euler import newton_euler
+from hybrid.dynamics.tape import Tape
+from hybrid.effects import Effect, JointState
+from hybrid.errors import EffectError, HybridError
+from hybrid.model.dynamic_model import DynamicModel
+
+_ROWS = 2048  # samples at a time, so that what is on the tape stays in the cache
+
+
+@dataclass(frozen=True)
+class Program:
+    """Torque of an arm of n joints at one instant, and what to remember for the next.
+
+    Inputs on the tape are ``q[j]``, ``v[j]``, ``a[j]``, ``t`` (time since the start,
+    [s]), ``step`` (time since the last instant, [s]), ``known`` (1 if there was one,
+    else 0) and ``memory[i]``.
+
+    Attributes:
+        joints: Joint names.
+        tape: The operations.
+        torque: Rigid body and effects, length n, [N·m].
+        state: Positions, then speeds, as the learned remainder gets them, length 2n.
+        memory: What to remember, length s.
+        memory_names: What each is.
+        remainder: The learned part, whose torque comes on top; None without one.
+        left_out: Effects that are not in it, and why.
+    """
+
+    joints: tuple[str, ...]
+    tape: Tape
+    torque: tuple[Any, ...]
+    state: tuple[Any, ...]
+    memory: tuple[Any, ...]
+    memory_names: tuple[str, ...]
+    remainder: ArmRemainder | None
+    left_out: tuple[str, ...]
+
+    @property
+    def results(self) -> tuple[Any, ...]:
+        """Everything that the tape works out."""
+        return (*self.torque, *self.state, *self.memory)
+
+    @property
+    def uses(self) -> frozenset[str]:
+        """Names of the inputs that matter."""
+        lines = (self.tape.lines[k] for k in self.tape.needed(self.results))
+        return frozenset(str(x.arguments[0]) for x in lines if x.name == "input")
+
+    def run(
+        self,
+        q: Array,
+        v: Array,
+        a: Array,
+        *,
+        memory: Array | None = None,
+        t: float = 0.0,
+        step: float = 0.001,
+    ) -> tuple[Array, Array]:
+        """Torque, shape (N, n), [N·m], and memory, shape (N, s), of N states.
+
+        Args:
+            q: Positions, shape (N, n), [rad].
+            v: Speeds, shape (N, n), [rad/s].
+            a: Accelerations, shape (N, n), [rad/s²].
+            memory: Memory of the instants before, shape (N, s); None if there was none.
+            t: Time since the start, [s].
+            step: Time since the instants before, [s].
+        """
+        past = np.zeros((len(q), len(self.memory))) if memory is None else memory
+        known = 0.0 if memory is None else 1.0
+        torque, remembered = np.empty(q.shape), np.empty(past.shape)
+        for start in range(0, len(q), _ROWS):
+            part = slice(start, start + _ROWS)
+            given = {"q": q[part], "v": v[part], "a": a[part], "memory": past[part]}
+            torque[part], remembered[part] = self._run(given, t, step, known)
+        return torque, remembered
+
+    def _run(
+        self, given: Mapping[str, Array], t: float, step: float, known: float
+    ) -> tuple[Array, Array]:
+        inputs: dict[str, Any] = {"t": t, "step": step, "known": known}
+        for name, x in given.items():
+            inputs |= {f"{name}[{j}]": column.copy() for j, column in enumerate(x.T)}
+        values = self.tape.run(self.results, inputs)
+        out = [np.broadcast_to(x, len(given["q"])) for x in values]
+        n = len(self.joints)
+        torque = np.stack(out[:n], axis=1)
+        if self.remainder is not None:
+            state = np.stack(out[n : 3 * n], axis=1)
+            torque += self.remainder.predict(state[:, :n], state[:, n:])
+        remembered = out[3 * n :]
+        return torque, np.stack(remembered, 1) if remembered else given["memory"]
+
+
+def program_from_model(model: DynamicModel) -> Program:
+    """Write the model down for one instant.
+
+    Raises:
+        EffectError: An effect cannot be worked out from one instant and a few numbers
+            of the one before.
+    """
+    robot, tape, n = model.robot, Tape(), model.robot.size
+    out = [e for e in model.effects if e.not_in_loop]
+    effects = [e for e in model.effects if not e.not_in_loop]
+    q, v, a = ([tape.input(f"{x}[{j}]") for j in range(n)] for x in "qva")
+    for effect in effects:
+        for j in effect.joints if effect.observes else ():
+            q[j], v[j], a[j] = _traced(effect.true_state, effect, q[j], v[j], a[j])
+    chain, inertial = robot.chain, model.link_parameters.tolist()
+    down = chain.gravity.tolist()
+    load = newton_euler(chain, inertial, down, q=q, v=v, a=a)
+    torque = list(load)
+    t = tape.input("t")
+    states = [JointState(t, q[j], v[j], a[j], np.sign(v[j]), load[j]) for j in range(n)]
+    memory = _Memory(tape)
+    for effect in effects:
+        change = effect.rigid_change(n, chain.gravity)
+        added: Mapping[int, Any]
+        if change is not None:
+            links, gravity = (x.tolist() for x in change)
+            still = [0.0] * n
+            terms = [
+                newton_euler(chain, links, down, q=q, v=v, a=a),
+                newton_euler(chain, inertial, gravity, q=q, v=still, a=still),
+            ]
+            added = {j: terms[0][j] + terms[1][j] for j in range(n)}
+        elif effect.observes:
+            added = {}
+        else:
+            own = [states[j] for j in effect.joints]
+            step = memory.step(effect, own)
+            values, now = _traced(effect.at_instant, effect, own, *step)
+            memory.keep(effect, now)
+            added = dict(zip(effect.joints, values, strict=True))
+        for j, x in added.items():
+            torque[j] = torque[j] + x
+    for effect in effects:
+        if effect.reports or effect.asks:
+            asked = [torque[j] for j in effect.joints]
+            step = memory.step(effect, [states[j] for j in effect.joints])
+            values, now = _traced(effect.report_at_instant, effect, asked, *step)
+            memory.keep(effect, now)
+            for j, x in zip(effect.joints, values, strict=True):
+                torque[j] = x
+    return Program(
+        joints=robot.joints,
+        tape=tape,
+        torque=tuple(torque),
+        state=(*q, *v),
+        memory=tuple(memory.now),
+        memory_names=tuple(memory.names),
+        remainder=model.remainder,
+        left_out=tuple(_why_not(robot.joints, e) for e in out),
+    )
+
+
+def _why_not(names: Sequence[str], effect: Effect) -> str:
+    where = ", ".join(names[j] for j in effect.joints)
+    return f"{effect.id} of {where}: {effect.not_in_loop}"
+
+
+class _Memory:
+    """Slots of what effects remember."""
+
+    def __init__(self, tape: Tape) -> None:
+        self.tape = tape
+        self.names: list[str] = []
+        self.now: list[Any] = []
+        self._first: dict[int, int] = {}
+
+    def step(
+        self, effect: Effect, joints: Sequence[JointState]
+    ) -> tuple[tuple[Any, ...], Any]:
+        """What an effect remembers, and the time since then."""
+        if id(effect) not in self._first:
+            self._first[id(effect)] = len(self.names)
+            where = "+".join(str(j + 1) for j in effect.joints)
+            self.names += [f"{effect.id} {where}: {x}" for x in effect.memory]
+            self.now += [0.0] * len(effect.memory)
+        first, known = self._first[id(effect)], self.tape.input("known")
+        before = tuple(
+            self.tape.apply(
+                "where", known > 0.5, self.tape.input(f"memory[{first + i}]"), x
+            )
+            for i, x in enumerate(effect.begin(joints))
+        )
+        return before, self.tape.input("step")
+
+    def keep(self, effect: Effect, values: Sequence[Any]) -> None:
+        """Remember for the next instant."""
+        first = self._first[id(effect)]
+        self.now[first : first + len(values)] = values
+
+
+def _traced(law: Any, effect: Effect, *given: Any) -> Any:
+    try:
+        return law(*given)
+    except EffectError:
+        raise
+    except (HybridError, TypeError, ValueError) as error:
+        raise EffectError(f"{effect.id} cannot be exported: {error}") from error

@@ -1,0 +1,129 @@
+"""How far each number of a simulator may be off, for training on what is left open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.exports.simulator.model import fields_of_model, usual_motion
+from hybrid.exports.simulator.posterior import sample
+from hybrid.model.dynamic_model import DynamicModel
+from hybrid.robot import Robot
+from hybrid.robot.chain import INERTIAL_NAMES, INERTIAL_UNITS
+
+_LEVEL = 0.95
+_UNITS = {
+    "armature": "kg·m²", "damping": "N·m·s/rad", "quadratic": "N·m·s²/rad²",
+    "cubic": "N·m·s³/rad³", "frictionloss": "N·m", "stiffness": "N·m/rad",
+    "preload": "N·m",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Numbers of a simulator with what the recordings leave open; p of them.
+
+    Attributes:
+        joints: Joints of the arm.
+        keys: Joint and name of each number, length p.
+        units: Units, length p.
+        nominal: Values of the simulator, shape (p,).
+        low: Lower ends of the 95 % intervals, shape (p,).
+        high: Upper ends, shape (p,).
+        correlation: Correlations, shape (p, p).
+        draws: Values of draws from the posterior, shape (draws, p).
+    """
+
+    joints: tuple[str, ...]
+    keys: tuple[tuple[str, str], ...]
+    units: tuple[str, ...]
+    nominal: Array
+    low: Array
+    high: Array
+    correlation: Array
+    draws: Array
+
+    def of(self, name: str) -> tuple[Array, Array]:
+        """Lower and upper ends of a number, of joints that have it not NaN, (n,)."""
+        ends = np.full((2, len(self.joints)), np.nan)
+        for k, (joint, own) in enumerate(self.keys):
+            if own == name:
+                ends[:, self.joints.index(joint)] = self.low[k], self.high[k]
+        return ends[0], ends[1]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Content of the YAML file."""
+        return {
+            "level": _LEVEL,
+            "parameters": [
+                {
+                    "joint": joint,
+                    "name": name,
+                    "unit": self.units[k],
+                    "nominal": float(self.nominal[k]),
+                    "interval": [float(self.low[k]), float(self.high[k])],
+                }
+                for k, (joint, name) in enumerate(self.keys)
+            ],
+            "correlation": np.round(self.correlation, 4).tolist(),
+        }
+
+
+def ranges(
+    model: DynamicModel,
+    seed: int | np.random.Generator = 0,
+    *,
+    kind: str = "mjcf",
+    draws: int = 400,
+) -> Ranges:
+    """Intervals and correlations of a simulator's numbers, from draws of the posterior.
+
+    Args:
+        model: An identified model with links that could be built.
+        seed: Seed or generator.
+        kind: ``mjcf`` or ``urdf``: the places that the simulator has.
+        draws: How many simulators are drawn.
+
+    Raises:
+        HybridError: The model has no such links, or was saved without a covariance.
+    """
+    drawn = sample(model, draws, seed)
+    motions = (usual_motion(model),)
+    nominal = _numbers(fields_of_model(model, motions, kind))
+    values = np.array(
+        [list(_numbers(fields_of_model(x, motions, kind)).values()) for x in drawn]
+    )
+    varies = np.ptp(values, axis=0) > 0
+    keys = [key for key, own in zip(nominal, varies, strict=True) if own]
+    values = values[:, varies]
+    tail = 100 * (1 - _LEVEL) / 2
+    low, high = np.percentile(values, [tail, 100 - tail], axis=0)
+    links = dict(zip(INERTIAL_NAMES, INERTIAL_UNITS, strict=True))
+    return Ranges(
+        joints=model.robot.joints,
+        keys=tuple(keys),
+        units=tuple({**_UNITS, **links}[name] for _, name in keys),
+        nominal=np.array([nominal[key] for key in keys]),
+        low=low,
+        high=high,
+        correlation=np.atleast_2d(np.corrcoef(values, rowvar=False)),
+        draws=values,
+    )
+
+
+def _numbers(robot: Robot) -> dict[tuple[str, str], float]:
+    """Numbers of a simulator by joint and name."""
+    found: dict[tuple[str, str], float] = {}
+    table = {name: getattr(robot, name, None) for name in _UNITS}
+    table["armature"] = robot.chain.armature
+    table["preload"] = -robot.stiffness * robot.springref
+    for j, joint in enumerate(robot.joints):
+        for name, values in table.items():
+            assert values is not None
+            found[joint, name] = float(values[j])
+        for name, x in zip(INERTIAL_NAMES, robot.chain.inertial[j], strict=True):
+            found[joint, name] = float(x)
+    return found

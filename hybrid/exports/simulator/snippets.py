@@ -1,0 +1,206 @@
+"""Python for other simulators: an actuator of Isaac Lab, and what to randomise.
+
+Names of joints stand in it as literals and nowhere else.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.exports.simulator.model import model_simulator
+from hybrid.exports.simulator.ranges import Ranges
+from hybrid.model.dynamic_model import DynamicModel
+from hybrid.robot.edit.actuator import Actuator
+from hybrid.signals import Motion
+
+_STEP = 0.005  # s, of a simulation whose step is not known
+_ACTUATOR = '''"""Actuators of {name} for Isaac Lab, with physics every {step!r} s."""
+
+from isaaclab.actuators import DelayedPDActuatorCfg
+
+ACTUATORS = {{
+    "arm": DelayedPDActuatorCfg(
+        joint_names_expr={names!r},
+{fields}
+    ),
+}}
+'''
+_EVENTS = '''"""What recordings leave open of {name}, in 95 % intervals, for Isaac Lab.
+
+Isaac Lab draws each number by itself; their correlations are in the YAML file.
+"""
+
+from isaaclab.envs import mdp
+from isaaclab.managers import EventTermCfg, SceneEntityCfg
+
+_RANGES = {table}
+
+EVENTS = {{
+    f"joint_{{k}}": EventTermCfg(
+        func=mdp.randomize_joint_parameters,
+        mode="reset",
+        params={{
+            "asset_cfg": SceneEntityCfg("robot", joint_names=[name]),
+            "operation": "abs",
+            "distribution": "uniform",
+            **ranges,
+        }},
+    )
+    for k, (name, ranges) in enumerate(_RANGES.items())
+}}
+'''
+_MJX = '''"""What recordings leave open of {name}, for MuJoCo Playground and MJX.
+
+Rotors and friction are drawn together, with their correlations.
+"""
+
+import jax
+import jax.numpy as jp
+
+_JOINTS = {joints!r}
+_FIELDS = {fields!r}  # of the model, the column, and whether it may be below zero
+_MEAN = {mean!r}
+_FACTOR = {factor!r}
+
+
+def domain_randomize(model, rng, mj_model):
+    """Batched model and axes, as ``wrap_for_brax_training`` wants them.
+
+    Bind ``mj_model``, MuJoCo's own model, with ``functools.partial``.
+    """
+    dofs = jp.array([mj_model.joint(name).dofadr[0] for name in _JOINTS])
+    mean, factor = jp.array(_MEAN), jp.array(_FACTOR)
+
+    @jax.vmap
+    def drawn(key):
+        x = mean + factor @ jax.random.normal(key, (factor.shape[1],))
+        out = {{}}
+        for (field, column, signed), own in zip(_FIELDS, x.reshape(len(_FIELDS), -1)):
+            own = own if signed else jp.maximum(own, 0.0)
+            at = dofs if column is None else (dofs, column)
+            out[field] = out.get(field, getattr(model, field)).at[at].set(own)
+        return out
+
+    values = drawn(rng)
+    axes = jax.tree_util.tree_map(lambda x: None, model)
+    axes = axes.tree_replace({{field: 0 for field in values}})
+    return model.tree_replace(values), axes
+'''
+# Fields of MuJoCo's model by the names of ranges: column, and whether of any sign.
+_DOF: dict[str, tuple[str, int | None, bool]] = {
+    "armature": ("dof_armature", None, False),
+    "damping": ("dof_damping", None, False),
+    "frictionloss": ("dof_frictionloss", None, False),
+    "quadratic": ("dof_dampingpoly", 0, True),
+    "cubic": ("dof_dampingpoly", 1, False),
+}
+
+
+def isaac_lab(
+    model: DynamicModel, motions: Sequence[Motion] = ()
+) -> tuple[str, tuple[str, ...]]:
+    """An actuator configuration for Isaac Lab, and what is not in it."""
+    made = model_simulator(model, kind="urdf", motions=motions)
+    robot, drives = made.robot, dict[int, Actuator]()
+    for effect in made.rest:
+        if effect.actuator:
+            (j,) = effect.joints
+            drives[j] = drives.get(j, Actuator()).and_then(effect.actuator)
+    new = [drives.get(j, Actuator()) for j in range(robot.size)]
+    known = model.robot.timestep
+    step = known if math.isfinite(known) else _STEP
+    late = max(x.latency for x in new) / step
+    limit = np.minimum(robot.tau_max, [x.limit for x in new])
+    kp = model.robot.kp * [x.stiffness for x in new]
+    kd = model.robot.kd * [x.damping for x in new]
+    table = {
+        "stiffness": kp, "damping": kd, "effort_limit": limit,
+        "velocity_limit": robot.v_max, "armature": robot.chain.armature,
+        "friction": robot.frictionloss, "dynamic_friction": robot.frictionloss,
+        "viscous_friction": robot.damping,
+    }  # fmt: skip
+    fields: dict[str, Any] = {
+        name: _by_joint(robot.joints, x) for name, x in table.items()
+    }
+    fields |= {"min_delay": math.floor(late), "max_delay": math.ceil(late)}
+    said = {"latency", "limit", "stiffness", "damping"}
+    notes = tuple(
+        note
+        for note in made.notes
+        if not any(
+            note.startswith(f"{e.id} of") for e in made.rest
+            if e.actuator and e.actuator.keys() <= said
+        )
+    )  # fmt: skip
+    text = _ACTUATOR.format(
+        name=_plain(robot.name),
+        step=step,
+        names=[re.escape(name) for name in robot.joints],
+        fields="\n".join(f"        {name}={x!r}," for name, x in fields.items()),
+    )
+    return text, notes
+
+
+def isaac_events(name: str, ranges: Ranges) -> str:
+    """Event terms for Isaac Lab."""
+    table: dict[str, dict[str, tuple[float, float]]] = {}
+    for word, own in (("friction", "frictionloss"), ("armature", "armature")):
+        for joint, low, high in zip(ranges.joints, *ranges.of(own), strict=True):
+            if np.isfinite(low):
+                both = (max(float(low), 0.0), float(high))
+                key = f"{word}_distribution_params"
+                table.setdefault(re.escape(joint), {})[key] = both
+    return _EVENTS.format(name=_plain(name), table=_laid_out(table))
+
+
+def mjx(name: str, ranges: Ranges, nominal: Mapping[str, Array]) -> str:
+    """A function that randomises a model of MJX.
+
+    Args:
+        name: Name of the arm.
+        ranges: What is left open.
+        nominal: Values of each field of a joint, shape (n,).
+    """
+    own = [name for name in _DOF if np.isfinite(ranges.of(name)).any()]
+    n = len(ranges.joints)
+    mean = np.concatenate([nominal[name] for name in own]) if own else np.zeros(0)
+    draws = np.tile(mean, (len(ranges.draws), 1))
+    for k, (joint, name_of) in enumerate(ranges.keys):
+        if name_of in own:
+            at = own.index(name_of) * n + ranges.joints.index(joint)
+            draws[:, at] = ranges.draws[:, k]
+    values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(draws, rowvar=False)))
+    factor = vectors * np.sqrt(np.clip(values, 0.0, None))
+    return _MJX.format(
+        name=_plain(name),
+        joints=list(ranges.joints),
+        fields=[_DOF[x] for x in own],
+        mean=mean.tolist(),
+        factor=factor[:, values > 1e-12 * values.max(initial=1e-300)].tolist(),
+    )
+
+
+def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float] | None:
+    """Values by joint, as a pattern; those that are not known are the robot's own."""
+    found = {
+        re.escape(name): float(x)
+        for name, x in zip(joints, values, strict=True)
+        if np.isfinite(x)
+    }
+    return found or None
+
+
+def _laid_out(table: Mapping[str, Any]) -> str:
+    lines = "".join(f"    {name!r}: {own!r},\n" for name, own in table.items())
+    return f"{{\n{lines}}}"
+
+
+def _plain(name: str) -> str:
+    """A name within a docstring."""
+    return re.sub(r"[^\w .+-]", "_", name)

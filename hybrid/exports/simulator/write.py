@@ -1,0 +1,50 @@
+"""What recordings leave open, in files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from hybrid.exports.simulator.model import fields_of_model, usual_motion
+from hybrid.exports.simulator.ranges import ranges
+from hybrid.exports.simulator.snippets import isaac_events, mjx
+from hybrid.model.dynamic_model import DynamicModel
+
+_DRAWS = 400
+
+
+def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
+    """Write intervals and correlations as YAML, and Python for Isaac Lab and MJX.
+
+    The draws behind them are those of one seed, so that a model has one such folder.
+
+    Args:
+        model: An identified model with links that could be built.
+        folder: A folder that exists.
+        stem: What names of files begin with.
+
+    Raises:
+        HybridError: The model has no such links, or was saved without a covariance.
+    """
+    rng, nominal = (
+        np.random.default_rng(0),
+        fields_of_model(model, (usual_motion(model),)),
+    )
+    found = ranges(model, rng)
+    # Isaac Lab has one dry and one viscous friction, as URDF has.
+    plain = ranges(model, np.random.default_rng(0), kind="urdf", draws=_DRAWS)
+    names = "damping", "quadratic", "cubic", "frictionloss"
+    values = {x: getattr(nominal, x) for x in names}
+    values["armature"] = nominal.chain.armature
+    name = model.robot.name
+    texts = {
+        f"{stem}_ranges.yaml": yaml.safe_dump(
+            {"robot": name, **found.as_dict()}, sort_keys=False, allow_unicode=True
+        ),
+        f"{stem}_isaaclab_events.py": isaac_events(name, plain),
+        f"{stem}_mjx.py": mjx(name, found, values),
+    }
+    for file, text in texts.items():
+        (folder / file).write_text(text, encoding="utf-8")

@@ -1,0 +1,127 @@
+"""A program as a TorchScript archive in double precision, with a free batch axis.
+
+An archive is a zip file of tensors, of operations as text, and of tables in the format
+of pickle. ``torch.jit.load`` reads these with a reader of its own, which knows numbers,
+tensors and the operations beside them, and imports and calls nothing of Python.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import operator
+import warnings
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from hybrid.dynamics.tape import Symbol
+from hybrid.exports.program import Program
+
+_OPERATIONS: dict[str, Callable[..., Any]] = {
+    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul,
+    "divide": operator.truediv, "power": operator.pow, "negative": operator.neg,
+    "less": operator.lt, "less_equal": operator.le,
+    "greater": operator.gt, "greater_equal": operator.ge,
+    "absolute": torch.abs, "sign": torch.sign, "sqrt": torch.sqrt, "exp": torch.exp,
+    "log": torch.log, "sin": torch.sin, "cos": torch.cos, "tanh": torch.tanh,
+    "minimum": torch.minimum, "maximum": torch.maximum, "where": torch.where,
+}  # fmt: skip
+_OF_TENSORS = ("minimum", "maximum", "where")  # a number has to be made one
+_BATCH = 3  # rows of the example; any number goes
+
+
+class ProgramModule(torch.nn.Module):
+    """The program as a torch module, from and to what the ONNX export takes and gives.
+
+    Inputs q, v and a, shape (N, n), and where they matter t, step, known (N, 1) and
+    memory (N, s), in this order; outputs tau and variance, shape (N, n), and memory_out
+    (N, s) if there is memory.
+    """
+
+    def __init__(self, program: Program) -> None:
+        super().__init__()
+        self.program = program
+        self.names: list[str] = [x for x in ("t", "step", "known") if x in program.uses]
+        self.names += ["memory"] if program.memory else []
+        parts = program.remainder.parts if program.remainder else ()
+        modules = [part.regression.to_torch() for part in parts]
+        self.learned = torch.nn.ModuleList(modules)
+
+    def forward(self, q: Tensor, v: Tensor, a: Tensor, *others: Tensor) -> Any:
+        """Torque [N·m], variance [(N·m)²] of its learned part, and memory."""
+        program, n = self.program, len(self.program.joints)
+        given = {"q": q, "v": v, "a": a}
+        given |= dict(zip(self.names, others, strict=True))
+        values = self._run(given)
+        zero = torch.zeros_like(q[:, :1])
+        columns = [zero + x for x in values]
+        torque, state = columns[:n], columns[n : 3 * n]
+        variance = [zero + torch.nan] * n
+        parts = program.remainder.parts if program.remainder else ()
+        for part, module in zip(parts, self.learned, strict=True):
+            seen = [*part.positions, *(n + j for j in part.speeds)]
+            x = torch.cat([state[i] for i in seen], dim=1)
+            mean, spread = module(x)
+            torque[part.joint] = torque[part.joint] + mean
+            variance[part.joint] = spread
+        found = (torch.cat(torque, dim=1), torch.cat(variance, dim=1))
+        if not program.memory:
+            return found
+        return (*found, torch.cat(columns[3 * n :], dim=1))
+
+    def _run(self, given: Mapping[str, Tensor]) -> list[Any]:
+        """Results of the tape, shape (N, 1) each, or plain numbers."""
+        tape, results = self.program.tape, self.program.results
+        values: dict[int, Any] = {}
+        for line in tape.needed(results):
+            name, arguments = tape.lines[line].name, tape.lines[line].arguments
+            if name == "input":
+                whole, _, index = str(arguments[0]).partition("[")
+                j = int(index.rstrip("]")) if index else 0
+                values[line] = given[whole][:, j : j + 1]
+                continue
+            taken = [values[x] if isinstance(x, int) else x for x in arguments]
+            if name in _OF_TENSORS:
+                taken = [
+                    x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64)
+                    for x in taken
+                ]
+            values[line] = _OPERATIONS[name](*taken)
+        return [values[x.line] if isinstance(x, Symbol) else float(x) for x in results]
+
+
+def write_torchscript(
+    program: Program, manifest: Mapping[str, Any], path: Path
+) -> None:
+    """Write the archive, with the manifest inside as ``manifest.json``.
+
+    Args:
+        program: What to write.
+        manifest: What it is.
+        path: The file.
+    """
+    module = ProgramModule(program)
+    n, s = len(program.joints), len(program.memory)
+    widths = [n] * 3 + [s if name == "memory" else 1 for name in module.names]
+    example = tuple(
+        torch.full((_BATCH, width), 0.1, dtype=torch.float64) for width in widths
+    )
+    with warnings.catch_warnings():
+        # That TorchScript has a successor is no news to one who asks for it by name.
+        warnings.simplefilter("ignore")
+        traced = torch.jit.trace(  # type: ignore[no-untyped-call]
+            module, example, check_trace=False
+        )
+        text = json.dumps(dict(manifest), ensure_ascii=False)
+        whole = io.BytesIO()
+        torch.jit.save(traced, whole, _extra_files={"manifest.json": text})
+    # Without the notes for debuggers, which name files of this computer.
+    with zipfile.ZipFile(whole) as saved, zipfile.ZipFile(path, "w") as archive:
+        for name in saved.namelist():
+            if not name.endswith(".debug_pkl"):
+                archive.writestr(zipfile.ZipInfo(name), saved.read(name))

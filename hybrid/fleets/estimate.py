@@ -1,0 +1,283 @@
+"""How far the parameters of an arm lie from its baseline in one period.
+
+``τ − τ_baseline = Y·δ + C·g + noise``: Y are the columns of the base inertial
+parameters, with δ ~ N(0, covariance of the baseline), C those of the effects that are
+followed, with g as uncertain as their usual size. The posterior of g is one regularised
+least squares. Residuals are correlated in time: a joint's samples weigh as many
+independent ones (Bartlett 1946, doi 10.2307/2983611).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from hybrid.arrays import Array
+from hybrid.dynamics import RigidBody
+from hybrid.effects import Effect
+from hybrid.effects.payload import LinkInertia
+from hybrid.effects.registry import effect_class
+from hybrid.errors import HybridError
+from hybrid.identification.data import Data, prepare, taken
+from hybrid.model.dynamic_model import DynamicModel
+from hybrid.plant.scale import joint_scales
+from hybrid.recording import Recording
+from hybrid.signals import Motion, Sampler
+
+_FROM_TOOL = 0.05  # m, that a payload is off the tool, and its size
+_DRAWS = 400  # of its centre
+_UNSURE = 0.05  # relative: of inertial parameters whose covariance is not known
+_LAGS = 40  # samples over which residuals are correlated, at the most
+# Effects whose gains are found, with the names of those that are followed.
+Followed = Sequence[tuple[Effect, tuple[str, ...]]]
+_PASSES = 3  # of weights by residuals
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """One parameter of one joint in one period.
+
+    Attributes:
+        joint: Name of the joint; ``arm`` for what is of the whole arm.
+        parameter: Effect and gain, as ``coulomb.level``.
+        unit: SI unit.
+        change: Deviation from the baseline.
+        std: Its standard deviation within the period.
+        baseline: What the baseline says of the parameter; 0 if nothing.
+        baseline_std: Standard deviation of that.
+    """
+
+    joint: str
+    parameter: str
+    unit: str
+    change: float
+    std: float
+    baseline: float
+    baseline_std: float
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """What one period of one arm says.
+
+    Attributes:
+        rows: Parameters that are followed.
+        residual: RMS torque that is left, over that of the baseline, per joint, (n,).
+        load: RMS torque of the rigid body, shape (n,), [N·m].
+        temperature: Mean drive temperature, shape (n,), [°C]; NaN if not logged.
+    """
+
+    rows: tuple[Deviation, ...]
+    residual: Array
+    load: Array
+    temperature: Array
+
+
+def followed(track: Sequence[str], size: int) -> Followed:
+    """Effects whose gains are found, with the names of those that are followed.
+
+    Args:
+        track: Effects, or gains as ``effect.gain``.
+        size: Number of joints n.
+
+    Raises:
+        HybridError: A name is unknown, or the effect has no gain of that name.
+    """
+    found = []
+    for name in track:
+        kind, _, gain = name.partition(".")
+        cls = effect_class(kind)
+        names = tuple(g.name for g in cls.gains)
+        if gain and gain not in names:
+            raise HybridError(
+                f"track: {kind} has no gain {gain!r}; valid are {', '.join(names)}"
+            )
+        if cls.scope == "coupling":
+            raise HybridError(f"track: {kind} is of pairs of joints; not followed")
+        places = [tuple(range(size))] if cls.scope == "arm" else [
+            (j,) for j in range(size)
+        ]  # fmt: skip
+        found += [(cls(place), (gain,) if gain else names) for place in places]
+    return found
+
+
+def deviations(
+    model: DynamicModel,
+    recordings: Sequence[Recording],
+    track: Sequence[str],
+    payload: Sequence[float] = (),
+    tool: Sequence[float] = (),
+) -> Deviations:
+    """Deviations of an arm from its baseline; the logs are checked against physics.
+
+    Args:
+        model: The baseline.
+        recordings: Logs of one period.
+        track: What is followed, see :func:`followed`.
+        payload: Parameters of the payload that the arm was told of, up to ten: mass
+            [kg], first moments [kg·m], inertia [kg·m²] about the last joint's frame.
+        tool: Where a payload is held, in the last joint's frame, [m]; the centre of
+            mass of the last link if not given.
+
+    Raises:
+        HybridError: A log cannot be what its columns say, or says too little.
+    """
+    robot, effects = model.robot, followed(track, model.robot.size)
+    logs = taken(robot, recordings)
+    data = prepare(logs, model.cutoff if np.isfinite(model.cutoff) else None)
+    rigid = [k for k, c in enumerate(model.base.kept) if c < 10 * robot.size]
+    told = np.zeros(10)
+    told[: len(payload)] = payload
+    parts = [_sampled(model, rigid, effects, told, data, m) for m in data.motions]
+    theta, covariance, residual = _posterior(parts, _prior(model, rigid, effects, tool))
+    warm = [m.temperature for m in data.motions if m.temperature is not None]
+    load = np.concatenate([model.body(m).load for m in data.motions])
+    std = np.sqrt(np.diag(covariance))
+    return Deviations(
+        tuple(_rows(model, effects, theta[len(rigid) :], std[len(rigid) :])),
+        residual,
+        np.sqrt((load**2).mean(axis=0)),
+        np.concatenate(warm).mean(axis=0) if warm else np.full(robot.size, np.nan),
+    )
+
+
+def _rows(
+    model: DynamicModel, effects: Followed, theta: Array, std: Array
+) -> Iterator[Deviation]:
+    at = 0
+    for effect, names in effects:
+        own = next((e for e in model.effects if _same_place(e, effect)), None)
+        where = model.robot.joints[effect.joints[0]]
+        for gain in effect.gains:
+            if gain.name in names:
+                yield Deviation(
+                    "arm" if effect.scope == "arm" else where,
+                    f"{effect.id}.{gain.name}",
+                    gain.unit,
+                    float(theta[at]),
+                    float(std[at]),
+                    float(own.values[gain.name]) if own else 0.0,
+                    float(own.std.get(gain.name, 0.0)) if own else 0.0,
+                )
+            at += 1
+
+
+def _same_place(one: Effect, other: Effect) -> bool:
+    return (one.id, one.joints) == (other.id, other.joints)
+
+
+def _prior(
+    model: DynamicModel,
+    rigid: Sequence[int],
+    effects: Followed,
+    tool: Sequence[float],
+) -> Array:
+    """Covariance of δ and g, shape (p, p)."""
+    scales, values = joint_scales(model.robot), model.base.values[list(rigid)]
+    blocks = [np.diag((_UNSURE * values) ** 2)]
+    if model.covariance.size:
+        blocks = [model.covariance[np.ix_(rigid, rigid)]]
+    for effect, _ in effects:
+        if isinstance(effect, LinkInertia):
+            blocks.append(_held(model, effect.gains[0].typical, tool))
+            continue
+        sized = [g.scaled(scales[effect.joints[-1]]) for g in effect.gains]
+        spread = [g.spread or abs(g.typical) or abs(g.upper) for g in sized]
+        blocks.append(np.diag(np.square(spread)))
+    return np.asarray(block_diag(*blocks))
+
+
+def _held(model: DynamicModel, mass: float, tool: Sequence[float]) -> Array:
+    """Covariance of the parameters of a body of unknown mass near the tool, (10, 10).
+
+    Args:
+        model: The arm.
+        mass: Usual mass, [kg].
+        tool: Where it is held, in the last joint's frame, [m], or nothing.
+    """
+    link = model.robot.chain.inertial[-1]
+    center = np.array(tool) if len(tool) else link[1:4] / max(link[0], 1e-9)
+    c = center + _FROM_TOOL * np.random.default_rng(0).standard_normal((_DRAWS, 3))
+    x, y, z = c.T
+    own = _FROM_TOOL**2  # of a body as large as it may be off
+    inertia = [y**2 + z**2 + own, -x * y, x**2 + z**2 + own,
+               -x * z, -y * z, x**2 + y**2 + own]  # fmt: skip
+    each = mass * np.stack([np.ones(len(c)), x, y, z, *inertia], axis=1)
+    return np.asarray(each.T @ each / len(each))
+
+
+def _sampled(
+    model: DynamicModel,
+    rigid: Sequence[int],
+    effects: Followed,
+    payload: Array,
+    data: Data,
+    motion: Motion,
+) -> Array:
+    """Columns with the torque left last, filtered alike, (M, n, p + 1); NaN at rest."""
+    n = model.robot.size
+    body, expected = model.body(motion), model.predict(motion)
+    expected = expected + body.link_columns(n - 1) @ payload
+    kept = [model.base.kept[k] for k in rigid]
+    columns = [body.columns[:, :, kept]]
+    for effect, _ in effects:
+        wide = np.zeros((len(motion.t), n, len(effect.gains)))
+        joints = list(effect.reaches(n))
+        wide[:, joints] = _columns(effect, motion, body, expected)
+        columns.append(wide)
+    whole = np.concatenate([*columns, (motion.tau - expected)[:, :, None]], axis=2)
+    sampler = Sampler.for_rate(motion.rate, data.cutoff)
+    out = sampler(whole.reshape(len(motion.t), -1)).reshape(-1, n, whole.shape[2])
+    out[~data.moves(motion)[:: sampler.factor]] = np.nan
+    return np.asarray(out)
+
+
+def _columns(effect: Effect, motion: Motion, body: RigidBody, expected: Array) -> Array:
+    """Columns of a change; a gain of the report scales all that the drive reports."""
+    if effect.reports and effect.actuator:
+        return np.asarray(expected[:, list(effect.joints)][:, :, None])
+    return effect.columns(motion, body)
+
+
+def _posterior(parts: Sequence[Array], prior: Array) -> tuple[Array, Array, Array]:
+    """Mean (p,), covariance (p, p), and RMS left over that of the baseline (n,)."""
+    p, n = len(prior), parts[0].shape[1]
+    scale = np.sqrt(np.diag(prior))
+    scale = np.where(scale > 0, scale, 1e-12)
+    precision = np.linalg.pinv(prior / scale / scale[:, None], hermitian=True)
+    A, b = np.zeros((n, p, p)), np.zeros((n, p))
+    before, counts = np.zeros(n), np.zeros(n)
+    for j in range(n):
+        rows = np.concatenate([x[:, j] for x in parts])
+        rows = rows[np.isfinite(rows[:, 0])]
+        X, y = rows[:, :p] * scale, rows[:, p]
+        A[j], b[j] = X.T @ X, X.T @ y
+        before[j], counts[j] = y @ y, len(y)
+    weight = counts / np.maximum(before, 1e-300)
+    for _ in range(_PASSES):
+        H = precision + np.tensordot(weight, A, axes=1)
+        theta = np.linalg.solve(H, weight @ b)
+        left = [x[:, :, p] - x[:, :, :p] @ (scale * theta) for x in parts]
+        power = np.array([np.nanmean(np.concatenate(left)[:, j] ** 2)
+                          if counts[j] else 1.0 for j in range(n)])  # fmt: skip
+        lasting = _lasting(left)
+        weight = 1.0 / np.maximum(power * lasting, 1e-300) * (counts > 0)
+    H = precision + np.tensordot(weight, A, axes=1)
+    theta = np.linalg.solve(H, weight @ b)
+    covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
+    rms: Array = np.sqrt(power * counts / np.maximum(before, 1e-300))
+    return np.asarray(scale * theta), covariance * scale * scale[:, None], rms
+
+
+def _lasting(left: Sequence[Array]) -> Array:
+    """Samples of which one is worth as much as an independent one, shape (n,)."""
+    total, power = 0.0, 0.0
+    for x in left:
+        x = np.nan_to_num(x)
+        power = power + (x**2).sum(axis=0)
+        for lag in range(1, min(_LAGS, len(x))):
+            total = total + (1 - lag / _LAGS) * (x[lag:] * x[:-lag]).sum(axis=0)
+    return np.asarray(np.maximum(1.0, 1.0 + 2.0 * total / np.maximum(power, 1e-300)))

@@ -1,0 +1,319 @@
+"""Which arms, which logs of which period, against which baseline: the plan of a fleet.
+
+Paths are fsspec's, so that logs may lie on a disk or in a store such as ``s3://``; the
+plan lists them and reads none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from hybrid import __version__
+from hybrid.errors import HybridError
+from hybrid.extras import check_extra
+from hybrid.files import read_yaml
+from hybrid.fleets.estimate import followed
+from hybrid.names import name_fault
+
+TRACK = ("coulomb", "viscous", "torque_gain", "torque_offset", "payload.mass")
+PERIODS = ("day", "week", "month", "log")
+FIRST = "first"
+_DATE = re.compile(r"(?<!\d)(\d{4})-?(\d{2})-?(\d{2})(?!\d{2})")
+_STAMP = ("size", "mtime", "ETag", "LastModified")  # that tell two states of a file
+# By period: day, path and state of each log.
+Logs = Mapping[str, list[tuple[str, str, str]]]
+_DAYS = {"day": 1.0, "week": 7.0, "month": 30.4375, "log": 1.0}
+
+
+@dataclass(frozen=True)
+class ArmPlan:
+    """One arm of a plan; the defaults of all arms stand at the top of the file.
+
+    Attributes:
+        name: Name of the arm.
+        logs: Folder or glob, or a mapping from dates to files.
+        robot: Robot file, or a name of a library.
+        baseline: ``first``, a period, or a file of a model.
+        payload: Parameters of the payload that the arm was told of, mass first.
+        tool: Where a payload is held, in the last joint's frame, [m].
+        limits: Largest change of a parameter, in its unit or in ``%`` of the baseline.
+        group: Arms of one group are held against each other.
+        joints: Joints of the arm; the longest chain of the file if empty.
+        map: How logs are read, see ``--map``.
+    """
+
+    name: str
+    logs: Any
+    robot: str
+    baseline: str = FIRST
+    payload: tuple[float, ...] = ()
+    tool: tuple[float, ...] = ()
+    limits: Mapping[str, str | float] = field(default_factory=dict)
+    group: str = ""
+    joints: tuple[str, ...] = ()
+    map: str | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is asked of a fleet.
+
+    Attributes:
+        arms: The arms, by name.
+        track: Parameters that are followed.
+        period: ``day``, ``week``, ``month`` or ``log``: what is fitted together.
+        time_limit: Of one unit, [s].
+        diagnose: Whether each period is diagnosed as well; minutes each.
+    """
+
+    arms: tuple[ArmPlan, ...]
+    track: tuple[str, ...] = TRACK
+    period: str = "week"
+    time_limit: float = 120.0
+    diagnose: bool = False
+
+    @property
+    def days(self) -> float:
+        """Length of a period, [d]."""
+        return _DAYS[self.period]
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Logs in, rows out: what one worker does at a time.
+
+    Attributes:
+        arm: Name of the arm.
+        period: Name of the period.
+        day: Date of its first log, ISO; empty if unknown.
+        logs: Path and state of each log.
+        entry: What else the result depends on.
+    """
+
+    arm: str
+    period: str
+    day: str
+    logs: tuple[tuple[str, str], ...]
+    entry: Mapping[str, Any]
+
+    @property
+    def key(self) -> str:
+        """Hash of all that the result depends on."""
+        content = json.dumps([__version__, asdict(self)], sort_keys=True)
+        return hashlib.sha256(content.encode()).hexdigest()[:32]
+
+
+def read_plan(path: str | Path, *, robot: str | Path | None = None) -> Plan:
+    """Read a plan; a folder is one of a folder of logs for each arm.
+
+    Args:
+        path: YAML file, or folder.
+        robot: Robot of all arms, where ``path`` is a folder.
+
+    Raises:
+        HybridError: The plan says something that is not valid.
+    """
+    path = Path(path)
+    if path.is_dir():
+        if robot is None:
+            raise HybridError(f"{path}: a folder of arms needs --robot")
+        content: Any = {"robot": str(Path(robot).resolve()), "arms": "."}
+        folder = path
+    else:
+        folder = path.parent
+        try:
+            content = read_yaml(path)
+        except (OSError, ValueError) as error:
+            raise HybridError(f"{path}: not a readable plan ({error})") from error
+    return plan_from_dict(content, folder, source=str(path))
+
+
+def plan_from_dict(
+    content: Any, folder: str | Path = ".", *, source: str = "plan"
+) -> Plan:
+    """The plan that the content of a file stands for; paths start at ``folder``.
+
+    Raises:
+        HybridError: The plan says something that is not valid.
+    """
+    own = {"track", "period", "time_limit", "diagnose", "arms"}
+    common = set(ArmPlan.__dataclass_fields__) - {"name", "logs"}
+    _check_keys(content, own | common, source)
+    arms, base = content.get("arms"), {k: content[k] for k in common & set(content)}
+    if isinstance(arms, str):
+        arms = {Path(x).name: {"logs": x} for x in _folders(_located(arms, folder))}
+    if not isinstance(arms, Mapping) or not arms:
+        raise HybridError(f"{source}: arms is {arms!r}; valid is a folder, or a table")
+    found = []
+    for name, entry in arms.items():
+        where = f"{source}: arm {name}"
+        if fault := name_fault(name):
+            raise HybridError(f"{source}: an arm's {fault}")
+        _check_keys(entry, common | {"logs"}, where)
+        found.append(_arm(str(name), base | dict(entry), folder, where))
+    plan = Plan(
+        tuple(sorted(found, key=lambda x: x.name)),
+        tuple(content.get("track", TRACK)),
+        content.get("period", "week"),
+        float(content.get("time_limit", 120.0)),
+        bool(content.get("diagnose", False)),
+    )
+    if plan.period not in PERIODS:
+        raise HybridError(
+            f"{source}: period is {plan.period!r}; valid are {', '.join(PERIODS)}"
+        )
+    if not plan.time_limit > 0:
+        raise HybridError(f"{source}: time_limit is above 0 s")
+    followed(plan.track, 2)
+    return plan
+
+
+def _arm(name: str, entry: dict[str, Any], folder: str | Path, where: str) -> ArmPlan:
+    missing = [key for key in ("robot", "logs") if key not in entry]
+    if missing:
+        raise HybridError(f"{where}: no {' and no '.join(missing)}")
+    payload, limits = entry.get("payload", []), entry.get("limits", {})
+    try:
+        numbers = tuple(map(float, payload if isinstance(payload, list) else [payload]))
+        tool = tuple(map(float, entry.get("tool", [])))
+        for x in limits.values():
+            float(str(x).removesuffix("%"))
+    except (TypeError, ValueError, AttributeError) as error:
+        raise HybridError(
+            f"{where}: payload, tool and limits are numbers ({error})"
+        ) from error
+    if len(numbers) > 10 or len(tool) not in (0, 3):
+        raise HybridError(
+            f"{where}: payload has {len(numbers)} numbers and tool {len(tool)}; valid "
+            "are up to 10, and 3 or none"
+        )
+    robot, baseline = str(entry["robot"]), str(entry.get("baseline", FIRST))
+    is_file = baseline.endswith(".json")
+    return ArmPlan(
+        name,
+        entry["logs"] if isinstance(entry["logs"], Mapping)
+        else _located(str(entry["logs"]), folder),
+        _located(robot, folder) if "." in robot else robot,
+        _located(baseline, folder) if is_file else baseline,
+        numbers,
+        tool,
+        limits,
+        str(entry.get("group", Path(robot).name)),
+        tuple(entry.get("joints", ())),
+        entry.get("map"),
+    )  # fmt: skip
+
+
+def _check_keys(content: Any, valid: set[str], where: str) -> None:
+    if not isinstance(content, Mapping) or set(content) - valid:
+        strange = sorted(map(str, set(content) - valid)) if isinstance(
+            content, Mapping) else [repr(content)]  # fmt: skip
+        raise HybridError(
+            f"{where}: {', '.join(strange)} is not valid; valid are "
+            f"{', '.join(sorted(valid))}"
+        )
+
+
+def _located(path: str, folder: str | Path) -> str:
+    """A path that starts at a folder, unless it says itself where it starts."""
+    return path if "://" in path else str(Path(folder).resolve() / path)
+
+
+def _folders(path: str) -> list[str]:
+    fs, root = opened(path)
+    if not fs.isdir(root):
+        raise HybridError(f"{path}: no such folder of arms")
+    inside = fs.ls(root, detail=True)
+    return sorted(_full(fs, x["name"]) for x in inside if x["type"] == "directory")
+
+
+def periods(arm: ArmPlan, period: str) -> Logs:
+    """Day, path and state of the logs of an arm by period, in order of time.
+
+    Raises:
+        HybridError: The arm has no log, or one without a date.
+    """
+    found: dict[str, list[tuple[str, str, str]]] = {}
+    for path, stamp, stated in sorted(_logs(arm)):
+        day = _day(stated or path)
+        if day is None and period != "log":
+            raise HybridError(
+                f"arm {arm.name}: {path} has no date in its name; valid is one as "
+                "2026-01-31, a table of dates and files, or 'period: log'"
+            )
+        name = Path(path).name if period == "log" else _period(day, period)
+        found.setdefault(name, []).append((day.isoformat() if day else "", path, stamp))
+    if not found:
+        raise HybridError(f"arm {arm.name}: no log in {arm.logs}")
+    return dict(sorted(found.items(), key=lambda x: (min(x[1])[0], x[0])))
+
+
+def _logs(arm: ArmPlan) -> Iterator[tuple[str, str, str]]:
+    """Path, state and stated date of every log of an arm."""
+    if isinstance(arm.logs, Mapping):
+        for day, path in arm.logs.items():
+            fs, root = opened(str(path))
+            yield str(path), _state(fs, root), str(day)
+        return
+    fs, root = opened(arm.logs)
+    if fs.isdir(root):
+        inside = [x["name"] for x in fs.ls(root, detail=True)]
+    else:
+        inside = fs.glob(root)
+    for path in inside:
+        if not Path(path).name.startswith("."):
+            yield _full(fs, path), _state(fs, path), ""
+
+
+def _state(fs: Any, path: str) -> str:
+    """What tells whether a log has changed since."""
+    if not fs.exists(path):
+        raise HybridError(f"{path}: no such log")
+    files = fs.find(path, detail=True) if fs.isdir(path) else {path: fs.info(path)}
+    kept = [[str(x.get(key)) for key in _STAMP] for _, x in sorted(files.items())]
+    return hashlib.sha256(json.dumps(kept).encode()).hexdigest()[:16]
+
+
+def opened(path: str) -> tuple[Any, str]:
+    """The file system of a path, and the path there.
+
+    Raises:
+        HybridError: fsspec, or what it needs for the path, is not installed.
+    """
+    check_extra("fsspec", "fleet", "A fleet")
+    from fsspec.core import url_to_fs
+
+    try:
+        return url_to_fs(path)  # type: ignore[no-any-return]
+    except (ImportError, ValueError) as error:
+        raise HybridError(f"{path}: cannot be reached ({error})") from error
+
+
+def _full(fs: Any, path: str) -> str:
+    local = "file" in (fs.protocol if isinstance(fs.protocol, tuple) else [fs.protocol])
+    return path if local else str(fs.unstrip_protocol(path))
+
+
+def _day(text: str) -> date | None:
+    """The last date that a path names."""
+    for year, month, day in reversed(_DATE.findall(text)):
+        try:
+            return date(int(year), int(month), int(day))
+        except ValueError:
+            continue
+    return None
+
+
+def _period(day: date | None, period: str) -> str:
+    assert day is not None
+    if period == "week":
+        year, week, _ = day.isocalendar()
+        return f"{year}-W{week:02d}"
+    return day.isoformat()[: 7 if period == "month" else 10]

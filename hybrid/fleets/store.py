@@ -1,0 +1,215 @@
+"""Results in a folder: every unit is done once, and a rerun does what is missing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from hybrid.errors import HybridError
+from hybrid.files import atomic_path, read_json, write_json
+from hybrid.fleets.plan import FIRST, ArmPlan, Logs, Plan, Unit, opened, periods
+from hybrid.fleets.run import answers
+from hybrid.fleets.worker import LATE, LOST, REFUSED
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Tell = Callable[[str], None]
+
+_TEXT = ("arm", "period", "day", "joint", "parameter", "unit", "status", "reason")
+_NUMBERS = (
+    "change", "std", "baseline", "baseline_std", "temperature", "load", "residual",
+)  # fmt: skip
+SCHEMA = pa.schema(
+    [(x, pa.string()) for x in _TEXT] + [(x, pa.float64()) for x in _NUMBERS]
+)
+_CANDIDATES = 4  # first periods, of which one makes the baseline
+
+
+@dataclass(frozen=True)
+class _Baseline:
+    key: str
+    text: str | None  # of the model; None if there is none
+    reason: str
+
+
+class Store:
+    """Results of units in a folder, each a file under the hash of what it is of.
+
+    Args:
+        folder: The folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def rows(self, key: str) -> list[dict[str, Any]] | None:
+        """Rows of a unit; None if there are none, or a torn file."""
+        try:
+            return list(
+                pq.ParquetFile(self._path(key)).read(use_threads=False).to_pylist()
+            )
+        except (OSError, pa.ArrowException):
+            return None
+
+    def put(self, key: str, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Store rows in one step."""
+        write_rows(self._path(key), rows)
+
+    def baseline(self, key: str) -> dict[str, Any] | None:
+        """What became of a baseline; None if it is not known."""
+        try:
+            return dict(read_json(self._path(key, ".json")))
+        except (OSError, ValueError):
+            return None
+
+    def put_baseline(self, key: str, content: Mapping[str, Any]) -> None:
+        """Store a baseline in one step."""
+        write_json(self._path(key, ".json"), content)
+
+    def _path(self, key: str, suffix: str = ".parquet") -> Path:
+        return self._folder / key[:2] / f"{key}{suffix}"
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows as Parquet in one step; the same rows give the same bytes."""
+    table = pa.Table.from_pylist(list(rows), schema=SCHEMA)
+    with atomic_path(path) as temporary:
+        pq.write_table(table, temporary)
+
+
+def run_plan(
+    plan: Plan, store: Store, client: Client, tell: Tell
+) -> list[dict[str, Any]]:
+    """Rows of all units of a plan, sorted; what is stored already is not done again.
+
+    Args:
+        plan: The plan.
+        store: Where results are.
+        client: Of the cluster.
+        tell: Told how far it is.
+
+    Raises:
+        HybridError: A log has no date, or a baseline is not there.
+    """
+    found, todo = [], []
+    for unit, baseline in _units(plan, store, client, tell):
+        rows = store.rows(unit.key) or store.rows(_late(unit, plan).key)
+        if baseline.text is None:
+            rows = _named(unit, [{"status": REFUSED, "reason": baseline.reason}])
+        if rows is None:
+            todo.append((unit, _message(unit), baseline.text))
+        else:
+            found += rows
+    answered = answers(client, iter(todo), plan.time_limit)
+    for done, (unit, content) in enumerate(answered, 1):
+        tell(f"{done:,} of {len(todo):,} periods")
+        failed, reason = content.get("failed"), content.get("reason")
+        rows = _named(unit, content.get("rows", [{"status": failed, "reason": reason}]))
+        if failed != LOST:  # that says nothing of the logs
+            store.put((_late(unit, plan) if failed == LATE else unit).key, rows)
+        found += rows
+    return sorted(found, key=lambda x: [str(x[name] or "") for name in _TEXT])
+
+
+def _late(unit: Unit, plan: Plan) -> Unit:
+    """What stands for a unit that took too long: a longer limit asks again."""
+    return replace(unit, entry={**unit.entry, "late": plan.time_limit})
+
+
+def _named(unit: Unit, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    own = {"arm": unit.arm, "period": unit.period, "day": unit.day}
+    blank = dict.fromkeys((*_TEXT, *_NUMBERS))
+    return [{**blank, **row, **own} for row in rows]
+
+
+def _message(unit: Unit) -> dict[str, Any]:
+    entry = {k: x for k, x in unit.entry.items() if k != "baseline"}
+    return {"task": "period", "logs": [path for path, _ in unit.logs], **entry}
+
+
+def _units(
+    plan: Plan, store: Store, client: Client, tell: Tell
+) -> Iterator[tuple[Unit, _Baseline]]:
+    """Units with their baseline."""
+    logs = {arm.name: periods(arm, plan.period) for arm in plan.arms}
+    known = _baselines(plan, logs, store, client, tell)
+    for arm in plan.arms:
+        entry = {
+            "baseline": known[arm.name].key,
+            "track": list(plan.track),
+            "payload": list(arm.payload),
+            "tool": list(arm.tool),
+            "map": arm.map,
+            "diagnose": plan.diagnose,
+        }
+        for period, own in logs[arm.name].items():
+            states = tuple((path, state) for _, path, state in own)
+            unit = Unit(arm.name, period, min(own)[0], states, entry)
+            yield unit, known[arm.name]
+
+
+def _baselines(
+    plan: Plan, logs: Mapping[str, Logs], store: Store, client: Client, tell: Tell
+) -> dict[str, _Baseline]:
+    """The baseline of every arm; identified where there is none."""
+    found: dict[str, _Baseline] = {}
+    todo = []
+    for arm in plan.arms:
+        if arm.baseline.endswith(".json"):
+            text = _text(arm.baseline)
+            key = Unit(arm.baseline, "", "", (), {"text": text}).key
+            found[arm.name] = _Baseline(key, text, "")
+            continue
+        unit, message = _baseline_unit(arm, logs[arm.name])
+        content = store.baseline(unit.key)
+        if content is None:
+            todo.append((unit, message, None))
+        else:
+            found[arm.name] = _known(unit.key, content)
+    answered = answers(client, iter(todo), plan.time_limit)
+    for done, (unit, content) in enumerate(answered, 1):
+        tell(f"{done:,} of {len(todo):,} baselines")
+        if "failed" not in content:
+            store.put_baseline(unit.key, content)
+        found[unit.arm] = _known(unit.key, content)
+    return found
+
+
+def _known(key: str, content: Mapping[str, Any]) -> _Baseline:
+    model = content.get("model")
+    text = None if model is None else json.dumps(model)
+    return _Baseline(key, text, f"no baseline: {content.get('reason', '')}")
+
+
+def _baseline_unit(arm: ArmPlan, logs: Logs) -> tuple[Unit, dict[str, Any]]:
+    """Which periods may make the baseline, the best first."""
+    if arm.baseline != FIRST and arm.baseline not in logs:
+        raise HybridError(
+            f"arm {arm.name}: baseline is {arm.baseline!r}; valid are {FIRST!r}, a "
+            f"model's .json, or a period as {next(iter(logs))}"
+        )
+    names = list(logs)[:_CANDIDATES] if arm.baseline == FIRST else [arm.baseline]
+    message = {
+        "task": "baseline",
+        "robot": arm.robot,
+        "joints": list(arm.joints),
+        "map": arm.map,
+        "periods": [[name, [path for _, path, _ in logs[name]]] for name in names],
+    }
+    states = tuple((path, state) for x in names for _, path, state in logs[x])
+    return Unit(arm.name, arm.baseline, "", states, message), message
+
+
+def _text(path: str) -> str:
+    fs, root = opened(path)
+    try:
+        return str(fs.read_text(root, encoding="utf-8"))
+    except OSError as error:
+        raise HybridError(f"{path}: no readable baseline ({error})") from error

@@ -1,0 +1,165 @@
+"""What a worker does with one unit: logs in, a few rows out.
+
+It runs in a process of its own, see :mod:`hybrid.fleets.worker`, and knows nothing of
+the fleet. What is wrong with a log is a row. The process ends when its parent closes
+the line or dies, even while it computes; what libraries print goes elsewhere.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import queue
+import sys
+import tempfile
+import threading
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from hybrid.errors import HybridError
+from hybrid.fleets.estimate import Deviations, deviations
+from hybrid.fleets.plan import opened
+from hybrid.fleets.worker import FINDING, OK, REFUSED
+from hybrid.identification import DynamicModel, identify
+from hybrid.model.model_file import content_from_model
+from hybrid.recording import Recording, read_all
+from hybrid.robot import Robot
+from hybrid.robot.library import robot_file
+from hybrid.threads import one_thread
+
+
+@one_thread
+def answer(message: Mapping[str, Any]) -> dict[str, Any]:
+    """Do what a message asks: ``baseline`` gives a model, ``period`` gives rows."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        task = {"baseline": _baseline, "period": _period}[message["task"]]
+        return task(message)
+
+
+def _baseline(message: Mapping[str, Any]) -> dict[str, Any]:
+    """The model of the first period whose logs can be used."""
+    reason = "no period"
+    with _local([message["robot"]]) as (path,):
+        robot = Robot.load(robot_file(str(path)), joints=message["joints"] or None)
+    for period, logs in message["periods"]:
+        try:
+            found = _read(logs, robot.joints, message["map"])
+            # Friction stays linear: parameters of all arms mean the same.
+            fit = identify(robot, found, stages=("rigid",))
+            return {"period": period, "model": content_from_model(fit.model)}
+        except (HybridError, OSError) as error:
+            reason = reason if reason != "no period" else _line(error)
+    return {"period": None, "reason": reason}
+
+
+def _period(message: Mapping[str, Any]) -> dict[str, Any]:
+    """Rows of one period of one arm."""
+    model = _model(message["model"])
+    try:
+        logs = _read(message["logs"], model.robot.joints, message["map"])
+        options = (message[name] for name in ("track", "payload", "tool"))
+        found = deviations(model, logs, *options)
+        rows = list(_rows(found, model.robot.joints))
+        if message["diagnose"]:
+            rows += _diagnosed(model, logs)
+    except (HybridError, OSError) as error:
+        return {"rows": [{"status": REFUSED, "reason": _line(error)}]}
+    return {"rows": rows}
+
+
+def _rows(found: Deviations, joints: Sequence[str]) -> Iterator[dict[str, Any]]:
+    places = {joint: k for k, joint in enumerate(joints)}
+    for row in found.rows:
+        at = places.get(row.joint)
+        here = slice(None) if at is None else slice(at, at + 1)
+        yield {
+            "status": OK,
+            **vars(row),
+            "temperature": float(found.temperature[here].mean()),
+            "load": float(found.load[here].mean()),
+            "residual": float(found.residual[here].mean()),
+        }
+
+
+def _diagnosed(
+    model: DynamicModel, logs: Sequence[Recording]
+) -> Iterator[dict[str, Any]]:
+    """What the robot file lacks in these logs: minutes, not milliseconds."""
+    from hybrid.diagnosis.diagnose import diagnose
+
+    found = diagnose(model.robot, logs)
+    yield {"status": FINDING, "parameter": "verdict", "reason": found.verdict}
+    for finding in found.findings:
+        yield {"status": FINDING, "parameter": "finding", "reason": finding.sentence}
+
+
+def _read(
+    paths: Sequence[str], joints: tuple[str, ...], how: str | None
+) -> list[Recording]:
+    with _local(paths) as files:
+        return read_all(files, joints=joints, map=how)
+
+
+@contextmanager
+def _local(paths: Sequence[str]) -> Iterator[list[Path]]:
+    """Paths on this machine; what lies elsewhere is fetched, and removed again."""
+    with tempfile.TemporaryDirectory(prefix="hybrid-fleet-") as folder:
+        found = []
+        for k, path in enumerate(paths):
+            if "://" not in path:
+                found.append(Path(path))
+                continue
+            fs, root = opened(path)
+            target = Path(folder) / str(k) / Path(root).name
+            target.parent.mkdir()
+            fs.get(root, str(target), recursive=fs.isdir(root))
+            found.append(target)
+        yield found
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _model(text: str) -> DynamicModel:
+    return _loaded(hashlib.sha256(text.encode()).hexdigest(), text)
+
+
+@lru_cache(maxsize=64)
+def _loaded(_: str, text: str) -> DynamicModel:
+    with tempfile.TemporaryDirectory(prefix="hybrid-fleet-") as folder:
+        path = Path(folder) / "model.json"
+        path.write_text(text, encoding="utf-8")
+        return DynamicModel.load(path)
+
+
+def main() -> None:
+    """Answer questions, a line of JSON each, until the parent is gone."""
+    out = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    questions: queue.Queue[str] = queue.Queue()
+
+    def listen() -> None:
+        for line in sys.stdin:
+            questions.put(line)
+        os._exit(0)
+
+    threading.Thread(target=listen, daemon=True).start()
+    content: dict[str, Any] = {}  # ready
+    while True:
+        out.write(f"{json.dumps(content)}\n")
+        out.flush()
+        try:
+            content = answer(json.loads(questions.get()))
+        except Exception as error:  # an error of this program must not stop a fleet
+            content = {"failed": REFUSED, "reason": f"{type(error).__name__}: {error}"}
+
+
+if __name__ == "__main__":
+    main()

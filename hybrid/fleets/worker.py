@@ -1,0 +1,116 @@
+"""A process for units that can be killed: one that hangs holds nobody up.
+
+Each thread of a Dask worker keeps one child that has everything loaded. Questions and
+answers are lines of JSON. A child that takes too long, or dies, is replaced.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import selectors
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+# What becomes of a unit.
+OK, REFUSED, LATE, LOST, FINDING = "ok", "refused", "late", "lost", "finding"
+_START = 300.0  # s that a child may take to load on a busy machine
+_TRIES = 2  # a child may have been killed for what others did
+_SINGLE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_children: dict[int, Child] = {}  # by the thread that asks it
+
+
+class Child:
+    """A process that answers one question at a time."""
+
+    def __init__(self) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "hybrid.fleets.unit"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            encoding="utf-8",
+            env={**os.environ, **dict.fromkeys(_SINGLE, "1")},
+        )
+        self._read(_START)
+
+    def ask(self, question: str, limit: float) -> dict[str, Any]:
+        """Its answer.
+
+        Args:
+            question: One line.
+            limit: Time it may take, [s].
+
+        Raises:
+            TimeoutError: It took longer.
+            EOFError: It died.
+        """
+        assert self.process.stdin
+        try:
+            self.process.stdin.write(f"{question}\n")
+            self.process.stdin.flush()
+        except OSError as error:
+            raise EOFError(str(error)) from error
+        return self._read(limit)
+
+    def _read(self, limit: float) -> dict[str, Any]:
+        assert self.process.stdout
+        with selectors.DefaultSelector() as selector:
+            selector.register(self.process.stdout, selectors.EVENT_READ)
+            if not selector.select(limit):
+                raise TimeoutError
+        line = self.process.stdout.readline()
+        if not line.endswith("\n"):
+            raise EOFError(f"its process ended with {self.process.wait()}")
+        return dict(json.loads(line))
+
+    def end(self) -> None:
+        """Kill it, whatever it does."""
+        self.process.kill()
+        self.process.wait()
+        for stream in (self.process.stdin, self.process.stdout):
+            if stream:
+                try:
+                    stream.close()
+                except OSError:
+                    pass
+
+
+def ask(message: Mapping[str, Any], model: str | None, limit: float) -> dict[str, Any]:
+    """What a child answers; what keeps it from answering is an answer, too.
+
+    Args:
+        message: See :func:`hybrid.fleets.unit.answer`.
+        model: Text of the baseline.
+        limit: Time it may take, [s].
+    """
+    question, reason = json.dumps({**message, "model": model}), ""
+    for _ in range(_TRIES):
+        child = _children.get(threading.get_ident())
+        try:
+            if child is None:
+                child = _children[threading.get_ident()] = Child()
+            return child.ask(question, limit)
+        except TimeoutError:
+            _drop()
+            return {"failed": LATE, "reason": f"no result within {limit:g} s"}
+        except EOFError as error:
+            _drop()
+            reason = str(error)
+    return {"failed": LOST, "reason": reason}
+
+
+def _drop() -> None:
+    child = _children.pop(threading.get_ident(), None)
+    if child is not None:
+        child.end()
+
+
+def end_children() -> None:
+    """End all children of this process."""
+    while _children:
+        _children.popitem()[1].end()

@@ -1,0 +1,336 @@
+"""Data of a fit: motions, folds, blocks, filter and standstill."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.arrays import Array
+from hybrid.dynamics import RigidBody
+from hybrid.effects import Scale
+from hybrid.errors import IdentificationError, RecordingError
+from hybrid.inspect import check_recordings
+from hybrid.recording import Recording
+from hybrid.regression.cross_products import (
+    CrossProducts,
+    accumulate,
+    sampled_chunks,
+)
+from hybrid.regression.problem import Problem, part
+from hybrid.robot import Robot
+from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
+
+_POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
+_WORKING_RATE = 12.5  # of the cut-off: three times what positions can hold
+_ALIAS_FREE = 5.0  # of the cut-off: torque below passes, torque above 6 does not
+_STANDING = 0.01  # of the highest speed
+FOLDS = 4
+_BLOCKS = 48  # over which the gain of a term is averaged, at the least
+_MOST_KEPT = 2**28  # bytes of the links' regressors
+FEWEST_PERIODS = 3.0  # of the cut-off in a recording: its edges take 2.3 of them
+
+
+@dataclass(frozen=True)
+class Data:
+    """Motions prepared for fitting.
+
+    Attributes:
+        motions: Motions at the rate the fit works at, see :func:`thinned`.
+        folds: Fold of every sample for cross-validation, shape (N,) for each motion.
+        cutoff: Cut-off of the filter of columns and torque, [Hz].
+        standing: Speed of each joint below which it stands, shape (n,), [rad/s].
+
+    Raises:
+        RecordingError: A motion comes without torque.
+    """
+
+    motions: tuple[Motion, ...]
+    folds: tuple[NDArray[np.intp], ...]
+    cutoff: float
+    standing: Array
+    _regressors: dict[tuple[int, int, int], Array] = field(
+        default_factory=dict, repr=False, compare=False
+    )
+
+    def __post_init__(self) -> None:
+        for motion in self.motions:
+            if not np.isfinite(motion.tau).all():
+                raise RecordingError(
+                    f"{motion.source or 'recording'}: no torque; valid is a log of "
+                    "time, positions and torques"
+                )
+
+    def less(self, known: Sequence[Array] | None) -> Data:
+        """The same data minus an explained torque, (N, n) for each motion."""
+        if known is None:
+            return self
+        pairs = zip(self.motions, known, strict=True)
+        return replace(self, motions=tuple(replace(m, tau=m.tau - x) for m, x in pairs))
+
+    def products(self, problem: Problem) -> CrossProducts:
+        """Cross-products of a problem on these motions; see :func:`accumulate`."""
+        return accumulate(
+            problem,
+            self.motions,
+            cutoff=self.cutoff,
+            standing=self.standing,
+            folds=self.folds,
+            blocks=self.blocks,
+            rows=self.rows,
+        )
+
+    def rows(self, problem: Problem, motion: Motion, here: slice) -> Array:
+        """Rows of a problem at some samples; see :meth:`Problem.rows`.
+
+        The regressor of the links is the same for every problem: it is kept, as far as
+        it takes no more memory than a few minutes of an arm's motion.
+        """
+        some = part(motion, here)
+        body = RigidBody(problem.chain, some, problem.inertial)
+        key = id(motion.q), here.start, here.stop  # lives as long as these data
+        if key in self._regressors:
+            body.__dict__["columns"] = self._regressors[key]
+        elif sum(x.nbytes for x in self._regressors.values()) < _MOST_KEPT:
+            self._regressors[key] = body.columns
+        return problem.rows(some, body)
+
+    def left_out(self, problem: Problem, theta: Array) -> list[Array]:
+        """Torque that solutions leave on the fold that each was not fitted on.
+
+        Args:
+            problem: The linear problem.
+            theta: A solution without each fold, shape (F, p).
+
+        Returns:
+            Unfiltered torque, shape (N, n) for each motion, [N·m].
+        """
+        found = []
+        for motion, fold in zip(self.motions, self.folds, strict=True):
+            left = np.empty_like(motion.tau)
+            everything = Sampler(motion.rate, np.inf, 1)
+            rows = partial(self.rows, problem, motion)
+            for first, D, _ in sampled_chunks(rows, len(motion.t), everything):
+                here = slice(first, first + D.shape[1])
+                for i, support in enumerate(problem.support):
+                    own = D[problem.offsets[i] : problem.offsets[i + 1]]
+                    known = theta[:, support] @ own[:-1]
+                    known = np.take_along_axis(known, fold[None, here], axis=0)[0]
+                    left[here, i] = own[-1] - known
+            found.append(left)
+        return found
+
+    def squares(self, left: Sequence[Array]) -> Array:
+        """Squares of moving joints in each block, shape (B, n), [N²·m²].
+
+        Args:
+            left: Torque at the rate of the motions, shape (N, n) for each, [N·m].
+        """
+        label = np.concatenate(self.blocks)
+        moves = np.concatenate([self.moves(m) for m in self.motions])
+        squares = np.where(moves, np.concatenate(left), 0.0) ** 2
+        return np.stack([np.bincount(label, x) for x in squares.T], axis=1)
+
+    @cached_property
+    def blocks(self) -> list[NDArray[np.intp]]:
+        """Block of each sample, shape (N,) for each motion; each lies in one fold."""
+        each = max(1, -(-_BLOCKS // len(self.motions)))
+        found, last = [], 0
+        for fold in self.folds:
+            position = np.arange(len(fold)) * each // len(fold)
+            _, label = np.unique(position * FOLDS + fold, return_inverse=True)
+            found.append(last + label)
+            last += 1 + int(label.max())
+        return found
+
+    @property
+    def scales(self) -> list[Scale]:
+        """Highest torque and speed of every joint; files often state none."""
+        each = [np.abs(m.tau[m.mask]).max(axis=0) for m in self.motions]
+        torque = np.max(each, axis=0)
+        pairs = zip(torque, _fastest(self.motions), strict=True)
+        return [Scale(max(float(x), 1e-12), max(float(y), 1e-12)) for x, y in pairs]
+
+    @property
+    def moving(self) -> Array:
+        """Samples at which each joint moves, shape (n,)."""
+        each = [self.moves(m).sum(axis=0) for m in self.motions]
+        return np.asarray(np.maximum(np.sum(each, axis=0), 1.0))
+
+    def moves(self, motion: Motion) -> NDArray[np.bool_]:
+        """Where each joint moves and the mask allows, shape (N, n)."""
+        moves = np.abs(motion.v) > self.standing
+        return np.asarray(moves & motion.mask[:, None])
+
+    def sampled(self, left: Sequence[Array]) -> Rest:
+        """Torque filtered and decimated, with positions and speeds, motions stacked.
+
+        Args:
+            left: Torque at the rate of the motions, shape (N, n) for each, [N·m].
+        """
+        parts = []
+        for motion, tau, fold in zip(self.motions, left, self.folds, strict=True):
+            sampler = Sampler.for_rate(motion.rate, self.cutoff)
+            few = slice(None, None, sampler.factor)
+            moves = self.moves(motion)
+            parts.append(
+                (motion.q[few], motion.v[few], sampler(tau), moves[few], fold[few])
+            )
+        return Rest(*(np.concatenate(x) for x in zip(*parts, strict=True)))
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Torque that a model leaves, M decimated samples of all motions.
+
+    Attributes:
+        q: Positions, shape (M, n), [rad].
+        v: Speeds, shape (M, n), [rad/s].
+        tau: Torque left, filtered, shape (M, n), [N·m].
+        moving: True where a joint moves and the mask allows, shape (M, n).
+        fold: Fold of each sample, shape (M,).
+    """
+
+    q: Array
+    v: Array
+    tau: Array
+    moving: NDArray[np.bool_]
+    fold: NDArray[np.intp]
+
+
+def prepare_motions(
+    robot: Robot, recordings: Sequence[Recording | Motion], cutoff: float | None
+) -> tuple[list[Motion], float]:
+    """Check, filter and differentiate recordings; motions pass as they are.
+
+    Args:
+        robot: The arm.
+        recordings: Logs of it, or motions made from such.
+        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
+
+    Returns:
+        Motions at full rate and the cut-off.
+
+    Raises:
+        IdentificationError: There is no recording, or the cut-off is too low for the
+            shortest.
+        RecordingError: A recording does not fit the arm.
+    """
+    return motions_of(taken(robot, recordings), cutoff)
+
+
+def taken(
+    robot: Robot, recordings: Sequence[Recording | Motion]
+) -> list[Recording | Motion]:
+    """Check logs (see :func:`check_recordings`); motions pass as they are."""
+    if not recordings:
+        raise IdentificationError("no recording given; at least one is needed")
+    logs: list[Recording | Motion] = []
+    for x in recordings:
+        logs += check_recordings([x], robot) if isinstance(x, Recording) else [x]
+    return logs
+
+
+def motions_of(
+    logs: Sequence[Recording | Motion], cutoff: float | None
+) -> tuple[list[Motion], float]:
+    """Filter and differentiate logs that were checked; see :func:`prepare_motions`."""
+    if cutoff is None:
+        chosen = [choose_cutoff(x) for x in logs if isinstance(x, Recording)]
+        cutoff = float(np.median(chosen)) if chosen else np.inf
+    shortest = min(float(x.t[-1] - x.t[0]) for x in logs)
+    if not cutoff * shortest >= FEWEST_PERIODS:
+        raise IdentificationError(
+            f"cutoff is {cutoff:g} Hz; valid is {FEWEST_PERIODS / shortest:.3g} Hz or "
+            f"more for a recording of {shortest:.3g} s"
+        )
+    motions = [
+        motion_from_recording(x, cutoff=_POSITION_CUTOFF * cutoff)
+        if isinstance(x, Recording)
+        else x
+        for x in logs
+    ]
+    return motions, cutoff
+
+
+def prepare(
+    logs: Sequence[Recording | Motion],
+    cutoff: float | None,
+    *,
+    highest: float | None = None,
+) -> Data:
+    """Deal motions into folds for cross-validation.
+
+    Whole recordings make the folds where there are four or more, else the quarters of
+    each: neighbouring samples are too alike to score on, and a model has to hold on
+    motions that it has not seen.
+
+    Args:
+        logs: Logs that were checked, see :func:`taken`, or motions made from such.
+        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
+        highest: Cut-off for which motions are thinned, [Hz]; the same if not given.
+    """
+    motions, cutoff = motions_of(logs, cutoff)
+    motions = [thinned(m, highest or cutoff) for m in motions if m.mask.any()]
+    if not motions:
+        raise IdentificationError("no usable sample: every one is masked")
+    standing = _STANDING * _fastest(motions)
+    return Data(tuple(motions), tuple(_folds(motions, standing)), cutoff, standing)
+
+
+def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]:
+    found = []
+    for r, motion in enumerate(motions):
+        if len(motions) >= FOLDS:
+            found.append(np.full(len(motion.t), r % FOLDS))
+        else:  # quarters of the motion, not of the rest before and after it
+            moves = np.any(np.abs(motion.v) > standing, axis=1) & motion.mask
+            found.append(FOLDS * np.cumsum(moves) // (1 + int(moves.sum())))
+    return found
+
+
+def thinned(motion: Motion, cutoff: float) -> Motion:
+    """A motion at about a dozen samples a period of the cut-off.
+
+    Positions hold nothing above twice the cut-off, so laws of them lose nothing; torque
+    loses what is above five times the cut-off, where no smooth law has much.
+
+    Args:
+        motion: Motion at its full rate.
+        cutoff: Cut-off of columns and torque, [Hz]; inf keeps every sample.
+    """
+    factor = int(motion.rate / (_WORKING_RATE * cutoff))
+    if factor < 2:
+        return motion
+    few = slice(None, None, factor)
+    warm = motion.temperature
+    return replace(
+        motion,
+        t=motion.t[few],
+        q=motion.q[few],
+        v=motion.v[few],
+        a=motion.a[few],
+        tau=Sampler(motion.rate, _ALIAS_FREE * cutoff, factor)(motion.tau),
+        mask=motion.mask[few],
+        temperature=None if warm is None else warm[few],
+        asked=None if motion.asked is None else motion.asked[few],
+    )
+
+
+def visited(data: Data) -> dict[str, Array]:
+    """Lowest and highest position and highest speed, each of shape (n,)."""
+    q = [m.q[m.mask] for m in data.motions]
+    return {
+        "q_min": np.min([x.min(axis=0) for x in q], axis=0),
+        "q_max": np.max([x.max(axis=0) for x in q], axis=0),
+        "v_max": _fastest(data.motions),
+    }
+
+
+def _fastest(motions: Sequence[Motion]) -> Array:
+    """Highest speed of each joint, shape (n,)."""
+    each = [np.abs(m.v[m.mask]).max(axis=0) for m in motions]
+    return np.asarray(np.max(each, axis=0))

@@ -1,0 +1,197 @@
+"""Held-out errors of a model and of its simpler versions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.errors import RecordingError
+from hybrid.identification.data import prepare_motions
+from hybrid.model.dynamic_model import DynamicModel, check_same_arm
+from hybrid.recording import Recording
+from hybrid.robot import Robot
+from hybrid.signals import Motion, Sampler
+
+
+@dataclass(frozen=True)
+class ValidationRow:
+    """Errors of one model.
+
+    Attributes:
+        name: Which model.
+        rms: RMS of measured less predicted torque, shape (n,), [N·m].
+        relative: RMS over the RMS of the measured torque itself, shape (n,).
+    """
+
+    name: str
+    rms: Array
+    relative: Array
+
+    @property
+    def mean(self) -> float:
+        """Mean RMS over the joints, [N·m]."""
+        return float(self.rms.mean())
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How models predict torque that none of them was fitted on.
+
+    Attributes:
+        robot: Name of the arm.
+        joints: Its joints.
+        rows: Models from the plainest to the fullest.
+        noise_floor: RMS of the noise of the torque, shape (n,), [N·m].
+        sources: Recordings that were scored.
+        samples: Moving samples scored, of the joint with most.
+        seconds: Duration of the recordings, [s].
+    """
+
+    robot: str
+    joints: tuple[str, ...]
+    rows: tuple[ValidationRow, ...]
+    noise_floor: Array | None
+    sources: tuple[str, ...]
+    samples: int
+    seconds: float
+
+    @property
+    def reduction(self) -> float:
+        """Share of the mean RMS that the last model removes.
+
+        It is that of the better of least squares and weighted least squares.
+        """
+        plain = [row.mean for row in self.rows if row.name in ("LS", "WLS")]
+        return 1.0 - self.rows[-1].mean / min(plain or [self.rows[0].mean])
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready content."""
+        return {
+            "robot": self.robot,
+            "joints": list(self.joints),
+            "rows": [
+                {
+                    "name": row.name,
+                    "rms": row.rms.tolist(),
+                    "relative": row.relative.tolist(),
+                    "mean": row.mean,
+                }
+                for row in self.rows
+            ],
+            "reduction": self.reduction,
+            "noise_floor": None
+            if self.noise_floor is None
+            else self.noise_floor.tolist(),
+            "sources": list(self.sources),
+            "samples": self.samples,
+            "seconds": self.seconds,
+        }
+
+
+def validate(
+    model: DynamicModel,
+    recordings: Sequence[Recording | Motion],
+    *,
+    robot: Robot | None = None,
+    standing: Array | None = None,
+) -> Validation:
+    """Score a model and its simpler versions on recordings it has not seen.
+
+    The error is that of the torque which :func:`predict` gives, at the rate of the log;
+    samples at which a joint stands still are left out for that joint.
+
+    Args:
+        model: Model from :func:`~hybrid.identification.identify`.
+        recordings: Logs, or motions made from them whose masks leave samples out.
+        robot: The arm the user means, to be sure that it is the model's.
+        standing: Speed below which a joint stands, shape (n,), [rad/s]; that of the
+            identification by default.
+
+    Raises:
+        ModelFileError: The model is of another arm.
+        RecordingError: A recording does not fit the arm.
+    """
+    if robot is not None:
+        check_same_arm(model, robot)
+    motions, _ = prepare_motions(model.robot, recordings, model.cutoff)
+    for motion in motions:
+        if not np.isfinite(motion.tau).all():
+            raise RecordingError(
+                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
+                "positions and torques"
+            )
+    slowest = model.standing if standing is None else standing
+    moving = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
+    count = np.sum([x.sum(axis=0) for x in moving], axis=0)
+
+    def rms(left: Sequence[Array]) -> Array:
+        pairs = zip(moving, left, strict=True)
+        squares = np.sum([(np.where(x, y, 0.0) ** 2).sum(0) for x, y in pairs], axis=0)
+        return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
+
+    size = np.maximum(rms([m.tau for m in motions]), 1e-300)
+    rows = []
+    for name, each in {**model.simpler, model.stage: model}.items():
+        error = rms([m.tau - each.predict(m) for m in motions])
+        rows.append(ValidationRow(name, error, error / size))
+    return Validation(
+        robot=model.robot.name,
+        joints=model.robot.joints,
+        rows=tuple(rows),
+        noise_floor=noise_floor(motions, model.cutoff),
+        sources=tuple(m.source for m in motions),
+        samples=int(count.max()),
+        seconds=float(sum(m.t[-1] - m.t[0] for m in motions)),
+    )
+
+
+def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
+    """Noise RMS at the rate of the log, from the torque far above the cut-off.
+
+    White noise has the same power in every band; motion has none up there. Ripple or
+    resonance above the cut-off raises it.
+
+    Args:
+        motions: Motions at full rate.
+        cutoff: Cut-off of columns and torque, [Hz].
+
+    Returns:
+        RMS, shape (n,), [N·m], or None when the rate leaves no band above.
+    """
+    power = []
+    for motion in motions:
+        edge = 3.0 * cutoff
+        if edge > 0.4 * motion.rate:
+            return None
+        high = motion.tau - Sampler(motion.rate, edge, 1)(motion.tau)
+        density = high[motion.mask].var(axis=0) / (motion.rate / 2 - edge)
+        power.append(density * motion.rate / 2)
+    return np.asarray(np.sqrt(np.mean(power, axis=0)))
+
+
+def predict(model: DynamicModel, recording: Recording) -> Array:
+    """Torque that a model gives along a recording, shape (N, n), [N·m].
+
+    Positions are filtered and differentiated as for the identification.
+
+    Args:
+        model: The model.
+        recording: Log of the arm; it needs no torque. One with gaps is predicted
+            between them, see :func:`~hybrid.inspect.check_recordings`.
+
+    Raises:
+        RecordingError: The recording does not fit the arm, or has no torque while an
+            effect of the model looks at it.
+    """
+    motions, _ = prepare_motions(model.robot, [recording], model.cutoff)
+    tau = np.concatenate([model.predict(motion) for motion in motions])
+    if not np.isfinite(tau).all():
+        raise RecordingError(
+            f"{recording.source or 'recording'}: no torque, but the model has an "
+            "effect that depends on the torque measured"
+        )
+    return tau
