@@ -181,13 +181,16 @@ def test_a_payload_becomes_part_of_the_last_link(tmp_path):
 
 def test_friction_is_split_into_what_a_joint_has_fields_for_and_the_rest():
     values = {"coulomb_positive": 3.0, "coulomb_negative": 2.0, "viscous": 4.0}
-    law = ThresholdFriction((1,), {**values, "falling": 0.5})
+    law = ThresholdFriction((1,), {**values, "falling": 0.5, "width": 0.0})
     fields, rest = split_effects([law], ("frictionloss", "damping"), 3)
     np.testing.assert_array_equal(fields["frictionloss"], [0.0, 2.0, 0.0])
     np.testing.assert_array_equal(fields["damping"], [0.0, 4.0, 0.0])
     assert rest[0].values["coulomb_positive"] == 1.0
     assert rest[0].values["coulomb_negative"] == rest[0].values["viscous"] == 0.0
     assert rest[0].values["falling"] == 0.5
+    fields, rest = split_effects([law.at({"width": 0.01})], tuple(fields), 3)
+    assert fields["frictionloss"][1] == 0.0 and fields["damping"][1] == 4.0
+    assert rest[0].values["coulomb_negative"] == 2.0
 
 
 def test_what_a_urdf_has_no_place_for_is_in_its_manifest(tmp_path):

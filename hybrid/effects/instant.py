@@ -42,6 +42,11 @@ class Instant:
     fields: ClassVar[Mapping[str, str]] = {}
 
     @property
+    def exact_fields(self) -> Mapping[str, str]:
+        """Those of ``fields`` that say the same at the effect's shapes."""
+        return self.fields
+
+    @property
     def actuator(self) -> Mapping[str, float]:
         """What a simulator's actuator has for it, by the names of ``Actuator``."""
         return {}

@@ -84,7 +84,7 @@ def learned(model: DynamicModel) -> tuple[str, ...]:
 def _bare(model: DynamicModel) -> Robot:
     """The arm without what its file declares of its joints: effects have all of it."""
     robot, none = model.robot, np.zeros(model.robot.size)
-    names = "damping", "frictionloss", "quadratic", "cubic", "stiffness"
+    names = "damping", "frictionloss", "quadratic", "cubic", "stiffness", "knee"
     own: dict[str, Any] = dict.fromkeys(names, none)
     return replace(robot, chain=replace(robot.chain, armature=none), **own)
 
