@@ -1,0 +1,108 @@
+"""A simulator's file held against recordings, as the simulator computes torque."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hybrid.dynamics import RigidBody
+from hybrid.errors import HybridWarning
+from hybrid.model.dynamic_model import DynamicModel
+from hybrid.robot import Robot
+from hybrid.robot.chain import Array
+from hybrid.robot.mjcf import joint_names, start
+from hybrid.signals import Motion
+
+
+def gaps(
+    model: DynamicModel, file: str | Path, motions: Sequence[Motion]
+) -> dict[str, Array]:
+    """RMS of the torque that a model and simulators miss, where a joint moves.
+
+    Args:
+        model: A model; ``model.robot`` is the simulator as it was.
+        file: The simulator that was written of it, ``.xml`` or ``.urdf``.
+        motions: Motions with torque.
+
+    Returns:
+        By ``as it was``, ``exported`` and ``model``, shape (n,), [N·m].
+    """
+    own = model.robot.path or model.robot
+    return {
+        "as it was": left(motions, [file_torque(own, model, m) for m in motions], model),
+        "exported": left(motions, [file_torque(file, model, m) for m in motions], model),
+        "model": left(motions, [model.predict(m) for m in motions], model),
+    }
+
+
+def left(
+    motions: Sequence[Motion], torque: Sequence[Array], model: DynamicModel
+) -> Array:
+    """RMS of what torques are off, where a joint moves, shape (n,), [N·m]."""
+    off = np.concatenate([m.tau - x for m, x in zip(motions, torque, strict=True)])
+    moving = [(np.abs(m.v) > model.standing) & m.mask[:, None] for m in motions]
+    return np.asarray(np.sqrt(np.mean(off**2, axis=0, where=np.concatenate(moving))))
+
+
+def file_torque(file: str | Path | Robot, model: DynamicModel, motion: Motion) -> Array:
+    """Torque that a simulator's joints need along a motion, shape (N, n), [N·m].
+
+    MuJoCo itself computes that of an MJCF file, with tendons and all.
+
+    Args:
+        file: The simulator, or the arm that it has.
+        model: Of the same arm.
+        motion: Motion of N samples.
+    """
+    joints, held = model.robot.joints, dict(model.robot.held)
+    if not isinstance(file, Robot) and Path(file).suffix in (".xml", ".mjcf"):
+        import mujoco
+
+        return mujoco_torque(
+            mujoco.MjModel.from_xml_path(str(file)), joints, motion, held
+        )
+    robot = file
+    if not isinstance(robot, Robot):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", HybridWarning)
+            robot = Robot.load(robot, joints=joints, held=held)
+    torque = robot.joint_torque(motion.q, motion.v, motion.a)
+    torque += robot.frictionloss * np.sign(motion.v)
+    return torque + RigidBody(robot.chain, motion).load
+
+
+def mujoco_torque(
+    model: Any, joints: Sequence[str], motion: Motion, held: dict[str, float]
+) -> Array:
+    """Torque of MuJoCo's inverse dynamics along a motion, shape (N, n), [N·m].
+
+    Dry friction is that of the speed at the start of a step, not at its end.
+
+    Args:
+        model: MuJoCo's model.
+        joints: Joints of the arm.
+        motion: Motion of N samples.
+        held: Positions of other joints, [rad or m].
+    """
+    import mujoco
+
+    off = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
+    data, names = mujoco.MjData(model), joint_names(model)
+    index = [names.index(name) for name in joints]
+    places, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]
+    data.qpos[:] = start(model, held)
+    torque = np.empty_like(motion.q)
+    for k in range(len(motion.t)):
+        data.qpos[places], data.qvel[dofs] = motion.q[k], motion.v[k]
+        data.qacc[dofs] = 0.0
+        mujoco.mj_inverse(model, data)
+        dry = data.qfrc_constraint[dofs].copy()
+        data.qacc[dofs] = motion.a[k]
+        mujoco.mj_inverse(model, data)
+        torque[k] = (data.qfrc_inverse + data.qfrc_constraint)[dofs] - dry
+    return torque
