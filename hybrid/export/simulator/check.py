@@ -33,8 +33,12 @@ def gaps(
     """
     own = model.robot.path or model.robot
     return {
-        "as it was": left(motions, [file_torque(own, model, m) for m in motions], model),
-        "exported": left(motions, [file_torque(file, model, m) for m in motions], model),
+        "as it was": left(
+            motions, [file_torque(own, model, m) for m in motions], model
+        ),
+        "exported": left(
+            motions, [file_torque(file, model, m) for m in motions], model
+        ),
         "model": left(motions, [model.predict(m) for m in motions], model),
     }
 
