@@ -1,7 +1,7 @@
 """Exported and read again: what a simulator's file misses that the model does not.
 
 A table appears for the arms of the tests, the demo and three real arms: RMS torque
-error on moving samples that no fit has seen, of the identified model, of the MJCF and of
+error on moving samples that no fit has seen, of the identified model, of the MJCF and
 the URDF file that are written of it, as MuJoCo and our reader compute torque; what the
 export says that it leaves; and by how much file and callback, and file and exported C,
 differ from the model.
@@ -50,7 +50,8 @@ def round_trip(case: Case) -> list[tuple[str, ...]]:
     stated |= {x.joint: x.missed for x in made.friction}
     return [
         (case.name, joint, f"{found['model'][j]:.3g}", f"{ratio[1][j]:.3f}",
-         f"{ratio[0][j]:.3f}", f"{stated[j]:.3g}", f"{called[j]:.1e}", f"{coded[j]:.1e}")
+         f"{ratio[0][j]:.3f}", f"{stated[j]:.3g}",
+         f"{called[j]:.1e}", f"{coded[j]:.1e}")
         for j, joint in enumerate(joints)
     ]  # fmt: skip
 

@@ -177,7 +177,7 @@ def _chain(
             if model.jnt_type[joint] not in (_HINGE, _SLIDE):
                 continue
             at = 0.0 if joint in index else held.get(names[joint])
-            R, p = _moved(model, joint, R, p, at)
+            R, p = moved_to(model, joint, R, p, at)
             if joint in index:
                 link, offset = index.index(joint), model.jnt_pos[joint]
                 axis[link] = model.jnt_axis[joint]
@@ -205,7 +205,7 @@ def _chain(
     )
 
 
-def _moved(
+def moved_to(
     model: Any, joint: int, R: np.ndarray, p: np.ndarray, at: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pose of a body when a joint is at a position, of the pose at its reference.

@@ -4,8 +4,8 @@ Friction is fitted as frictionloss·sgn v + damping·v + quadratic·v|v| + cubic
 two levels of dry friction where a joint may have a preload, over the samples of
 motions, each of which weighs the same. It is a sum of parts that each take energy at
 every speed, none below zero: v(1 − |v|/w)² for some w is what makes the sum bend
-downwards. Where a joint may have it, dry friction may rise to its level, knee·clip(v/w),
-for the w that leaves least.
+downwards. Where a joint may have it, dry friction may rise to its level as
+knee·clip(v/w), for the w that leaves least.
 """
 
 from __future__ import annotations

@@ -113,5 +113,5 @@ def usual_motion(model: DynamicModel) -> Motion:
     motion = typical_motion(replace(model.robot, **seen))
     if "v_max" not in seen:
         return motion
-    # No joint may get as fast as it once was; a curve that is fitted to less goes astray.
+    # A curve goes astray beyond the speeds that it is fitted at.
     return replace(motion, v=motion.v * seen["v_max"] / np.abs(motion.v).max(axis=0))

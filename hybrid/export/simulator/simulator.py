@@ -133,14 +133,16 @@ def build_simulator(
         raise HybridError(f"no kind {kind!r} of simulator; valid are mjcf, urdf")
     plan = _sorted(robot, effects, kind, motions)
     new = plan.change.robot
-    document, old, own = source(new, kind)
+    made = source(new, kind)
+    document, old = made.document, made.robot
     edit = edit_mjcf if kind == "mjcf" else edit_urdf
     said = list(edit(document, plan.change, old))
     found = read(document, old, kind)
     _check(found, new, _JOINT[kind])
-    if own and folder is not None:
+    if made.own and folder is not None:
         move = move_assets if kind == "mjcf" else move_meshes
         move(document, Path(robot.path).parent, Path(folder))
+    said += [*made.notes]
     said += [_fitted(robot, x) for x in plan.friction]
     said += [in_words(robot, effect) for effect in plan.unsaid] + list(notes)
     if said:
