@@ -93,7 +93,11 @@ def with_callback(file: Path, case: Case) -> Array:
     mj.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data, asked = mujoco.MjData(mj), model.predict(motion)
     dofs = [mj.joint(x).dofadr[0] for x in model.robot.joints]
-    fast = np.abs(motion.v) > np.maximum(model.standing, 2 * np.abs(motion.a) / _DRY)
+    slowest = model.standing.copy()  # within its width a fit's law is not dry
+    for effect in model.effects:
+        j = list(effect.joints)
+        slowest[j] = np.maximum(slowest[j], effect.values.get("width", 0.0))
+    fast = np.abs(motion.v) > np.maximum(slowest, 2 * np.abs(motion.a) / _DRY)
     samples, off = np.flatnonzero(fast.all(axis=1) & motion.mask), []
     added = install(mj, data, model)
     for k in samples[:: max(1, len(samples) // _SAMPLES)]:

@@ -17,9 +17,10 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
 from hybrid.export import CompiledModel, export, missing_model, model_simulator
-from hybrid.plant import install, load_truth
+from hybrid.plant import install, load_truth, simulate
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.native import split_effects
+from hybrid.recording import write
 from hybrid.robot import Robot
 
 
@@ -149,7 +150,9 @@ def test_a_robot_file_loads_back_with_the_identified_numbers(tmp_path, kind, suf
     model, plant = true_model()
     exact = [e for e in model.effects if e.id in ("armature", "coulomb", "viscous")]
     model = replace(model, effects=tuple(exact))
-    assert export(model, tmp_path, format=kind) == ()
+    left_out = export(model, tmp_path, format=kind)
+    assert all(x.endswith("of the MJCF file") for x in left_out)
+    assert len(left_out) == (kind == "urdf")
     found, _ = quiet(Robot.load, tmp_path / f"coman_like.{suffix}")
     robot = plant.robot
     assert found.joints == robot.joints
@@ -233,3 +236,29 @@ def test_the_command_line_writes_the_file_it_is_given(tmp_path, monkeypatch):
     assert (tmp_path / "own" / "planar.diff").stat().st_size > 0
     missing = [*given, "--robot", str(tmp_path / "no.xml")]
     assert main(["export", *missing, "--out", str(tmp_path / "x")]) == 2
+
+
+def test_export_fits_to_the_recordings_it_is_given_and_shows_what_is_missed(
+    tmp_path, capsys
+):
+    from hybrid.cli.command import main
+
+    robot = Robot.load(MODELS / "planar.xml")
+    curve = {"rising": 1.5, "threshold": 0.3, "viscous": 0.4, "width": 0.0}
+    own = [e for e in declared(robot) if e.id == "armature"]
+    model = model_of(robot, [*own, ThresholdFriction((1,), curve)])
+    model.save(tmp_path / "model.json")
+    logs = simulate(
+        replace(robot, damping=0 * robot.damping, frictionloss=0 * robot.damping),
+        [ThresholdFriction((1,), curve)], trajectories=1, duration=4.0,
+    )  # fmt: skip
+    write(logs[0], tmp_path / "log.csv")
+    given = ["export", "--model", str(tmp_path / "model.json"), "--robot", robot.path,
+             "--recordings", str(tmp_path / "log.csv")]  # fmt: skip
+    told = ["--json", str(tmp_path / "gap.json"), "--out", str(tmp_path / "sim")]
+    assert main([*given, "--format", "mjcf", *told]) == 0
+    assert "torque missed, exported: " in capsys.readouterr().out
+    gap = json.loads((tmp_path / "gap.json").read_text())["gap"]
+    assert gap["exported"][1] < 1.2 * gap["model"][1] < 0.2 * gap["as it was"][1]
+    assert main([*given, "--format", "c", "--out", str(tmp_path / "c")]) == 2
+    assert "nothing of c is fitted to speeds" in capsys.readouterr().err

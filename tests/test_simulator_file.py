@@ -29,8 +29,8 @@ from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, RobotError
 from hybrid.export import build_simulator
-from hybrid.export.simulator.check import mujoco_torque
 from hybrid.model.declared import declared_effects
+from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.robot import Robot
 
 CUBE = """v 0 0 0
@@ -374,9 +374,10 @@ def test_friction_that_rises_to_a_level_is_written_and_read_back(tmp_path):
     assert again.knee[1] > 1.5 and again.frictionloss[1] == 0.0
     (friction,) = made.friction
     assert friction.missed < 0.02 * friction.torque
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
     ours = torque(again, moved[0])[:, 1]
-    theirs = mujoco_torque(model, robot.joints, moved[0], {})[:, 1]
+    theirs = file_inverse_dynamics(tmp_path / "arm.xml", robot.joints, moved[0], {})[
+        :, 1
+    ]
     np.testing.assert_allclose(theirs, ours, atol=1e-6)
     # Nothing new: nothing changes, also where mass moves and softness has to.
     same = build_simulator(again)

@@ -5,16 +5,15 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hybrid.dynamics import RigidBody
 from hybrid.errors import HybridWarning
 from hybrid.model.dynamic_model import DynamicModel
+from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.robot import Robot
 from hybrid.robot.chain import Array
-from hybrid.robot.mjcf import joint_names, start
 from hybrid.signals import Motion
 
 
@@ -64,11 +63,7 @@ def file_torque(file: str | Path | Robot, model: DynamicModel, motion: Motion) -
     """
     joints, held = model.robot.joints, dict(model.robot.held)
     if not isinstance(file, Robot) and Path(file).suffix in (".xml", ".mjcf"):
-        import mujoco
-
-        return mujoco_torque(
-            mujoco.MjModel.from_xml_path(str(file)), joints, motion, held
-        )
+        return file_inverse_dynamics(file, joints, motion, held)
     robot = file
     if not isinstance(robot, Robot):
         with warnings.catch_warnings():
@@ -77,36 +72,3 @@ def file_torque(file: str | Path | Robot, model: DynamicModel, motion: Motion) -
     torque = robot.joint_torque(motion.q, motion.v, motion.a)
     torque += robot.frictionloss * np.sign(motion.v)
     return torque + RigidBody(robot.chain, motion).load
-
-
-def mujoco_torque(
-    model: Any, joints: Sequence[str], motion: Motion, held: dict[str, float]
-) -> Array:
-    """Torque of MuJoCo's inverse dynamics along a motion, shape (N, n), [N·m].
-
-    Dry friction is that of the speed at the start of a step, not at its end.
-
-    Args:
-        model: MuJoCo's model.
-        joints: Joints of the arm.
-        motion: Motion of N samples.
-        held: Positions of other joints, [rad or m].
-    """
-    import mujoco
-
-    off = mujoco.mjtDisableBit
-    model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
-    data, names = mujoco.MjData(model), joint_names(model)
-    index = [names.index(name) for name in joints]
-    places, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]
-    data.qpos[:] = start(model, held)
-    torque = np.empty_like(motion.q)
-    for k in range(len(motion.t)):
-        data.qpos[places], data.qvel[dofs] = motion.q[k], motion.v[k]
-        data.qacc[dofs] = 0.0
-        mujoco.mj_inverse(model, data)
-        dry = data.qfrc_constraint[dofs].copy()
-        data.qacc[dofs] = motion.a[k]
-        mujoco.mj_inverse(model, data)
-        torque[k] = (data.qfrc_inverse + data.qfrc_constraint)[dofs] - dry
-    return torque

@@ -15,7 +15,7 @@ from hybrid.robot.build import simulable, spec_text
 from hybrid.robot.chain import Array
 from hybrid.robot.compiled import compiled_spec
 from hybrid.robot.edit.change import Change, Structure
-from hybrid.robot.edit.document import Document, Tag, element, moved_path
+from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.part import Part, changed_parts, mjcf_parts
 from hybrid.robot.mjcf import drives_of, joint_names
@@ -290,6 +290,10 @@ def _structure(
         document.put_after(tag, element("joint", given))
         added.append(j)
     known = {child.tag for child in before}
+    hard = {"solreffriction": (2 * model.opt.timestep, 1.0), **_DRY}
+    for tendon in after.iter("fixed"):
+        if "frictionloss" in tendon.attrib:
+            tendon.attrib |= {key: text_of(x) for key, x in hard.items()}
     for section in after:
         if section.tag not in known and section.tag != "default":
             text = ElementTree.tostring(section, encoding="unicode").strip()

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from hybrid.errors import RobotError
 from hybrid.robot.chain import Array
+from hybrid.robot.compiled import compiled_spec, spec_from_file
 from hybrid.robot.edit.document import element, text_of
 from hybrid.robot.edit.urdf import DRAKE
 from hybrid.robot.mjcf import joint_names, moved_to
@@ -40,18 +41,11 @@ def urdf_from_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
         The URDF file, and what it does not have, in words.
 
     Raises:
-        RobotError: A joint is none that URDF has, or the file needs meshes that are not
-            there.
+        RobotError: A joint is none that URDF has.
     """
-    import mujoco
-
-    try:
-        spec = mujoco.MjSpec.from_file(robot.path)
-        spec.compiler.discardvisual = False
-        model = spec.compile()
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise RobotError(f"{robot.path}: cannot become a URDF ({reason})") from error
+    spec = spec_from_file(Path(robot.path))
+    spec.compiler.discardvisual = False
+    model, _ = compiled_spec(spec, robot.path)
     return _Writer(model, spec, robot).written()
 
 
@@ -203,11 +197,12 @@ class _Writer:
 
     def _file(self, g: int) -> str:
         """A geom's mesh file as seen from the MJCF file; none if URDF has no such."""
-        name = self.model.mesh(int(self.model.geom_dataid[g])).name
-        file = self.spec.mesh(name).file
+        number = int(self.model.geom_dataid[g])
+        (mesh,) = (x for x in self.spec.meshes if x.id == number)
+        file = mesh.file
         if Path(file).suffix.lower() not in _FORMATS:
             return ""
-        return (Path(self.spec.meshdir) / file).as_posix()
+        return (Path(mesh.compiler.meshdir) / file).as_posix()
 
 
 def _origin(R: Array, p: Array) -> str:
