@@ -246,11 +246,12 @@ def test_export_fits_to_the_recordings_it_is_given_and_shows_what_is_missed(
     robot = Robot.load(MODELS / "planar.xml")
     curve = {"rising": 1.5, "threshold": 0.3, "viscous": 0.4, "width": 0.0}
     own = [e for e in declared(robot) if e.id == "armature"]
-    model = model_of(robot, [*own, ThresholdFriction((1,), curve)])
+    law = ThresholdFriction((1,), curve)
+    model = model_of(robot, [*own, law], standing=np.full(2, 0.01))
     model.save(tmp_path / "model.json")
     logs = simulate(
         replace(robot, damping=0 * robot.damping, frictionloss=0 * robot.damping),
-        [ThresholdFriction((1,), curve)], trajectories=1, duration=4.0,
+        [law], trajectories=1, duration=4.0,
     )  # fmt: skip
     write(logs[0], tmp_path / "log.csv")
     given = ["export", "--model", str(tmp_path / "model.json"), "--robot", robot.path,
@@ -259,6 +260,6 @@ def test_export_fits_to_the_recordings_it_is_given_and_shows_what_is_missed(
     assert main([*given, "--format", "mjcf", *told]) == 0
     assert "torque missed, exported: " in capsys.readouterr().out
     gap = json.loads((tmp_path / "gap.json").read_text())["gap"]
-    assert gap["exported"][1] < 1.2 * gap["model"][1] < 0.2 * gap["as it was"][1]
+    assert gap["exported"][1] < 1.2 * gap["model"][1] < 0.6 * gap["as it was"][1]
     assert main([*given, "--format", "c", "--out", str(tmp_path / "c")]) == 2
     assert "nothing of c is fitted to speeds" in capsys.readouterr().err
