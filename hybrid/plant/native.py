@@ -88,7 +88,7 @@ def effects_of_fields(values: Mapping[str, Array]) -> Iterator[Effect]:
 def knees(robot: Robot) -> list[Effect]:
     """Friction of a robot file that rises to a level."""
     return [
-        knee(j, float(robot.knee[j]), float(robot.knee_speed[j]))
+        knee(int(j), float(robot.knee[j]), float(robot.knee_speed[j]))
         for j in np.flatnonzero(robot.knee)
     ]
 
@@ -96,7 +96,7 @@ def knees(robot: Robot) -> list[Effect]:
 def knee(joint: int, level: float, speed: float) -> Effect:
     """Friction that rises to a level at a speed."""
     values = {"rising": level, "threshold": speed, "width": 0.0}
-    return ThresholdFriction((int(joint),), values)
+    return ThresholdFriction((joint,), values)
 
 
 def springs(values: Mapping[str, Array]) -> tuple[Array, Array]:

@@ -202,7 +202,7 @@ class _Writer:
         file = mesh.file
         if Path(file).suffix.lower() not in _FORMATS:
             return ""
-        return (Path(mesh.compiler.meshdir) / file).as_posix()
+        return str((Path(mesh.compiler.meshdir) / file).as_posix())
 
 
 def _origin(R: Array, p: Array) -> str:
