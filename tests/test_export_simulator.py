@@ -17,9 +17,10 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
 from hybrid.exports import CompiledModel, export, missing_model, model_simulator
-from hybrid.plant import install, load_truth
+from hybrid.plant import install, load_truth, simulate
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.native import split_effects
+from hybrid.recording import write
 from hybrid.robot import Robot
 
 
@@ -149,7 +150,9 @@ def test_a_robot_file_loads_back_with_the_identified_numbers(tmp_path, kind, suf
     model, plant = true_model()
     exact = [e for e in model.effects if e.id in ("armature", "coulomb", "viscous")]
     model = replace(model, effects=tuple(exact))
-    assert export(model, tmp_path, format=kind) == ()
+    left_out = export(model, tmp_path, format=kind)
+    assert all(x.endswith("of the MJCF file") for x in left_out)
+    assert len(left_out) == (kind == "urdf")
     found, _ = quiet(Robot.load, tmp_path / f"coman_like.{suffix}")
     robot = plant.robot
     assert found.joints == robot.joints
@@ -181,13 +184,16 @@ def test_a_payload_becomes_part_of_the_last_link(tmp_path):
 
 def test_friction_is_split_into_what_a_joint_has_fields_for_and_the_rest():
     values = {"coulomb_positive": 3.0, "coulomb_negative": 2.0, "viscous": 4.0}
-    law = ThresholdFriction((1,), {**values, "falling": 0.5})
+    law = ThresholdFriction((1,), {**values, "falling": 0.5, "width": 0.0})
     fields, rest = split_effects([law], ("frictionloss", "damping"), 3)
     np.testing.assert_array_equal(fields["frictionloss"], [0.0, 2.0, 0.0])
     np.testing.assert_array_equal(fields["damping"], [0.0, 4.0, 0.0])
     assert rest[0].values["coulomb_positive"] == 1.0
     assert rest[0].values["coulomb_negative"] == rest[0].values["viscous"] == 0.0
     assert rest[0].values["falling"] == 0.5
+    fields, rest = split_effects([law.at({"width": 0.01})], tuple(fields), 3)
+    assert fields["frictionloss"][1] == 0.0 and fields["damping"][1] == 4.0
+    assert rest[0].values["coulomb_negative"] == 2.0
 
 
 def test_what_a_urdf_has_no_place_for_is_in_its_manifest(tmp_path):
@@ -230,3 +236,30 @@ def test_the_command_line_writes_the_file_it_is_given(tmp_path, monkeypatch):
     assert (tmp_path / "own" / "planar.diff").stat().st_size > 0
     missing = [*given, "--robot", str(tmp_path / "no.xml")]
     assert main(["export", *missing, "--out", str(tmp_path / "x")]) == 2
+
+
+def test_export_fits_to_the_recordings_it_is_given_and_shows_what_is_missed(
+    tmp_path, capsys
+):
+    from hybrid.cli.command import main
+
+    robot = Robot.load(MODELS / "planar.xml")
+    curve = {"rising": 1.5, "threshold": 0.3, "viscous": 0.4, "width": 0.0}
+    own = [e for e in declared(robot) if e.id == "armature"]
+    law = ThresholdFriction((1,), curve)
+    model = model_of(robot, [*own, law], standing=np.full(2, 0.01))
+    model.save(tmp_path / "model.json")
+    logs = simulate(
+        replace(robot, damping=0 * robot.damping, frictionloss=0 * robot.damping),
+        [law], trajectories=1, duration=4.0,
+    )  # fmt: skip
+    write(logs[0], tmp_path / "log.csv")
+    given = ["export", "--model", str(tmp_path / "model.json"), "--robot", robot.path,
+             "--recordings", str(tmp_path / "log.csv")]  # fmt: skip
+    told = ["--json", str(tmp_path / "gap.json"), "--out", str(tmp_path / "sim")]
+    assert main([*given, "--format", "mjcf", *told]) == 0
+    assert "torque missed, exported: " in capsys.readouterr().out
+    gap = json.loads((tmp_path / "gap.json").read_text())["gap"]
+    assert gap["exported"][1] < 1.2 * gap["model"][1] < 0.6 * gap["as it was"][1]
+    assert main([*given, "--format", "c", "--out", str(tmp_path / "c")]) == 2
+    assert "nothing of c is fitted to speeds" in capsys.readouterr().err

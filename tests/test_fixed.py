@@ -8,8 +8,10 @@ import diagnosed
 import mujoco
 import numpy as np
 import pytest
+from arms import MODELS
 from scipy.interpolate import CubicSpline
 from simulated import arm
+from test_simulator_file import CUBE
 
 from hybrid.diagnosis.fixed import fixed_model, fixed_simulator, write_fixed
 from hybrid.diagnosis.measure import measure_gap
@@ -17,6 +19,7 @@ from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
 from hybrid.errors import HybridWarning
 from hybrid.exports import build_simulator
+from hybrid.files import atomic_folder
 from hybrid.identification import DynamicModel
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.plant.scale import joint_scales
@@ -211,3 +214,27 @@ def test_the_model_of_a_plain_simulator_has_its_torque():
     model = fixed_model(gap, gap.robot, ())
     for motion, _, _ in gap:
         np.testing.assert_allclose(model.predict(motion), motion.tau, atol=1e-9)
+
+
+def test_a_folder_that_is_moved_when_it_is_whole_still_finds_its_meshes(tmp_path):
+    plain = (MODELS / "planar.xml").read_text()
+    mesh = '<asset><mesh name="cup" file="cup.obj"/></asset><worldbody>'
+    shown = '<geom type="mesh" mesh="cup" contype="0" conaffinity="0"/>'
+    own = tmp_path / "arm" / "planar.xml"
+    (own.parent / "meshes").mkdir(parents=True)
+    (own.parent / "meshes" / "cup.obj").write_text(CUBE)
+    text = plain.replace("<worldbody>", mesh + shown, 1)
+    own.write_text(text.replace("<compiler ", '<compiler meshdir="meshes" ', 1))
+    bare = replace(diagnosed.planar(), effects=())
+    robot = replace(bare.gap.robot, path=str(own))
+    bare = replace(bare, gap=replace(bare.gap, robot=robot))
+    out = tmp_path / "some" / "where"
+    with atomic_folder(out) as folder:
+        write_fixed(bare, folder, home=out)
+    fixed, before = (
+        mujoco.MjModel.from_xml_path(str(x)) for x in (out / "sim_fixed.xml", own)
+    )
+    assert (fixed.nmesh, fixed.ngeom) == (before.nmesh, before.ngeom)
+    data = mujoco.MjData(fixed)
+    mujoco.mj_step(fixed, data)
+    assert np.isfinite(data.qpos).all()

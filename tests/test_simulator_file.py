@@ -1,5 +1,6 @@
 """The user's own robot file with what was found: only that changes, and it runs."""
 
+import re
 from dataclasses import replace
 
 import mujoco
@@ -21,6 +22,7 @@ from hybrid.effects.payload import LinkInertia
 from hybrid.effects.saturation import Saturation
 from hybrid.effects.spring import Spring
 from hybrid.effects.stribeck import Stribeck
+from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
@@ -28,6 +30,7 @@ from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, RobotError
 from hybrid.exports import build_simulator
 from hybrid.model.declared import declared_effects
+from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.robot import Robot
 
 CUBE = """v 0 0 0
@@ -288,3 +291,98 @@ def test_a_urdf_becomes_an_mjcf_with_its_shapes(tmp_path):
         atol=1e-9,
     )  # fmt: skip
     assert again.frictionloss[0] == robot.frictionloss[0] + 0.5
+
+
+def test_an_mjcf_becomes_a_urdf_with_its_tree_and_shapes(own, tmp_path):
+    made = build_simulator(own, [Coulomb((0,), {"level": 0.5})], kind="urdf",
+                           folder=tmp_path)  # fmt: skip
+    made.write(tmp_path / "arm.urdf")
+    (note,) = made.notes
+    assert "actuators (2), sites (1), sensors (1), keyframes (1)" in note
+    again, _ = quiet(Robot.load, tmp_path / "arm.urdf", joints=own.joints)
+    np.testing.assert_allclose(again.chain.inertial, own.chain.inertial, atol=1e-12)
+    for name in ("rotation", "translation", "axis", "armature"):
+        np.testing.assert_allclose(
+            getattr(again.chain, name), getattr(own.chain, name), atol=1e-12
+        )
+    np.testing.assert_allclose(again.q_max, own.q_max)
+    assert again.frictionloss[0] == own.frictionloss[0] + 0.5
+    spec = mujoco.MjSpec.from_file(str(tmp_path / "arm.urdf"))
+    spec.compiler.discardvisual = spec.compiler.fusestatic = False
+    shown, before = spec.compile(), mujoco.MjModel.from_xml_path(own.path)
+    assert shown.ngeom == before.ngeom + 2  # a capsule is a cylinder and two balls
+    assert shown.nmesh == 1
+    assert {before.body(b).name for b in range(1, before.nbody)} <= {
+        shown.body(b).name for b in range(shown.nbody)
+    }
+
+
+def test_meshes_of_a_urdf_are_where_those_of_the_mjcf_were(own, tmp_path):
+    build_simulator(own, kind="urdf", folder=tmp_path).write(tmp_path / "arm.urdf")
+    spec = mujoco.MjSpec.from_file(str(tmp_path / "arm.urdf"))
+    spec.compiler.discardvisual = spec.compiler.fusestatic = False
+    corners = []
+    for model in (mujoco.MjModel.from_xml_path(own.path), spec.compile()):
+        data = mujoco.MjData(model)
+        names = [model.joint(j).name for j in range(model.njnt)]
+        data.qpos[model.jnt_qposadr[[names.index(x) for x in own.joints]]] = 0.3, -0.7
+        mujoco.mj_kinematics(model, data)
+        (g, *_) = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
+        corners.append(
+            data.geom_xpos[g] + model.mesh_vert @ data.geom_xmat[g].reshape(3, 3).T
+        )
+    np.testing.assert_allclose(*(np.sort(x, axis=0) for x in corners), atol=1e-6)
+
+
+def test_a_ball_joint_has_no_place_in_a_urdf(tmp_path):
+    text = (MODELS / "planar.xml").read_text()
+    ball = '<body><joint type="ball"/><geom size=".01"/></body></worldbody>'
+    text = re.sub("<custom>.*</custom>", "", text, flags=re.DOTALL)
+    text = re.sub("<keyframe>.*</keyframe>", "", text, flags=re.DOTALL)
+    (tmp_path / "arm.xml").write_text(text.replace("</worldbody>", ball, 1))
+    robot, _ = quiet(Robot.load, tmp_path / "arm.xml")
+    with pytest.raises(RobotError, match="free or a ball"):
+        build_simulator(robot, kind="urdf")
+
+
+def test_a_xacro_file_is_expanded_and_edited(tmp_path):
+    pytest.importorskip("xacro")
+    text = (MODELS / "planar.urdf").read_text()
+    (tmp_path / "arm.urdf.xacro").write_text(
+        text.replace("<robot ", '<robot xmlns:xacro="http://ros.org/wiki/xacro" ', 1)
+    )
+    robot = Robot.load(tmp_path / "arm.urdf.xacro")
+    for kind, suffix in (("urdf", "urdf"), ("mjcf", "xml")):
+        made = build_simulator(robot, [Coulomb((0,), {"level": 0.5})], kind=kind)
+        made.write(tmp_path / f"new.{suffix}")
+        again = Robot.load(tmp_path / f"new.{suffix}", joints=robot.joints)
+        assert again.frictionloss[0] == robot.frictionloss[0] + 0.5
+    assert made.robot.path == robot.path and made.text.count(b"<geom") > 0
+
+
+def test_friction_that_rises_to_a_level_is_written_and_read_back(tmp_path):
+    robot = Robot.load(MODELS / "planar.xml")
+    rising = {"rising": 2.0, "threshold": 0.2, "width": 0.0, "viscous": 0.4}
+    own = [*declared_effects(robot), ThresholdFriction((1,), rising)]
+    bare = replace(robot, damping=0 * robot.damping, frictionloss=0 * robot.damping)
+    bare = replace(bare, chain=replace(robot.chain, armature=0 * robot.damping))
+    own = [e for e in own if e.joints != (1,) or e.id != "coulomb"]
+    moved = motions(robot, count=2)
+    made = build_simulator(bare, own, motions=moved, folder=tmp_path)
+    made.write(tmp_path / "arm.xml")
+    again = Robot.load(tmp_path / "arm.xml")
+    assert again.knee[1] > 1.5 and again.frictionloss[1] == 0.0
+    (friction,) = made.friction
+    assert friction.missed < 0.02 * friction.torque
+    ours = torque(again, moved[0])[:, 1]
+    theirs = file_inverse_dynamics(tmp_path / "arm.xml", robot.joints, moved[0], {})[
+        :, 1
+    ]
+    np.testing.assert_allclose(theirs, ours, atol=1e-6)
+    # Nothing new: nothing changes, also where mass moves and softness has to.
+    same = build_simulator(again)
+    assert same.diff() == ""
+    heavier = again.with_inertial(1.3 * again.chain.inertial)
+    np.testing.assert_allclose(
+        build_simulator(heavier).robot.knee_speed, again.knee_speed, rtol=1e-9
+    )

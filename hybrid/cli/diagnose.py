@@ -97,7 +97,7 @@ def run(args: Namespace, screen: Screen) -> None:
             advice = advise(result, rng, directory=folder)
             diagnosis = replace(result.diagnosis, advice=advice, provenance=how)
             write_diagnosis(replace(result, diagnosis=diagnosis), folder)
-            notes = _fix(result, folder)
+            notes = _fix(result, folder, args.out)
     write_record(args, how, diagnosis.as_dict())
     for line in verdict_lines(diagnosis):
         screen.say(line)
@@ -144,12 +144,12 @@ def _few(notes: Sequence[str]) -> str:
     return f"{shown}, and {more} more, listed at its top" if more > 0 else shown
 
 
-def _fix(result: Result, folder: Path) -> tuple[str, ...] | None:
+def _fix(result: Result, folder: Path, home: Path) -> tuple[str, ...] | None:
     """Write the corrected simulator; nothing if it cannot be simulated."""
     from hybrid.diagnosis.fixed import write_fixed
 
     try:
-        return write_fixed(result, folder).notes
+        return write_fixed(result, folder, home=home).notes
     except EffectError as error:
         # A diagnosis is worth having without it.
         warnings.warn(f"no corrected simulator: {error}", HybridWarning, stacklevel=2)

@@ -7,12 +7,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hybrid.cli.options import add_common, check_outputs, record, write_record
+from hybrid.cli.options import (
+    add_common,
+    add_recordings,
+    check_outputs,
+    read_logs,
+    record,
+    write_record,
+)
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
+    from hybrid.arrays import Array
     from hybrid.cli.screen import Screen
     from hybrid.identification import DynamicModel
+    from hybrid.signals import Motion
 
 _FORMATS = (
     "onnx", "torchscript", "c", "mjcf", "urdf", "isaaclab", "ranges", "json",
@@ -33,10 +42,16 @@ json         the model itself
 Every folder holds a manifest.json: model hash, joint order, units, limits, training
 range, version, and what the format cannot express. Several formats may share a folder.
 
---json: provenance, robot, joints, format, left_out.
+--recordings: friction that a robot file has no place for is fitted at the speeds of
+these logs (mjcf, urdf, isaaclab); of logs that the model was not made from, RMS torque
+that the file as it was, the file written (mjcf, urdf) and the model miss is shown.
 
-example:
-  hybrid export --model model.json --format c --out compensator"""
+--json: provenance, robot, joints, format, left_out, gap.
+
+examples:
+  hybrid export --model model.json --format c --out compensator
+  hybrid export --model model.json --format mjcf --recordings held_out --out sim"""
+_FITTED = ("mjcf", "urdf", "isaaclab")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -49,6 +64,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="FILE",
         help="robot file to write again (default: the model's, if it is beside it)",
     )
+    add_recordings(parser, required=False)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     add_common(parser)
 
@@ -64,17 +80,59 @@ def run(args: Namespace, screen: Screen) -> None:
     model, inputs = _with_file(model, args), [args.model]
     if args.robot:
         inputs.append(args.robot)
+    motions = _motions(args, model, screen, inputs)
     check_outputs([args.out / "manifest.json", args.json], inputs)
     how = record(args, inputs)
     with screen.working("exporting"):
-        left_out = export(model, args.out, format=args.format)
+        left_out = export(model, args.out, format=args.format, motions=motions)
     robot = model.robot
     content = {"robot": robot.name, "joints": robot.joints, "format": args.format}
-    write_record(args, how, {**content, "left_out": left_out})
+    gap = _gap(args, model, motions)
+    found = {name: x.tolist() for name, x in gap.items()}
+    write_record(args, how, {**content, "left_out": left_out, "gap": found})
     files = ", ".join(sorted(path.name for path in args.out.iterdir()))
     screen.say(f"{robot.name} as {args.format} in {args.out}: {files}")
     for text in left_out:
         screen.say(f"  not in it: {text}")
+    for name, missed in gap.items():
+        numbers = ", ".join(f"{x:.3g}" for x in missed)
+        screen.say(f"  torque missed, {name}: {numbers} N·m RMS")
+
+
+def _motions(
+    args: Namespace, model: DynamicModel, screen: Screen, inputs: list[Path]
+) -> list[Motion]:
+    """Motions of ``--recordings``, if there are any.
+
+    Raises:
+        HybridError: The format has nothing that is fitted to them.
+    """
+    from hybrid.identification.data import prepare_motions
+
+    if not args.recordings:
+        return []
+    if args.format not in _FITTED:
+        raise HybridError(
+            f"--recordings: nothing of {args.format} is fitted to speeds; valid are "
+            f"formats {', '.join(_FITTED)}"
+        )
+    logs, files = read_logs(args, screen, model.robot.joints)
+    inputs += files
+    return prepare_motions(model.robot, logs, model.cutoff)[0]
+
+
+def _gap(
+    args: Namespace, model: DynamicModel, motions: list[Motion]
+) -> dict[str, Array]:
+    """What simulators and model miss of recordings."""
+    from hybrid.exports.simulator.check import gaps
+    from hybrid.names import file_stem
+
+    if not motions or args.format not in ("mjcf", "urdf"):
+        return {}
+    suffix = "xml" if args.format == "mjcf" else "urdf"
+    stem = file_stem(model.robot.name)
+    return gaps(model, args.out / f"{stem}.{suffix}", motions)
 
 
 def _with_file(model: DynamicModel, args: Namespace) -> DynamicModel:

@@ -67,12 +67,12 @@ def add_robot(parser: ArgumentParser, *, required: bool = True, more: str = "") 
     )
 
 
-def add_recordings(parser: ArgumentParser) -> None:
+def add_recordings(parser: ArgumentParser, *, required: bool = True) -> None:
     """Add ``--recordings`` and ``--map``."""
     parser.add_argument(
         "--recordings",
         nargs="+",
-        required=True,
+        required=required,
         metavar="PATH",
         help=f"files, folders or globs of {LOGS}",
     )

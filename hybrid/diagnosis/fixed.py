@@ -42,7 +42,9 @@ class Fixed:
     notes: tuple[str, ...]
 
 
-def write_fixed(result: Result, directory: str | Path) -> Fixed:
+def write_fixed(
+    result: Result, directory: str | Path, *, home: str | Path | None = None
+) -> Fixed:
     """Write ``sim_fixed.xml`` and ``model.json``.
 
     The XML file is the simulator's own with what was found, and ``sim_fixed.diff`` is
@@ -53,6 +55,8 @@ def write_fixed(result: Result, directory: str | Path) -> Fixed:
     Args:
         result: A diagnosis with what led to it.
         directory: A folder that exists.
+        home: Where the files will stand, if they are moved from there: meshes are named
+            relative to it.
 
     Raises:
         EffectError: An effect cannot be simulated.
@@ -63,7 +67,7 @@ def write_fixed(result: Result, directory: str | Path) -> Fixed:
         robot,
         effects,
         motions=result.gap.motions,
-        folder=folder,
+        folder=home or folder,
         notes=_of_servos(result),
     )
     made.write(folder / SIMULATOR)

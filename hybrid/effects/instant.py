@@ -43,6 +43,11 @@ class Instant:
     fields: ClassVar[Mapping[str, str]] = {}
 
     @property
+    def exact_fields(self) -> Mapping[str, str]:
+        """Those of ``fields`` that say the same at the effect's shapes."""
+        return self.fields
+
+    @property
     def actuator(self) -> Mapping[str, float]:
         """Equivalent changes of an actuator, by the names of ``Actuator``."""
         return {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,12 @@ class ThresholdFriction(JointEffect):
     source = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
     sentence = "Friction of {joints} is a curve with a knee, not a level and a slope."
     remedy = "Give the joint a friction table over speed."
+
+    @property
+    def exact_fields(self) -> Mapping[str, str]:
+        """All, or all but the levels where these rise from rest."""
+        dry = self.values["width"] == 0.0
+        return {k: x for k, x in self.fields.items() if dry or x != "frictionloss"}
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:

@@ -25,7 +25,7 @@ INTEGRATORS = {
 }
 # Dry friction holds a joint as a soft constraint; this is how nearly it is hard. A
 # joint stuck under a torque creeps at (1 − impedance)·step of its free acceleration.
-_IMPEDANCE = 0.9999
+IMPEDANCE = 0.9999
 _HOOKS = (
     "edit_spec", "command", "tune", "deliver", "follow", "resist", "push", "sense",
     "measure", "report",
@@ -99,7 +99,7 @@ def build_arm(
         (model.tendon_solref_fri, model.tendon_solimp_fri),
     ):
         solref[:] = 2 * step, 1.0
-        solimp[:, :2] = _IMPEDANCE
+        solimp[:, :2] = IMPEDANCE
     kinds = dict.fromkeys(e.behind for e in effects if e.behind)
     return _indexed(model, robot.joints, kinds)
 

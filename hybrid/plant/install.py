@@ -11,9 +11,10 @@ from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
-from hybrid.plant.arm import has_hook, overrides
+from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
 from hybrid.plant.laws import Laws, part
 from hybrid.plant.native import split_effects, springs
+from hybrid.robot.mjcf import knee_slope
 from hybrid.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 _OWN = (
     "dof_damping", "dof_dampingpoly", "dof_frictionloss", "jnt_stiffness",
-    "qpos_spring",
+    "qpos_spring", "dof_solref", "dof_solimp",
 )  # fmt: skip
 
 
@@ -81,6 +82,8 @@ class Installed:
         model.dof_damping[dof] = values["damping"]
         model.dof_dampingpoly[dof] = np.c_[values["quadratic"], values["cubic"]]
         model.dof_frictionloss[dof] = values["frictionloss"]
+        rising = [d for d in dof if np.isfinite(knee_slope(model)[d])]
+        model.dof_solref[rising], model.dof_solimp[rising, :2] = _dry(model)
 
     def remove(self) -> None:
         """Leave the simulation as it was."""
@@ -126,6 +129,11 @@ class Installed:
         kept = data.qfrc_passive[dof] + data.qfrc_constraint[dof]
         armature = getattr(self, "_armature", 0.0)
         return np.asarray((driven + kept)[None] - armature * a)
+
+
+def _dry(model: Any) -> tuple[tuple[float, float], float]:
+    """How MuJoCo makes friction dry, as reference and impedance."""
+    return (2.0 * model.opt.timestep, 1.0), IMPEDANCE
 
 
 _INSTALLED: dict[int, Installed] = {}

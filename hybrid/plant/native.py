@@ -12,7 +12,9 @@ from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.spring import Spring
+from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.viscous import Viscous
+from hybrid.robot import Robot
 
 # Of a joint with a preload and no spring, [N·m/rad]: the spring that has the preload
 # pulls no differently wherever the joint is.
@@ -36,8 +38,8 @@ def split_effects(
     values, rest = {name: np.zeros(size) for name in fields}, []
     for effect in effects:
         left = dict(effect.values)
-        for field in values.keys() & set(effect.fields.values()):
-            names = [gain for gain, to in effect.fields.items() if to == field]
+        for field in values.keys() & set(effect.exact_fields.values()):
+            names = [gain for gain, to in effect.exact_fields.items() if to == field]
             share = min(left[name] for name in names)
             if len(names) > 1:  # levels of several directions, of which one is common
                 share = max(share, 0.0)
@@ -81,6 +83,20 @@ def effects_of_fields(values: Mapping[str, Array]) -> Iterator[Effect]:
             }
             if any(own.values()):
                 yield cls((j,), own)
+
+
+def knees(robot: Robot) -> list[Effect]:
+    """Friction of a robot file that rises to a level."""
+    return [
+        knee(int(j), float(robot.knee[j]), float(robot.knee_speed[j]))
+        for j in np.flatnonzero(robot.knee)
+    ]
+
+
+def knee(joint: int, level: float, speed: float) -> Effect:
+    """Friction that rises to a level at a speed."""
+    values = {"rising": level, "threshold": speed, "width": 0.0}
+    return ThresholdFriction((joint,), values)
 
 
 def springs(values: Mapping[str, Array]) -> tuple[Array, Array]:

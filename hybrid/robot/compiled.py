@@ -32,13 +32,14 @@ def compiled_without_files(path: str | Path) -> tuple[Any, Mapping[int, str]]:
     try:
         return compiled(path), {}
     except RobotError:
-        spec = _quietly(lambda: _spec(Path(path)), str(path))
+        spec = _quietly(lambda: spec_from_file(Path(path)), str(path))
         if not (spec.meshes or spec.hfields or spec.textures):
             raise
     return compiled_spec(spec, str(path))
 
 
-def _spec(path: Path) -> Any:
+def spec_from_file(path: Path) -> Any:
+    """A file as MuJoCo's spec; ``ValueError`` if it is none."""
     import mujoco
 
     if path.suffix.lower() == ".xml":

@@ -96,14 +96,30 @@ def _passive(model: Any, index: list[int], drives: list[Any]) -> dict[str, Any]:
         _on(model, name) for name in ("DAMPER", "SPRING", "FRICTIONLOSS")
     )
     quadratic, cubic = damper * model.dof_dampingpoly[dofs].T
+    level, slope = dry * model.dof_frictionloss[dofs], knee_slope(model)[dofs]
+    soft = (level > 0) & np.isfinite(slope)
     return {
         "damping": damper * damping[dofs],
         "quadratic": quadratic,
         "cubic": cubic,
-        "frictionloss": dry * model.dof_frictionloss[dofs],
+        "frictionloss": np.where(soft, 0.0, level),
+        "knee": np.where(soft, level, 0.0),
+        "knee_speed": np.where(soft, level / slope, 0.0),
         "stiffness": spring * model.jnt_stiffness[index],
         "springref": model.qpos_spring[model.jnt_qposadr[index]].copy(),
     }
+
+
+def knee_slope(model: Any) -> np.ndarray:
+    """Friction of each dof per speed up to its level, [N·m·s/rad]; inf if it is dry.
+
+    MuJoCo softens all dry friction by numbers that say how nearly a constraint holds.
+    A ``solreffriction`` of stiffness 0 and a damping is meant: it is this slope.
+    """
+    stiffness, damping = model.dof_solref.T
+    loose = (1.0 - model.dof_solimp[:, 0]) * model.dof_invweight0
+    said = (stiffness <= 0) & (damping < 0) & (loose > 0)
+    return np.where(said, -damping / np.where(said, loose, 1.0), np.inf)
 
 
 def _with_drives(model: Any, name: str, drives: list[Any]) -> np.ndarray:
@@ -161,7 +177,7 @@ def _chain(
             if model.jnt_type[joint] not in (_HINGE, _SLIDE):
                 continue
             at = 0.0 if joint in index else held.get(names[joint])
-            R, p = _moved(model, joint, R, p, at)
+            R, p = moved_to(model, joint, R, p, at)
             if joint in index:
                 link, offset = index.index(joint), model.jnt_pos[joint]
                 axis[link] = model.jnt_axis[joint]
@@ -189,7 +205,7 @@ def _chain(
     )
 
 
-def _moved(
+def moved_to(
     model: Any, joint: int, R: np.ndarray, p: np.ndarray, at: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pose of a body when a joint is at a position, of the pose at its reference.

@@ -84,9 +84,12 @@ def _of_file(
     return {**fields, "name": path.stem, "path": str(path)}, model
 
 
-def _of_xacro(
-    path: Path, joints: tuple[str, ...] | None, held: Mapping[str, float]
-) -> dict[str, Any]:
+def expanded(path: Path) -> str:
+    """A xacro file as URDF.
+
+    Raises:
+        RobotError: xacro is not installed, or cannot expand the file.
+    """
     by_hand = f"xacro {path.name} > {path.name.split('.')[0]}.urdf"
     try:
         import xacro
@@ -95,12 +98,18 @@ def _of_xacro(
             f"{path}: install xacro to expand it, or run `{by_hand}`"
         ) from error
     try:
-        text = xacro.process_file(str(path)).toxml()
+        return str(xacro.process_file(str(path)).toxml())
     except Exception as error:  # its own, and those of Python in a file's expressions
         reason = " ".join(str(error).split())
         raise RobotError(
             f"{path}: xacro cannot expand it ({reason}); try `{by_hand}`"
         ) from error
+
+
+def _of_xacro(
+    path: Path, joints: tuple[str, ...] | None, held: Mapping[str, float]
+) -> dict[str, Any]:
+    text = expanded(path)
     with TemporaryDirectory() as folder:
         file = Path(folder, f"{path.name.split('.')[0]}.urdf")
         file.write_text(text, encoding="utf-8")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import mujoco
     import pinocchio
 
-_SPRINGS = ("quadratic", "cubic", "stiffness", "springref")
+_SPRINGS = ("quadratic", "cubic", "stiffness", "springref", "knee", "knee_speed")
 _VECTORS = (
     "q_min", "q_max", "v_max", "a_max", "tau_max", "damping", "frictionloss", *_SPRINGS,
 )  # fmt: skip
@@ -34,7 +34,7 @@ class Robot:
 
     Its drives need the torque of the links, and at each joint that of rotor, friction
     and spring: armature·a + damping·v + quadratic·v|v| + cubic·v³ +
-    stiffness·(q − springref) + frictionloss·sgn v.
+    stiffness·(q − springref) + frictionloss·sgn v + knee·clip(v / knee_speed).
 
     Attributes:
         name: Name in the file.
@@ -55,6 +55,8 @@ class Robot:
         cubic: Declared friction by its cube, shape (n,), [N·m·s³/rad³].
         stiffness: Declared stiffness of springs, shape (n,), [N·m/rad].
         springref: Position at which they are relaxed, shape (n,), [rad or m].
+        knee: Declared level of friction that rises to it from rest, shape (n,), [N·m].
+        knee_speed: Speed at which it is there, shape (n,), [rad/s].
         held: Positions at which joints off the arm are held, [rad or m], where those
             are not the file's.
     """
@@ -76,6 +78,8 @@ class Robot:
     cubic: Array = field(default_factory=lambda: np.zeros(0))
     stiffness: Array = field(default_factory=lambda: np.zeros(0))
     springref: Array = field(default_factory=lambda: np.zeros(0))
+    knee: Array = field(default_factory=lambda: np.zeros(0))
+    knee_speed: Array = field(default_factory=lambda: np.zeros(0))
     held: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -161,7 +165,7 @@ class Robot:
         )
 
     def joint_torque(self, q: Array, v: Array, a: Array) -> Array:
-        """Torque of rotors, viscous friction and springs; dry friction is not in it.
+        """Torque of rotors, springs and friction, but for dry friction.
 
         Args:
             q: Position, shape (N, n), [rad].
@@ -173,6 +177,8 @@ class Robot:
         """
         speed = abs(v)
         friction = (self.damping + (self.quadratic + self.cubic * speed) * speed) * v
+        bend = np.where(self.knee > 0, self.knee_speed, 1.0)
+        friction = friction + self.knee * np.clip(v / bend, -1.0, 1.0)
         spring = self.stiffness * (q - self.springref)
         return np.asarray(self.chain.armature * a + friction + spring)
 

@@ -9,6 +9,7 @@ stay out of it.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -78,7 +79,8 @@ def _ours(robot: Robot, states: Array) -> Array:
     body = [pin.rnea(model, data, *state) for state in states.transpose(1, 0, 2)]
     # pinocchio's model has the rotors already.
     q, v, a = states
-    return np.array(body) + robot.joint_torque(q, v, np.zeros_like(a))
+    frictionless = replace(robot, knee=np.zeros(robot.size))
+    return np.array(body) + frictionless.joint_torque(q, v, np.zeros_like(a))
 
 
 def _torque(model: Any, index: list[int], states: Array, home: Array) -> Array:

@@ -84,7 +84,7 @@ def learned(model: DynamicModel) -> tuple[str, ...]:
 def _bare(model: DynamicModel) -> Robot:
     """The arm without what its file declares of its joints: effects have all of it."""
     robot, none = model.robot, np.zeros(model.robot.size)
-    names = "damping", "frictionloss", "quadratic", "cubic", "stiffness"
+    names = "damping", "frictionloss", "quadratic", "cubic", "stiffness", "knee"
     own: dict[str, Any] = dict.fromkeys(names, none)
     return replace(robot, chain=replace(robot.chain, armature=none), **own)
 
@@ -105,9 +105,13 @@ def fields_of_model(
 
 
 def usual_motion(model: DynamicModel) -> Motion:
-    """A motion within the range that was seen in fitting."""
+    """A motion within the range that was seen in fitting, at all speeds of it."""
     names = {"q_min", "q_max", "v_max"} & model.range.keys()
     seen: dict[str, Any] = {name: model.range[name] for name in names}
     if "v_max" in seen:  # as fast as it was seen, however long it takes to be so
         seen["v_max"] = np.maximum(seen["v_max"], 1e-6)
-    return typical_motion(replace(model.robot, **seen))
+    motion = typical_motion(replace(model.robot, **seen))
+    if "v_max" not in seen:
+        return motion
+    # A curve goes astray beyond the speeds that it is fitted at.
+    return replace(motion, v=motion.v * seen["v_max"] / np.abs(motion.v).max(axis=0))

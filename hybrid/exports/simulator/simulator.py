@@ -26,7 +26,7 @@ from hybrid.files import atomic_path
 from hybrid.model.declared import declared_effects
 from hybrid.names import xml_comment
 from hybrid.plant.arm import overrides
-from hybrid.plant.native import effects_of_fields, split_effects, springs
+from hybrid.plant.native import effects_of_fields, knee, knees, split_effects, springs
 from hybrid.robot import Robot
 from hybrid.robot.edit.actuator import Actuator
 from hybrid.robot.edit.change import Edit
@@ -38,7 +38,7 @@ from hybrid.signals import Motion
 # What a kind of file has for a joint.
 _JOINT = {"mjcf": FIELDS, "urdf": ("armature", "damping", "frictionloss")}
 _CURVE = {
-    "mjcf": ("frictionloss", "damping", "quadratic", "cubic", "preload"),
+    "mjcf": ("frictionloss", "damping", "quadratic", "cubic", "preload", "knee"),
     "urdf": ("frictionloss", "damping"),
 }
 _SAME = 1e-9  # of the largest value of a kind
@@ -133,14 +133,16 @@ def build_simulator(
         raise HybridError(f"no kind {kind!r} of simulator; valid are mjcf, urdf")
     plan = _sorted(robot, effects, kind, motions)
     new = plan.change.robot
-    document, old, own = source(new, kind)
+    made = source(new, kind)
+    document, old = made.document, made.robot
     edit = edit_mjcf if kind == "mjcf" else edit_urdf
     said = list(edit(document, plan.change, old))
     found = read(document, old, kind)
     _check(found, new, _JOINT[kind])
-    if own and folder is not None:
+    if made.own and folder is not None:
         move = move_assets if kind == "mjcf" else move_meshes
         move(document, Path(robot.path).parent, Path(folder))
+    said += [*made.notes]
     said += [_fitted(robot, x) for x in plan.friction]
     said += [in_words(robot, effect) for effect in plan.unsaid] + list(notes)
     if said:
@@ -168,7 +170,8 @@ def _sorted(
     robot: Robot, effects: Sequence[Effect], kind: str, motions: Sequence[Motion]
 ) -> _Sorted:
     n, inertial = robot.size, robot.chain.inertial.copy()
-    gravity, acting = robot.chain.gravity.copy(), declared_effects(robot)
+    gravity = robot.chain.gravity.copy()
+    acting = declared_effects(replace(robot, knee=np.zeros(n)))
     for effect in effects:
         rigid = effect.rigid_change(n, robot.chain.gravity)
         if rigid is None:
@@ -178,6 +181,8 @@ def _sorted(
     values, left = split_effects(acting, _JOINT[kind], n)
     chain = replace(robot.chain, inertial=inertial, gravity=gravity)
     rubbing = [effect for effect in left if is_friction(effect)]
+    robot, own = _with_knees(robot, values, rubbing, "knee" in _CURVE[kind])
+    rubbing += own
     fitted = _stand_ins(replace(robot, chain=chain), rubbing, values, kind, motions)
     rest = [effect for effect in left if not is_friction(effect)]
     drives = dict[int, Actuator]()
@@ -196,6 +201,21 @@ def _sorted(
     return _Sorted(change, fitted, (*rest, *missing), tuple(rest))
 
 
+def _with_knees(
+    robot: Robot, values: dict[str, Array], rubbing: Sequence[Effect], has: bool
+) -> tuple[Robot, list[Effect]]:
+    """The arm with the knees that stay as they are, and the others as effects.
+
+    A joint has dry friction that rises to its level or not: not both.
+    """
+    more = {j for effect in rubbing for j in effect.joints}
+    more |= {int(j) for j in np.flatnonzero(values["frictionloss"])}
+    fitted = [e for e in knees(robot) if not has or e.joints[0] in more]
+    level = robot.knee.copy()
+    level[[e.joints[0] for e in fitted]] = 0.0
+    return replace(robot, knee=level), fitted
+
+
 def _stand_ins(
     robot: Robot,
     rubbing: Sequence[Effect],
@@ -211,7 +231,8 @@ def _stand_ins(
     return tuple(
         stand_in(
             [effect for effect in rubbing if effect.joints == (j,)],
-            {name: float(x[j]) for name, x in values.items()},
+            {name: float(x[j]) for name, x in values.items()}
+            | {"knee_speed": float(robot.knee_speed[j])},
             moved,
             _CURVE[kind],
         )
@@ -224,6 +245,7 @@ def _with_fields(
 ) -> Robot:
     """The arm with values of its joints' fields."""
     own: dict[str, Any] = {name: x.copy() for name, x in values.items()}
+    own |= {"knee": robot.knee.copy(), "knee_speed": robot.knee_speed.copy()}
     for each in fitted:
         for name, x in each.values.items():
             if name in own:
@@ -251,6 +273,9 @@ def _missing(
         for name in over.keys() & each.values.keys():
             over[name][each.joint] = values[name][each.joint] - each.values[name]
     yield from effects_of_fields(over)
+    for each in fitted:
+        if level := each.values.get("knee", 0.0):
+            yield knee(each.joint, -level, each.values["knee_speed"])
 
 
 def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
@@ -259,8 +284,9 @@ def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
     Raises:
         RobotError: They differ.
     """
-    names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"}
-    pairs = {x: (getattr(found, x), getattr(wanted, x)) for x in names & {*fields}}
+    names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"} & {*fields}
+    names |= {"knee", "knee_speed"} if wanted.knee.any() else set()
+    pairs = {x: (getattr(found, x), getattr(wanted, x)) for x in names}
     chains = ["armature", "inertial", *(["gravity"] if "preload" in fields else [])]
     for x in chains:
         pairs[x] = getattr(found.chain, x), getattr(wanted.chain, x)

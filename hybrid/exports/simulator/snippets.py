@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -106,7 +107,8 @@ def isaac_lab(
     model: DynamicModel, motions: Sequence[Motion] = ()
 ) -> tuple[str, tuple[str, ...]]:
     """An actuator configuration for Isaac Lab, and what is not in it."""
-    made = model_simulator(model, kind="urdf", motions=motions)
+    bare = replace(model, robot=replace(model.robot, path=""))  # numbers, no shapes
+    made = model_simulator(bare, kind="urdf", motions=motions)
     robot, drives = made.robot, dict[int, Actuator]()
     for effect in made.rest:
         if effect.actuator:

@@ -15,7 +15,7 @@ from hybrid.errors import RobotError
 from hybrid.robot.build import simulable, spec_text
 from hybrid.robot.compiled import compiled_spec
 from hybrid.robot.edit.change import Edit, Structure
-from hybrid.robot.edit.document import Document, Tag, element, moved_path
+from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.part import Part, changed_parts, mjcf_parts
 from hybrid.robot.mjcf import drives_of, joint_names
@@ -24,6 +24,7 @@ from hybrid.robot.robot import Robot
 
 # By default MuJoCo's dry friction is so soft that it is viscous at low speed.
 _DRY = {"solimpfriction": (0.9999, 0.9999, 0.001, 0.5, 2.0)}
+_SOFTEST, _HARDEST = 0.0001, 0.9999  # impedances that MuJoCo allows
 _TURNS = ("quat", "diaginertia", "axisangle", "euler", "xyaxes", "zaxis")
 _LIMITS = ("velocity_limit", "acceleration_limit")
 _USUAL = {
@@ -56,6 +57,7 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
+    _knees(document, old, new)
     return notes
 
 
@@ -201,6 +203,8 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
         changed.add("stiffness")
     if new.chain.armature[j] != old.chain.armature[j]:
         changed.add("armature")
+    if old.knee[j] and not new.knee[j]:
+        changed.add("frictionloss")
     if not changed:
         return
     tag, given = joint_tag(document, new.joints[j]), {}
@@ -222,7 +226,7 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
         ]
         bent = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
         given["damping"] = friction if bent else friction[0]
-    if "frictionloss" in changed:
+    if "frictionloss" in changed and not new.knee[j]:
         given["frictionloss"] = new.frictionloss[j]
         given |= {"solreffriction": (2 * model.opt.timestep, 1.0), **_DRY}
     if "stiffness" in changed:
@@ -236,6 +240,34 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
                 f"actuator, which is more than was found; valid is {name} at the joint"
             )
     document.set(tag, given)
+
+
+def _knees(document: Document, old: Robot, new: Robot) -> None:
+    """Friction that rises to a level: MuJoCo's dry friction, as soft as that.
+
+    How soft it is depends on the inertia at the joint, so that it comes last.
+    """
+    names = "knee", "knee_speed", "frictionloss"
+    ours, theirs = (
+        np.c_[x.chain.inertial, x.chain.armature, *(getattr(x, y) for y in names)]
+        for x in (new, old)
+    )
+    if not new.knee.any() or (ours == theirs).all():
+        return
+    model = model_of(document, old)
+    dofs = model.jnt_dofadr[[joint_names(model).index(x) for x in new.joints]]
+    for j in np.flatnonzero(new.knee):
+        mobility = float(model.dof_invweight0[dofs[j]])
+        slope = new.knee[j] / new.knee_speed[j]
+        # The speed of the end of a step counts: the friction never overshoots.
+        share = slope * mobility * model.opt.timestep
+        d = float(np.clip(share / (1.0 + share), _SOFTEST, _HARDEST))
+        given = {
+            "frictionloss": new.knee[j],
+            "solreffriction": (0.0, -slope * (1.0 - d) * mobility),
+            "solimpfriction": (d, d, *_DRY["solimpfriction"][2:]),
+        }
+        document.set(joint_tag(document, new.joints[j]), given)
 
 
 def _structure(
@@ -258,6 +290,10 @@ def _structure(
         document.put_after(tag, element("joint", given))
         added.append(j)
     known = {child.tag for child in before}
+    hard = {"solreffriction": (2 * model.opt.timestep, 1.0), **_DRY}
+    for tendon in after.iter("fixed"):
+        if "frictionloss" in tendon.attrib:
+            tendon.attrib |= {key: text_of(x) for key, x in hard.items()}
     for section in after:
         if section.tag not in known and section.tag != "default":
             text = ElementTree.tostring(section, encoding="unicode").strip()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +13,34 @@ from hybrid.robot.edit.document import Document
 from hybrid.robot.edit.mjcf import check_mjcf
 from hybrid.robot.edit.skeleton import add_motors, mjcf_skeleton, urdf_skeleton
 from hybrid.robot.edit.urdf import check_urdf
+from hybrid.robot.edit.urdf_from_mjcf import urdf_from_mjcf
+from hybrid.robot.read import expanded
 from hybrid.robot.robot import Robot
 
 
-def source(robot: Robot, kind: str) -> tuple[Document, Robot, bool]:
-    """The document to edit, the arm that it has, and whether it is the arm's own file.
+@dataclass(frozen=True)
+class Source:
+    """The file of an arm that is edited.
 
-    A URDF file becomes an MJCF file by MuJoCo, with shapes if it finds the meshes. An
-    arm without a file, and an MJCF one as URDF, has links and joints only, as they
-    shall be.
+    Attributes:
+        document: The file.
+        robot: The arm that it has.
+        own: Whether it is the arm's own, or made from it, and names files beside it.
+        notes: What the arm's own file has and this one does not, in words.
+    """
+
+    document: Document
+    robot: Robot
+    own: bool
+    notes: tuple[str, ...] = ()
+
+
+def source(robot: Robot, kind: str) -> Source:
+    """The file to edit: the arm's own, or what is made from it.
+
+    A xacro file is expanded. A URDF file becomes an MJCF file by MuJoCo, with shapes if
+    it finds the meshes; an MJCF file becomes a URDF file with the shapes that this has.
+    An arm without a file has links and joints only, as they shall be.
 
     Args:
         robot: The arm as it shall be; ``path`` is its file.
@@ -32,19 +51,26 @@ def source(robot: Robot, kind: str) -> tuple[Document, Robot, bool]:
     """
     path = Path(robot.path)
     suffix = path.suffix.lower()
-    there = bool(robot.path) and path.is_file() and suffix != ".xacro"
-    if there and (kind == "urdf") == (suffix == ".urdf"):
-        document = Document.load(path)
+    there, urdf = bool(robot.path) and path.is_file(), suffix in (".urdf", ".xacro")
+    if there and (kind == "urdf") == urdf:
+        xacro = suffix == ".xacro"
+        document = (
+            Document(expanded(path).encode(), path) if xacro else Document.load(path)
+        )
         found = read(document, robot, kind)
         if found.fingerprint() != robot.fingerprint():
             raise RobotError(f"{path}: is of another arm than {robot.name!r}")
-        return document, found, True
-    if there and suffix == ".urdf" and (text := _converted(robot)):
+        return Source(document, found, True)
+    if there and urdf and (text := _converted(robot)):
         document = Document(text.encode(), path)
-        return document, read(document, robot, kind), True
+        return Source(document, read(document, robot, kind), True)
+    if there and not urdf:
+        text, notes = urdf_from_mjcf(robot)
+        document = Document(text.encode(), path)
+        return Source(document, read(document, robot, kind), True, notes)
     text = mjcf_skeleton(robot) if kind == "mjcf" else urdf_skeleton(robot)
     document = Document(text.encode(), path)
-    return document, read(document, replace(robot, held={}), kind), False
+    return Source(document, read(document, replace(robot, held={}), kind), False)
 
 
 def read(document: Document, robot: Robot, kind: str) -> Robot:
@@ -59,7 +85,12 @@ def _converted(robot: Robot) -> str:
     import mujoco
 
     try:
-        spec: Any = mujoco.MjSpec.from_file(robot.path)
+        spec: Any
+        if Path(robot.path).suffix.lower() == ".xacro":
+            spec = mujoco.MjSpec.from_string(expanded(Path(robot.path)))
+            spec.modelfiledir = str(Path(robot.path).parent)
+        else:
+            spec = mujoco.MjSpec.from_file(robot.path)
         spec.compiler.discardvisual = False
         spec.compiler.fusestatic = False
         add_motors(spec, robot)

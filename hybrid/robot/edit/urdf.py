@@ -14,7 +14,7 @@ from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_
 from hybrid.robot.edit.part import Part, changed_parts, urdf_parts
 from hybrid.robot.robot import Robot
 
-_DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
+DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
 
 
 def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
@@ -142,5 +142,5 @@ def _rotor(document: Document, joint: str, inertia: float) -> None:
 
 
 def _declare(document: Document) -> None:
-    if not _DRAKE.keys() <= document.tags[0].attributes.keys():
-        document.set(document.tags[0], _DRAKE)
+    if not DRAKE.keys() <= document.tags[0].attributes.keys():
+        document.set(document.tags[0], DRAKE)

@@ -1,0 +1,53 @@
+"""Inverse dynamics of an MJCF file, with all that is in it, as MuJoCo computes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.robot.compiled import compiled
+from hybrid.robot.mjcf import joint_names, start
+from hybrid.signals import Motion
+
+
+def file_inverse_dynamics(
+    file: str | Path,
+    joints: Sequence[str],
+    motion: Motion,
+    held: Mapping[str, float],
+) -> Array:
+    """Torque of MuJoCo's inverse dynamics along a motion, shape (N, n), [N·m].
+
+    Dry friction is that of the speed at the start of a step, not at its end.
+
+    Args:
+        file: The MJCF file.
+        joints: Joints of the arm.
+        motion: Motion of N samples.
+        held: Positions of other joints, [rad or m].
+
+    Raises:
+        RobotError: The file does not compile.
+    """
+    import mujoco
+
+    model = compiled(file)
+    off = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
+    data, names = mujoco.MjData(model), joint_names(model)
+    index = [names.index(name) for name in joints]
+    places, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]
+    data.qpos[:] = start(model, held)
+    torque = np.empty_like(motion.q)
+    for k in range(len(motion.t)):
+        data.qpos[places], data.qvel[dofs] = motion.q[k], motion.v[k]
+        data.qacc[dofs] = 0.0
+        mujoco.mj_inverse(model, data)
+        dry = data.qfrc_constraint[dofs].copy()
+        data.qacc[dofs] = motion.a[k]
+        mujoco.mj_inverse(model, data)
+        torque[k] = (data.qfrc_inverse + data.qfrc_constraint)[dofs] - dry
+    return torque

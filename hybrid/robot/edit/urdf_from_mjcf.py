@@ -1,0 +1,216 @@
+"""An MJCF file as URDF: its whole tree, with the shapes that URDF has words for."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hybrid.arrays import Array
+from hybrid.errors import RobotError
+from hybrid.robot.compiled import compiled_spec, spec_from_file
+from hybrid.robot.edit.document import element, text_of
+from hybrid.robot.edit.urdf import DRAKE
+from hybrid.robot.mjcf import joint_names, moved_to
+from hybrid.robot.robot import Robot
+
+_SHOWN = 3  # groups of geoms that MuJoCo shows are below
+_FORMATS = (".stl", ".obj", ".dae")
+# What URDF has no words for, by MuJoCo's counts.
+_UNSAID = {
+    "nu": "actuators", "ntendon": "tendons", "neq": "equality constraints",
+    "nsite": "sites", "nsensor": "sensors", "nkey": "keyframes",
+    "nexclude": "contact excludes", "ncam": "cameras", "nlight": "lights",
+}  # fmt: skip
+
+
+def urdf_from_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
+    """A robot's MJCF file as URDF.
+
+    Links are bodies, named as they are; a body with several joints has a link for each.
+    Positions of joints count from where they do in the file.
+
+    Args:
+        robot: An arm; ``path`` is its MJCF file.
+
+    Returns:
+        The URDF file, and what it does not have, in words.
+
+    Raises:
+        RobotError: A joint is none that URDF has.
+    """
+    spec = spec_from_file(Path(robot.path))
+    spec.compiler.discardvisual = False
+    model, _ = compiled_spec(spec, robot.path)
+    return _Writer(model, spec, robot).written()
+
+
+class _Writer:
+    def __init__(self, model: Any, spec: Any, robot: Robot) -> None:
+        self.model, self.spec, self.robot = model, spec, robot
+        self.names, self.joints = joint_names(model), list[str]()
+        self.bodies = [model.body(b).name or f"body_{b}" for b in range(model.nbody)]
+        # Where each body is in the last of its links, which turn with it.
+        self.shift = np.zeros((model.nbody, 3))
+        self.missing: dict[str, int] = {}
+
+    def written(self) -> tuple[str, tuple[str, ...]]:
+        links = [text for b in range(self.model.nbody) for text in self._body(b)]
+        head = element("robot", {"name": self.robot.name, **DRAKE})
+        lines = [head.replace("/>", ">"), *links, *self.joints]
+        counts = {word: getattr(self.model, n) for n, word in _UNSAID.items()}
+        counts = {word: n for word, n in {**counts, **self.missing}.items() if n}
+        said = ", ".join(f"{word} ({n})" for word, n in counts.items())
+        notes = (f"{said} of the MJCF file",) if said else ()
+        return "\n".join([*lines, "</robot>", ""]), notes
+
+    def _body(self, b: int) -> Iterator[str]:
+        """Links of a body; joints in front of them are kept for the end."""
+        model, name = self.model, self.bodies[b]
+        first, count = int(model.body_jntadr[b]), int(model.body_jntnum[b])
+        if b:
+            parent = int(model.body_parentid[b])
+            above = self.bodies[parent]
+            R = _matrix(model.body_quat[b])
+            p = self.shift[parent] + model.body_pos[b]
+            for k, joint in enumerate(range(first, first + count), 1):
+                link = name if k == count else f"{name}_{k}"
+                R, p = self._joint(joint, R, p, above, link)
+                if k < count:
+                    yield f'  <link name="{text_of(link)}"/>'
+                above = link
+            if not count:
+                self._put(f"{name}_fixed", "fixed", R, p, above, name, [])
+                p = np.zeros(3)
+            self.shift[b] = p
+        inner = [self._inertial(b)] if model.body_mass[b] > 0 else []
+        start, n = int(model.body_geomadr[b]), int(model.body_geomnum[b])
+        inner += [text for g in range(start, start + n) for text in self._geom(g, b)]
+        body = "".join(f"\n    {text}" for text in inner)
+        yield f'  <link name="{text_of(name)}">{body}\n  </link>'
+
+    def _joint(
+        self, joint: int, R: Array, p: Array, above: str, link: str
+    ) -> tuple[Array, Array]:
+        """A joint, and where the body is in the link behind it."""
+        model, robot, name = self.model, self.robot, self.names[joint]
+        if model.jnt_type[joint] not in (2, 3):
+            raise RobotError(
+                f"{robot.path}: joint {name!r} is free or a ball, which URDF does not "
+                "have; valid are hinge and slide"
+            )
+        R, p = moved_to(model, joint, R, p, 0.0)
+        slides, limited = model.jnt_type[joint] == 2, bool(model.jnt_limited[joint])
+        kind = "prismatic" if slides else "revolute" if limited else "continuous"
+        limits = {"effort": 0.0, "velocity": 0.0}
+        if name in robot.joints:
+            j = robot.joints.index(name)
+            both = {"effort": robot.tau_max[j], "velocity": robot.v_max[j]}
+            both["drake:acceleration"] = robot.a_max[j]
+            limits |= {key: x for key, x in both.items() if np.isfinite(x)}
+        if limited:
+            low, high = model.jnt_range[joint]
+            limits |= {"lower": low, "upper": high}
+        dof = model.jnt_dofadr[joint]
+        friction = {
+            "damping": model.dof_damping[dof],
+            "friction": model.dof_frictionloss[dof],
+        }
+        inner = [
+            element("axis", {"xyz": model.jnt_axis[joint]}),
+            element("limit", limits),
+            element("dynamics", friction),
+        ]
+        offset = model.jnt_pos[joint]
+        self._put(name, kind, R, p + R @ offset, above, link, inner)
+        return np.eye(3), -offset
+
+    def _put(
+        self, name: str, kind: str, R: Array, p: Array, above: str, link: str,
+        inner: list[str],
+    ) -> None:  # fmt: skip
+        parts = [
+            _origin(R, p),
+            element("parent", {"link": above}),
+            element("child", {"link": link}),
+            *inner,
+        ]
+        text = "".join(f"\n    {x}" for x in parts)
+        head = f'  <joint name="{text_of(name)}" type="{kind}">'
+        self.joints.append(f"{head}{text}\n  </joint>")
+
+    def _inertial(self, b: int) -> str:
+        model = self.model
+        x, y, z = model.body_inertia[b]
+        six = {"ixx": x, "ixy": 0.0, "ixz": 0.0, "iyy": y, "iyz": 0.0, "izz": z}
+        at = _origin(_matrix(model.body_iquat[b]), self.shift[b] + model.body_ipos[b])
+        mass = element("mass", {"value": model.body_mass[b]})
+        return f"<inertial>{at}{mass}{element('inertia', six)}</inertial>"
+
+    def _geom(self, g: int, b: int) -> Iterator[str]:
+        """A geom as it is seen and as it collides."""
+        model = self.model
+        R, p = _matrix(model.geom_quat[g]), self.shift[b] + model.geom_pos[g]
+        parts = list(self._shapes(g, R, p))
+        words = []
+        if model.geom_group[g] < _SHOWN:
+            words.append("visual")
+        if model.geom_contype[g] or model.geom_conaffinity[g]:
+            words.append("collision")
+        for word in words:
+            for R, p, shape in parts:
+                inside = f"{_origin(R, p)}<geometry>{shape}</geometry>"
+                if word == "visual":
+                    color = element("color", {"rgba": model.geom_rgba[g]})
+                    inside += f'<material name="geom_{g}">{color}</material>'
+                yield f"<{word}>{inside}</{word}>"
+
+    def _shapes(self, g: int, R: Array, p: Array) -> Iterator[tuple[Array, Array, str]]:
+        """Shapes that a geom is made of, each where it is."""
+        import mujoco
+
+        model, kinds = self.model, mujoco.mjtGeom
+        kind, size = kinds(int(model.geom_type[g])), model.geom_size[g]
+        ball = element("sphere", {"radius": size[0]})
+        if kind == kinds.mjGEOM_SPHERE:
+            yield R, p, ball
+        elif kind == kinds.mjGEOM_BOX:
+            yield R, p, element("box", {"size": 2.0 * size})
+        elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
+            given = {"radius": size[0], "length": 2.0 * size[1]}
+            yield R, p, element("cylinder", given)
+            if kind == kinds.mjGEOM_CAPSULE:
+                yield R, p + size[1] * R[:, 2], ball
+                yield R, p - size[1] * R[:, 2], ball
+        elif kind == kinds.mjGEOM_MESH and (file := self._file(g)):
+            mesh = int(model.geom_dataid[g])
+            R = R @ _matrix(model.mesh_quat[mesh]).T
+            given = {"filename": file, "scale": model.mesh_scale[mesh]}
+            yield R, p - R @ model.mesh_pos[mesh], element("mesh", given)
+        else:
+            word = f"{kind.name.removeprefix('mjGEOM_').lower()} geoms"
+            self.missing[word] = self.missing.get(word, 0) + 1
+
+    def _file(self, g: int) -> str:
+        """A geom's mesh file as seen from the MJCF file; none if URDF has no such."""
+        number = int(self.model.geom_dataid[g])
+        (mesh,) = (x for x in self.spec.meshes if x.id == number)
+        file = mesh.file
+        if Path(file).suffix.lower() not in _FORMATS:
+            return ""
+        return str((Path(mesh.compiler.meshdir) / file).as_posix())
+
+
+def _origin(R: Array, p: Array) -> str:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # at a pole any of them will do
+        angles = Rotation.from_matrix(R).as_euler("xyz")
+    return element("origin", {"xyz": p, "rpy": angles})
+
+
+def _matrix(quaternion: Array) -> Array:
+    return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
