@@ -241,7 +241,7 @@ def test_the_command_line_writes_the_file_it_is_given(tmp_path, monkeypatch):
 def test_export_fits_to_the_recordings_it_is_given_and_shows_what_is_missed(
     tmp_path, capsys
 ):
-    from hybrid.cli.command import main
+    from hybrid.cli import main
 
     robot = Robot.load(MODELS / "planar.xml")
     curve = {"rising": 1.5, "threshold": 0.3, "viscous": 0.4, "width": 0.0}
