@@ -35,9 +35,9 @@ from typing import Any
 import numpy as np
 
 from hybrid import Robot, read_recordings, simulate
-from hybrid.diagnosis.advise import advise
+from hybrid.diagnosis.advice.advise import advise
+from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.replayed import replayed
 from hybrid.effects import Effect
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_ripple import TorqueRipple

@@ -24,7 +24,7 @@ from outputs import command_line
 from rich.console import Console
 
 from hybrid import Effect, Robot
-from hybrid.diagnosis.advise import advise
+from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.diagnose import examine
 
 

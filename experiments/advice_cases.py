@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from hybrid import Effect, Recording, Robot
+from hybrid.diagnosis.advice.menu import loaded
+from hybrid.diagnosis.answer.diagnosis import Advice
+from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.diagnosis import Advice
-from hybrid.diagnosis.menu import loaded
-from hybrid.diagnosis.result import Result
 from hybrid.effects import effect_classes
 from hybrid.plant import Plant, random_fourier
 from hybrid.plant.reference import Reference

@@ -12,11 +12,11 @@ from diagnosis_acceptance_report import Run
 from diagnosis_acceptance_sysid import fit_by_sysid
 
 from hybrid import Robot, simulate
+from hybrid.diagnosis.answer.fixed import fixed_model, fixed_simulator
+from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.fixed import fixed_model, fixed_simulator
-from hybrid.diagnosis.gap import Gap
-from hybrid.diagnosis.measure import measure_gap
-from hybrid.diagnosis.replayed import replayed
+from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.effects import Effect
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_ripple import TorqueRipple

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybrid.diagnosis.diagnosis import Diagnosis
+from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.effects import Effect
 from hybrid.report import Table
 

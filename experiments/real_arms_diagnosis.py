@@ -32,10 +32,10 @@ from real_arms_diagnosis_report import (
 from rich.console import Console
 
 from hybrid import Robot, read_recordings
-from hybrid.diagnosis.advise import advise
+from hybrid.diagnosis.advice.advise import advise
+from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.replayed import replayed
-from hybrid.diagnosis.split import between, split
+from hybrid.diagnosis.gap.split import between, split
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.report import numbers_table, provenance, save_figure, write_results

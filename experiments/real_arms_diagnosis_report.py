@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from hybrid.diagnosis.diagnosis import Diagnosis, Finding, Region
-from hybrid.diagnosis.result import Result
+from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Region
+from hybrid.diagnosis.answer.result import Result
 from hybrid.report import Table, markdown_table
 from hybrid.report.style import BLUE, GREY, PALE, RED, clean, legend, new_figure
 

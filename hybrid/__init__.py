@@ -13,8 +13,8 @@ from hybrid.shown import Shown
 
 if TYPE_CHECKING:
     from hybrid.calibration import calibrate
+    from hybrid.diagnosis.answer.diagnosis import Diagnosis
     from hybrid.diagnosis.diagnose import diagnose
-    from hybrid.diagnosis.diagnosis import Diagnosis
     from hybrid.effects import Effect, effect_classes
     from hybrid.excitation import design as excite
     from hybrid.exports.export import export
@@ -66,7 +66,7 @@ __all__ = [
 
 # Public name -> the module it lives in, and its name there where that is another one.
 _HOME = {
-    "Diagnosis": "hybrid.diagnosis.diagnosis",
+    "Diagnosis": "hybrid.diagnosis.answer.diagnosis",
     "DynamicModel": "hybrid.identification",
     "Effect": "hybrid.effects",
     "Fleet": "hybrid.fleets",

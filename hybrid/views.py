@@ -16,7 +16,7 @@ from markupsafe import Markup, escape
 
 from hybrid import report
 from hybrid.calibration import Calibration
-from hybrid.diagnosis.diagnosis import Diagnosis
+from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.excitation import Design
 from hybrid.identification import Fit
 from hybrid.inspect import Inspection

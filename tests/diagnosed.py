@@ -4,8 +4,8 @@ from functools import cache
 
 from simulated import arm
 
+from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.result import Result
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.plant import Plant, simulate

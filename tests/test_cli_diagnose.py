@@ -139,7 +139,9 @@ def test_a_simulator_that_cannot_be_written_is_a_warning(
     def refused(*_):
         raise EffectError("hose cannot be simulated")
 
-    monkeypatch.setattr(import_module("hybrid.diagnosis.fixed"), "write_fixed", refused)
+    monkeypatch.setattr(
+        import_module("hybrid.diagnosis.answer.fixed"), "write_fixed", refused
+    )
     run(f"{diagnose} --out {tmp_path}/out")
     out, err = capsys.readouterr()
     assert out.splitlines()[-1].startswith("Report: ")
@@ -151,7 +153,7 @@ def test_a_simulator_that_cannot_be_written_is_a_warning(
 def test_much_that_the_simulator_has_not_is_said_in_few_words(
     diagnose, tmp_path, capsys, monkeypatch
 ):
-    fixed = import_module("hybrid.diagnosis.fixed")
+    fixed = import_module("hybrid.diagnosis.answer.fixed")
     notes = tuple(f"torque_ripple of joint_{k}" for k in range(9))
     whole = fixed.write_fixed
     monkeypatch.setattr(

@@ -10,11 +10,11 @@ from blind.run import make, read_open
 from simulated import arm
 from test_convention import EULER, STEP, raw_logs
 
-from hybrid.diagnosis.convention import find_convention
+from hybrid.diagnosis.answer.fixed import MODEL, write_fixed
+from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.fixed import MODEL, write_fixed
-from hybrid.diagnosis.measure import measure_gap
-from hybrid.diagnosis.replayed import replayed
+from hybrid.diagnosis.evidence.convention import find_convention
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.effects.delay import Delay
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.identification import DynamicModel

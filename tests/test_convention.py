@@ -9,9 +9,9 @@ import pytest
 from arms import MODELS
 from simulated import arm
 
-from hybrid.diagnosis.convention import Convention, find_convention
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.evidence.convention import Convention, find_convention
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.plant import random_fourier
 from hybrid.recording import Recording
 from hybrid.robot import Robot

@@ -10,16 +10,16 @@ from arms import LIFT, MODELS
 from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from simulated import arm, quiet
 
-from hybrid.diagnosis.advise import advise
-from hybrid.diagnosis.background import rest, soft_friction
-from hybrid.diagnosis.candidates import candidate
-from hybrid.diagnosis.contacts import Contacts, witnessed
+from hybrid.diagnosis.advice.advise import advise
+from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.gap import simulated_torque
-from hybrid.diagnosis.measure import measure_gap
-from hybrid.diagnosis.replayed import replayed
-from hybrid.diagnosis.shapes import nudges, shape_units
-from hybrid.diagnosis.split import between, split
+from hybrid.diagnosis.evidence.candidates import candidate
+from hybrid.diagnosis.evidence.contacts import Contacts, witnessed
+from hybrid.diagnosis.evidence.shapes import nudges, shape_units
+from hybrid.diagnosis.gap.background import rest, soft_friction
+from hybrid.diagnosis.gap.gap import simulated_torque
+from hybrid.diagnosis.gap.measure import measure_gap
+from hybrid.diagnosis.gap.split import between, split
 from hybrid.dynamics import RigidBody
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash

@@ -8,12 +8,12 @@ import pytest
 from arms import LIFT
 from simulated import arm
 
-from hybrid.diagnosis.command import command_link
+from hybrid.diagnosis.answer.command import command_link
+from hybrid.diagnosis.answer.fixed import MODEL, SIMULATOR, write_fixed
+from hybrid.diagnosis.answer.links import COMMAND_TO_TORQUE, joined
+from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.fixed import MODEL, SIMULATOR, write_fixed
-from hybrid.diagnosis.links import COMMAND_TO_TORQUE, joined
-from hybrid.diagnosis.measure import measure_gap
-from hybrid.diagnosis.replayed import replayed
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnosis.background import dry_friction
-from hybrid.diagnosis.convention import Convention, find_convention
+from hybrid.diagnosis.answer.fixed import write_fixed
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.fixed import write_fixed
-from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.evidence.convention import Convention, find_convention
+from hybrid.diagnosis.gap.background import dry_friction
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects.presliding import Presliding
 from hybrid.plant import Plant, simulate

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hybrid.diagnosis.diagnosis import Advice, Finding, Region, Shrink, Value
+from hybrid.diagnosis.answer.diagnosis import Advice, Finding, Region, Shrink, Value
 from hybrid.report.diagnosis import render_diagnosis, write_diagnosis
 from hybrid.report.diagnosis_curves import MOST_POINTS, joint_curves, rms_table, thin
 from hybrid.report.diagnosis_evidence import evidence_matrix

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from simulated import arm, motions
 
-from hybrid.diagnosis.candidates import candidate
+from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.effects.elasticity import Elasticity
 from hybrid.plant import Noise, Plant, random_fourier, simulate

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from hybrid.diagnosis.bayes import coloured, log_bayes, memory
-from hybrid.diagnosis.evidence import Evidence
+from hybrid.diagnosis.evidence.bayes import coloured, log_bayes, memory
+from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.signals import butterworth
 
 M = 60

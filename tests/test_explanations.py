@@ -13,8 +13,8 @@ from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.proposal import Proposal
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.explanations.unknown import unknown_laws, waves
-from hybrid.diagnosis.measure import measure_gap
-from hybrid.diagnosis.split import split
+from hybrid.diagnosis.gap.measure import measure_gap
+from hybrid.diagnosis.gap.split import split
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.presliding import Presliding
 from hybrid.plant import Plant, simulate

@@ -309,9 +309,11 @@ def test_gravity_from_another_side_is_what_a_urdf_cannot_say(tmp_path):
     robot = planar()
     chain = replace(robot.chain, gravity=np.array([0.0, 0.0, -9.81]))
     upright = replace(robot, chain=chain)
-    assert export(model_of(upright), tmp_path / "a", format="urdf") == ()
+    notes = export(model_of(upright), tmp_path / "a", format="urdf")
+    assert not any("gravity" in x for x in notes)
     tilted = replace(robot, chain=replace(chain, gravity=np.array([1.0, 0.0, -9.7])))
-    (text,) = export(model_of(tilted), tmp_path / "b", format="urdf")
+    notes = export(model_of(tilted), tmp_path / "b", format="urdf")
+    (text,) = [x for x in notes if "gravity" in x]
     assert text == "gravity 1.0 0.0 -9.7 m/s²"
 
 

@@ -8,7 +8,7 @@ from arms import MODELS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hybrid.diagnosis.faults import find_faults
+from hybrid.diagnosis.gap.faults import find_faults
 from hybrid.inspect import check_recordings
 from hybrid.recording import Recording
 from hybrid.robot import Robot

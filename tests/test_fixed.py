@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline
 from simulated import arm
 from test_simulator_file import CUBE
 
-from hybrid.diagnosis.fixed import fixed_model, fixed_simulator, write_fixed
-from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.answer.fixed import fixed_model, fixed_simulator, write_fixed
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
 from hybrid.errors import HybridWarning

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import arm
 
-from hybrid.diagnosis.menu import Experiment, Menu, gap_along, loaded
+from hybrid.diagnosis.advice.menu import Experiment, Menu, gap_along, loaded
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.errors import ExcitationError
 from hybrid.plant import random_fourier

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnosis import replay as replaying
-from hybrid.diagnosis.candidates import candidate
-from hybrid.diagnosis.explanation import explain
+from hybrid.diagnosis.answer import replay as replaying
+from hybrid.diagnosis.answer.motion import motion_shrink, rollout_agrees, step_warning
+from hybrid.diagnosis.answer.replay import HORIZONS, Replay
+from hybrid.diagnosis.evidence.candidates import candidate
+from hybrid.diagnosis.explanations.explanation import explain
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.diagnosis.measure import measure_gap
-from hybrid.diagnosis.motion import motion_shrink, rollout_agrees, step_warning
-from hybrid.diagnosis.replay import HORIZONS, Replay
-from hybrid.diagnosis.split import split
+from hybrid.diagnosis.gap.measure import measure_gap
+from hybrid.diagnosis.gap.split import split
 from hybrid.effects import effect_classes
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.plant.rollout import Windows, rollout

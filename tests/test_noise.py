@@ -9,8 +9,8 @@ from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 from test_evidence import dense, problem
 
-from hybrid.diagnosis.bayes import heavy_tailed, log_bayes
-from hybrid.diagnosis.noise import LAGS, Noise, autocovariance, floored
+from hybrid.diagnosis.evidence.bayes import heavy_tailed, log_bayes
+from hybrid.diagnosis.evidence.noise import LAGS, Noise, autocovariance, floored
 
 
 def covariance(pole, size=2.0, lags=LAGS):
@@ -86,6 +86,24 @@ def test_the_evidence_of_coloured_noise_is_that_of_its_covariance():
         part = X[gap.moving[:, 0].sum() * i :][: len(rows)]
         fitted = part[np.argsort(np.argsort(rows))] @ found.gains
         np.testing.assert_allclose(residual, gap.left[rows, i] - fitted, atol=1e-9)
+
+
+def test_noise_may_be_weighed_anew():
+    """Columns are kept whitened; they are coloured again before."""
+    gap, *_, evidence, index = problem(5)
+    gap.trajectory = np.zeros(len(gap.fold), dtype=int)
+    every = np.concatenate(index)
+    lower = [np.full(len(index[2]), -np.inf)]
+
+    def found():
+        (gain,) = evidence.screen(np.concatenate(index[:2]), index[2:], lower)
+        return evidence.solve(every).evidence, gain
+
+    white = found()
+    evidence.weigh([covariance(0.6), covariance(-0.4)])
+    assert not np.any(np.isclose(found(), white))
+    evidence.weigh(evidence.noise[:, None])
+    np.testing.assert_allclose(found(), white)
 
 
 def test_a_base_without_one_of_its_blocks_is_screened_as_if_it_had_never_been_in():

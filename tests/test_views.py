@@ -11,7 +11,7 @@ from test_calibrate import coman, disturbed, measured
 
 from hybrid import Recording, Robot, identify, inspect_recording, simulate
 from hybrid.calibration import calibrate, random_poses
-from hybrid.diagnosis.diagnosis import Diagnosis, Finding, Unseen, Value
+from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Unseen, Value
 from hybrid.excitation import Condition, Fourier, design, observe
 from hybrid.identification import DynamicModel
 

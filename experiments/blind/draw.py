@@ -10,7 +10,7 @@ from blind.independent import INDEPENDENT
 from blind.size import Rig
 from blind.strangers import STRANGERS
 from hybrid.arrays import Array
-from hybrid.diagnosis.candidates import places
+from hybrid.diagnosis.evidence.candidates import places
 from hybrid.effects import Effect, effect_classes
 from hybrid.effects.effect import Port
 from hybrid.errors import EffectError, HybridError

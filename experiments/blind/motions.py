@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.diagnosis.candidates import Candidate, candidate
-from hybrid.diagnosis.explanation import explain
-from hybrid.diagnosis.replay import Replay
-from hybrid.diagnosis.result import Result
+from hybrid.diagnosis.answer.replay import Replay
+from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.evidence.candidates import Candidate, candidate
+from hybrid.diagnosis.explanations.explanation import explain
 from hybrid.effects import Effect
 from hybrid.errors import EffectError
 

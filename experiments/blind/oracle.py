@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.background import background
-from hybrid.diagnosis.candidates import Candidate, candidate
-from hybrid.diagnosis.evidence import Evidence
-from hybrid.diagnosis.gap import Gap
-from hybrid.diagnosis.measure import measure_gap
-from hybrid.diagnosis.products import Index
-from hybrid.diagnosis.result import Result
+from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.evidence.candidates import Candidate, candidate
+from hybrid.diagnosis.evidence.evidence import Evidence
+from hybrid.diagnosis.evidence.products import Index
+from hybrid.diagnosis.gap.background import background
+from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.effects import Effect
 from hybrid.recording import Recording
 

@@ -23,8 +23,8 @@ from blind.motions import motion_error
 from blind.oracle import shrinkage
 from blind.robots import load_arm
 from blind.score import Named, covered, named_causes, score
+from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.result import Result
 from hybrid.effects import effect_classes, effect_from_dict
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.files import write_json

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.candidates import declared
-from hybrid.diagnosis.gap import Gap
-from hybrid.diagnosis.measure import measure_gap
+from hybrid.diagnosis.evidence.candidates import declared
+from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.effects import Effect
 from hybrid.effects.effect import Scale
 from hybrid.errors import HybridError

@@ -25,7 +25,7 @@ from hybrid.errors import EffectError, HybridWarning
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
-    from hybrid.diagnosis.result import Result
+    from hybrid.diagnosis.answer.result import Result
     from hybrid.recording import Recording
     from hybrid.robot import Robot
 
@@ -68,10 +68,10 @@ def run(args: Namespace, screen: Screen) -> None:
     """Diagnose, write the report and say what came out."""
     import numpy as np
 
-    from hybrid.diagnosis.advise import advise
+    from hybrid.diagnosis.advice.advise import advise
+    from hybrid.diagnosis.answer.fixed import MODEL, SIMULATOR
+    from hybrid.diagnosis.answer.replayed import replayed
     from hybrid.diagnosis.diagnose import examine
-    from hybrid.diagnosis.fixed import MODEL, SIMULATOR
-    from hybrid.diagnosis.replayed import replayed
     from hybrid.files import atomic_folder
     from hybrid.report.diagnosis import CONTENT, PAGE, write_diagnosis
     from hybrid.report.diagnosis_text import verdict_lines
@@ -116,7 +116,7 @@ def _diagnose_servos(
 ) -> None:
     """Fit, write report, numbers and simulator to a folder, and show."""
     from hybrid.cli.screen import show_servos
-    from hybrid.diagnosis.fixed import SIMULATOR
+    from hybrid.diagnosis.answer.fixed import SIMULATOR
     from hybrid.files import atomic_folder, write_json
     from hybrid.report.diagnosis import CONTENT, PAGE
     from hybrid.report.servo import write_servo_page
@@ -146,7 +146,7 @@ def _few(notes: Sequence[str]) -> str:
 
 def _fix(result: Result, folder: Path, home: Path) -> tuple[str, ...] | None:
     """Write the corrected simulator; nothing if it cannot be simulated."""
-    from hybrid.diagnosis.fixed import write_fixed
+    from hybrid.diagnosis.answer.fixed import write_fixed
 
     try:
         return write_fixed(result, folder, home=home).notes

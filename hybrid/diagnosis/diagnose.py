@@ -7,29 +7,29 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid.diagnosis.account import Account, account
-from hybrid.diagnosis.advise import advise
-from hybrid.diagnosis.candidates import Candidate
-from hybrid.diagnosis.clocks import clocks_apart
-from hybrid.diagnosis.command import Link, command_link
-from hybrid.diagnosis.diagnosis import Diagnosis, Finding, Verdict
-from hybrid.diagnosis.explanation import Explanation, explain, shares
+from hybrid.diagnosis.advice.advise import advise
+from hybrid.diagnosis.answer.clocks import clocks_apart
+from hybrid.diagnosis.answer.command import Link, command_link
+from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
+from hybrid.diagnosis.answer.findings import findings
+from hybrid.diagnosis.answer.links import joined
+from hybrid.diagnosis.answer.locate import locate
+from hybrid.diagnosis.answer.replayed import replayed
+from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.answer.unseen import left_unseen, unseen
+from hybrid.diagnosis.evidence.candidates import Candidate
+from hybrid.diagnosis.evidence.logs import measured, since_first
+from hybrid.diagnosis.evidence.term import Term
+from hybrid.diagnosis.explanations.account import Account, account
 from hybrid.diagnosis.explanations.cause import Cause
+from hybrid.diagnosis.explanations.explanation import Explanation, explain, shares
+from hybrid.diagnosis.explanations.refit import refit
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.diagnosis.findings import findings
-from hybrid.diagnosis.gap import Gap
-from hybrid.diagnosis.grounds import too_little, unlike
-from hybrid.diagnosis.links import joined
-from hybrid.diagnosis.locate import locate
-from hybrid.diagnosis.logs import measured, since_first
-from hybrid.diagnosis.refit import refit
-from hybrid.diagnosis.replayed import replayed
-from hybrid.diagnosis.result import Result
-from hybrid.diagnosis.split import split
-from hybrid.diagnosis.term import Term
-from hybrid.diagnosis.units import units
-from hybrid.diagnosis.unseen import left_unseen, unseen
-from hybrid.diagnosis.visited import not_excited
+from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.grounds import too_little, unlike
+from hybrid.diagnosis.gap.split import split
+from hybrid.diagnosis.gap.units import units
+from hybrid.diagnosis.gap.visited import not_excited
 from hybrid.effects.delay import Delay
 from hybrid.identification.data import taken
 from hybrid.recording import Recording

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from hybrid.diagnosis.units import units
+from hybrid.diagnosis.gap.units import units
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report.diagnosis_curves import joint_curves, rms_table
@@ -30,8 +30,8 @@ from hybrid.report.output import provenance, write_results
 from hybrid.report.page import render_template
 
 if TYPE_CHECKING:
-    from hybrid.diagnosis.diagnosis import Advice, Diagnosis, Finding, Shrink
-    from hybrid.diagnosis.result import Result
+    from hybrid.diagnosis.answer.diagnosis import Advice, Diagnosis, Finding, Shrink
+    from hybrid.diagnosis.answer.result import Result
 
 PAGE, CONTENT = "report.html", "diagnosis.json"
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.units import units
+from hybrid.diagnosis.gap.units import units
 
 if TYPE_CHECKING:
-    from hybrid.diagnosis.explanation import Explanation
-    from hybrid.diagnosis.result import Result
+    from hybrid.diagnosis.answer.result import Result
+    from hybrid.diagnosis.explanations.explanation import Explanation
 
 MOST_POINTS = 1500  # of a curve or a cloud
 _DIGITS = 4

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from hybrid.diagnosis.result import Result
+    from hybrid.diagnosis.answer.result import Result
     from hybrid.effects import Effect
 
 _LITTLE = 3.0  # nats: a row with less is only named

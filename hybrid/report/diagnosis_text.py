@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hybrid.diagnosis.diagnosis import Diagnosis, Finding, Region, Shrink, Value
+from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Region, Shrink, Value
 
 MOST_LINES = 10
 _ABOVE = 1.2  # times its noise: a joint with less of a gap is not worth a word

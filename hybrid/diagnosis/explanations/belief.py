@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.diagnosis.candidates import Place
+from hybrid.diagnosis.evidence.candidates import Place
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.proposal import Proposal
 

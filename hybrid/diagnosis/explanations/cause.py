@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hybrid.diagnosis.candidates import Candidate, Place
-from hybrid.diagnosis.products import Index
+from hybrid.diagnosis.evidence.candidates import Candidate, Place
+from hybrid.diagnosis.evidence.products import Index
 
 
 @dataclass(frozen=True, eq=False)

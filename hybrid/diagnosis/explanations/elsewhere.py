@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.background import background, clocks, rest
-from hybrid.diagnosis.evidence import Evidence
+from hybrid.diagnosis.evidence.evidence import Evidence
+from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.products import Index
+from hybrid.diagnosis.gap.background import background, clocks, rest
 
 if TYPE_CHECKING:
     from hybrid.diagnosis.explanations.search import Search

@@ -24,24 +24,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.background import background, clocks, rest
-from hybrid.diagnosis.bayes import memory
-from hybrid.diagnosis.candidates import Candidate, Place, same, usual
-from hybrid.diagnosis.evidence import Evidence
+from hybrid.diagnosis.evidence.bayes import memory
+from hybrid.diagnosis.evidence.candidates import Candidate, Place, same, usual
+from hybrid.diagnosis.evidence.evidence import Evidence
+from hybrid.diagnosis.evidence.noise import LAGS, autocovariance, floored
+from hybrid.diagnosis.evidence.pool import REPEATED, Pool
+from hybrid.diagnosis.evidence.products import Index
+from hybrid.diagnosis.evidence.refine import refine
+from hybrid.diagnosis.evidence.shapes import price
+from hybrid.diagnosis.evidence.term import Term
 from hybrid.diagnosis.explanations.belief import Belief
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.elsewhere import Elsewhere
+from hybrid.diagnosis.explanations.prior import Prior
 from hybrid.diagnosis.explanations.proposal import Proposal
 from hybrid.diagnosis.explanations.unknown import WAVES, unknown_laws, waves
-from hybrid.diagnosis.gap import Columns, Gap
-from hybrid.diagnosis.noise import LAGS, autocovariance, floored
-from hybrid.diagnosis.pool import REPEATED, Pool
-from hybrid.diagnosis.prior import Prior
-from hybrid.diagnosis.products import Index
-from hybrid.diagnosis.refine import refine
-from hybrid.diagnosis.shapes import price
-from hybrid.diagnosis.split import between
-from hybrid.diagnosis.term import Term
+from hybrid.diagnosis.gap.background import background, clocks, rest
+from hybrid.diagnosis.gap.gap import Columns, Gap
+from hybrid.diagnosis.gap.split import between
 
 _RIPPLES = 9  # orders at each joint, of which noise is estimated
 _ROUNDS = 4  # of adding, exchanging and widening

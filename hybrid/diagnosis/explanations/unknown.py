@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.gap import Gap
-from hybrid.diagnosis.ripples import ripple_orders
+from hybrid.diagnosis.evidence.ripples import ripple_orders
+from hybrid.diagnosis.gap.gap import Gap
 from hybrid.signals.filters import butterworth
 
 _KNOTS = 14

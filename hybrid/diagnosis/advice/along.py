@@ -1,0 +1,103 @@
+"""Columns of effects along motions, on the samples that count, in units of noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.diagnosis.evidence.candidates import Candidate
+from hybrid.diagnosis.evidence.products import Index
+from hybrid.diagnosis.evidence.shapes import nudges
+from hybrid.diagnosis.gap.background import background, clocks, rest
+from hybrid.diagnosis.gap.gap import Columns, Gap
+from hybrid.dynamics import RigidBody
+from hybrid.effects import Effect
+from hybrid.signals import Motion
+
+
+class Along:
+    """Columns along some motions; those that are asked for again are filtered once.
+
+    Args:
+        gap: The motions.
+        noise: Variance of each joint's noise for independent samples, shape (n,).
+        rows: Samples of each joint that count; where it moves by default.
+    """
+
+    def __init__(
+        self, gap: Gap, noise: Array, rows: Sequence[Index] | None = None
+    ) -> None:
+        self.gap = gap
+        moving = [np.flatnonzero(x) for x in gap.moving.T]
+        self.rows = moving if rows is None else list(rows)
+        self._unit = 1.0 / np.sqrt(noise)
+        self._kept: dict[Candidate, Columns] = {}
+
+    def columns(self, effect: Effect) -> Columns:
+        """Torque per unit of each gain, shape (R, p) at each joint that is reached."""
+        return self._counted(self.gap.columns(effect))
+
+    def kept(self, candidate: Candidate) -> Columns:
+        """The columns of a candidate, worked out once."""
+        if candidate not in self._kept:
+            self._kept[candidate] = self.columns(candidate.effect)
+        return self._kept[candidate]
+
+    def own(self, effect: Effect) -> list[Columns]:
+        """Columns of an effect, and of small changes of its shapes."""
+        bends = [self._counted(x) for x in nudges(self.gap, effect)]
+        return [self.columns(effect), *bends]
+
+    @cached_property
+    def background(self) -> list[Columns]:
+        """Columns of the simulator's own numbers."""
+        parts = (x(self.gap)[0] for x in (background, rest, clocks))
+        return [self._counted(x) for blocks in parts for x in blocks]
+
+    @cached_property
+    def left(self) -> list[Array]:
+        """Torque left at each joint, shape (R,)."""
+        return [self.gap.left[r, i] * self._unit[i] for i, r in enumerate(self.rows)]
+
+    def stack(self, blocks: Sequence[Columns]) -> list[Array]:
+        """Columns side by side at every joint, shape (R, k) each; zero where none."""
+        widths = [next(iter(b.values())).shape[1] for b in blocks]
+        starts = np.concatenate([[0], np.cumsum(widths)]).astype(int)
+        found = []
+        for i, rows in enumerate(self.rows):
+            X = np.zeros((len(rows), starts[-1]))
+            for block, start, width in zip(blocks, starts[:-1], widths, strict=True):
+                if i in block:
+                    X[:, start : start + width] = block[i]
+            found.append(X)
+        return found
+
+    def _counted(self, columns: Columns) -> Columns:
+        return {i: x[self.rows[i]] * self._unit[i] for i, x in columns.items()}
+
+
+def coarse(gap: Gap) -> Gap:
+    """A gap with its motions at the decimated samples only, which is enough to advise.
+
+    Columns of effects are then worked out on a part of the samples.
+    """
+    motions, bodies = [], []
+    for motion, body, sampler in gap:
+        few = motion
+        if sampler.factor > 1:
+            few = _every(motion, sampler.factor)
+            body = RigidBody(body.chain, few, body.inertial)
+        motions.append(few)
+        bodies.append(body)
+    return replace(gap, motions=tuple(motions), bodies=tuple(bodies))
+
+
+def _every(motion: Motion, step: int) -> Motion:
+    """A motion at every so many samples."""
+    signals = ("t", "q", "v", "a", "tau", "mask", "temperature", "asked")
+    found = {x: getattr(motion, x) for x in signals}
+    return replace(motion, **{k: x[::step] for k, x in found.items() if x is not None})

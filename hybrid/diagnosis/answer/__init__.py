@@ -1,0 +1,1 @@
+"""The answer: findings, shrinkage, and a simulator that has them."""

@@ -1,0 +1,131 @@
+"""The simulator with what a diagnosis found, in files that can be used at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybrid.diagnosis.answer.simulator import corrected
+from hybrid.diagnosis.explanations.explanation import Explanation
+from hybrid.diagnosis.explanations.refit import solve_all
+from hybrid.diagnosis.gap.gap import Gap
+from hybrid.dynamics import stacked_base
+from hybrid.effects import Effect
+from hybrid.exports.simulator import build_simulator
+from hybrid.identification import DynamicModel
+from hybrid.model.declared import declared_effects
+from hybrid.robot import Robot
+
+if TYPE_CHECKING:
+    from hybrid.diagnosis.answer.result import Result
+
+SIMULATOR = "sim_fixed.xml"
+MODEL = "model.json"
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """A corrected simulator, written.
+
+    Attributes:
+        simulator: MuJoCo's file.
+        model: The model of torque, with all that was found.
+        notes: What the simulator has only nearly, or not at all, in words.
+    """
+
+    simulator: Path
+    model: Path
+    notes: tuple[str, ...]
+
+
+def write_fixed(
+    result: Result, directory: str | Path, *, home: str | Path | None = None
+) -> Fixed:
+    """Write ``sim_fixed.xml`` and ``model.json``.
+
+    The XML file is the simulator's own with what was found, and ``sim_fixed.diff`` is
+    the difference. What MJCF cannot express is listed in a comment at its top;
+    ``model.json`` has all of it. Where nothing was found, both are the simulator as it
+    stands.
+
+    Args:
+        result: A diagnosis with what led to it.
+        directory: A folder that exists.
+        home: Where the files will stand, if they are moved from there: meshes are named
+            relative to it.
+
+    Raises:
+        EffectError: An effect cannot be simulated.
+    """
+    robot, effects = fixed_simulator(result)
+    folder = Path(directory)
+    made = build_simulator(
+        robot,
+        effects,
+        motions=result.gap.motions,
+        folder=home or folder,
+        notes=_of_servos(result),
+    )
+    made.write(folder / SIMULATOR)
+    effects = (*effects, *result.command)
+    fixed_model(result.gap, robot, effects).save(folder / MODEL)
+    return Fixed(folder / SIMULATOR, folder / MODEL, made.notes)
+
+
+def _of_servos(result: Result) -> list[str]:
+    """What lies between command and torque, where motors that take torque have none."""
+    robot, notes = result.gap.robot, []
+    for effect in result.command:
+        (j,), value = effect.joints, effect.values
+        note = f"{effect.id} of {robot.joints[j]}"
+        if effect.id == "command_latency":
+            note += f", delay commands by {1000 * value['time']:.3g} ms"
+        else:
+            kp, kd = effect.tune(robot.kp[[j]], robot.kd[[j]])
+            note += f", use kp = {kp[0]:.4g} and kd = {kd[0]:.4g}"
+        notes.append(note)
+    return notes
+
+
+def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
+    """The arm with its own numbers corrected, and the effects that act on it.
+
+    All numbers are those of the fit to all recordings, as they are reported.
+    """
+    if not result.effects:
+        return result.gap.robot, ()
+    _, solution, _ = solve_all(result.scored.gap, result.search)
+    rigid = len(result.search.rigid)
+    scored: Explanation = result.scored
+    return corrected(scored, result.effects, solution.gains[:rigid])
+
+
+def fixed_model(gap: Gap, robot: Robot, effects: Sequence[Effect]) -> DynamicModel:
+    """What the drives report along a motion: links, what the file declares, effects.
+
+    Args:
+        gap: What was diagnosed.
+        robot: The corrected arm.
+        effects: The effects that act on it.
+    """
+    base = stacked_base(robot.chain, (), ())
+    inertial = robot.chain.inertial
+    return DynamicModel(
+        robot=gap.robot,
+        base=base.with_values(base.mapping @ inertial.ravel()),
+        effects=(*declared_effects(robot), *effects),
+        cutoff=gap.cutoff,
+        standing=np.zeros(robot.size),
+        range=_visited(gap),
+        inertial=inertial,
+    )
+
+
+def _visited(gap: Gap) -> dict[str, np.ndarray]:
+    q, v = (getattr(gap.sampled, name)[gap.sampled.mask] for name in "qv")
+    fastest = np.abs(v).max(axis=0)
+    return {"q_min": q.min(axis=0), "q_max": q.max(axis=0), "v_max": fastest}

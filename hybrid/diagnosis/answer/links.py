@@ -1,0 +1,86 @@
+"""One diagnosis of both links: from command to torque, and from torque to motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.diagnosis.answer.command import Link
+from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Verdict
+from hybrid.diagnosis.explanations.account import Account
+from hybrid.diagnosis.gap.gap import Gap
+
+COMMAND_TO_TORQUE = "command to torque"
+
+_RESAMPLES = 400
+
+
+def joined(
+    diagnosis: Diagnosis,
+    account: Account,
+    gap: Gap,
+    link: Link,
+    rng: np.random.Generator,
+) -> Diagnosis:
+    """A diagnosis of torque and motion with what lies between command and torque.
+
+    Shares are of both links, in units of noise squares.
+
+    Args:
+        diagnosis: The diagnosis.
+        account: What it explains and misses.
+        gap: Its gap.
+        link: The link from command to torque.
+        rng: Draws of the bootstrap.
+    """
+    if not link.findings:
+        return diagnosis
+    noise = np.maximum(diagnosis.noise_floor, 1e-12)
+    above = np.where(gap.moving, (gap.left / noise) ** 2 - 1.0, 0.0).sum()
+    explained = float(account.explained.sum()) if diagnosis.findings else 0.0
+    part = link.squares / (link.squares + explained)
+    found = [replace(f, share=(1 - part) * f.share) for f in diagnosis.findings]
+    found += [replace(f, share=part * f.share) for f in link.findings]
+    whole = explained + float(account.missed.sum()) or max(float(above), 0.0)
+    verdict: Verdict = {
+        "no_gap": "explained", "unexplained": "partly_explained",
+    }.get(diagnosis.verdict, diagnosis.verdict)  # type: ignore[assignment]  # fmt: skip
+    return replace(
+        diagnosis,
+        findings=tuple(sorted(found, key=lambda f: -f.share)),
+        where=_where(diagnosis, max(float(above), 0.0), link.excess, rng),
+        verdict=verdict,
+        unexplained=diagnosis.unexplained * whole / (whole + link.squares),
+    )
+
+
+def _where(
+    diagnosis: Diagnosis, above: float, excess: Array, rng: np.random.Generator
+) -> tuple[Region, ...]:
+    """Regions with their shares of both links; the new ones before smaller ones."""
+    total = excess.sum()
+    other = above if diagnosis.where else 0.0
+    size = len(excess)
+    times = rng.multinomial(size, np.full(size, 1 / size), _RESAMPLES)
+    drawn = times @ excess
+    shares = drawn / np.maximum(drawn.sum(axis=1) + other, 1e-300)[:, None]
+    scale = other / max(other + total, 1e-300)
+    found = [
+        replace(
+            r,
+            share=scale * r.share,
+            interval=(scale * r.interval[0], scale * r.interval[1]),
+        )
+        for r in diagnosis.where
+    ]
+    for i in np.flatnonzero(excess.sum(axis=0) > 0):
+        low, high = np.quantile(shares[:, i], [0.025, 0.975])
+        region = Region(
+            diagnosis.joints[i], "link", 0.0, 1.0, COMMAND_TO_TORQUE,
+            float(excess[:, i].sum() / (total + other)), (float(low), float(high)),
+        )  # fmt: skip
+        smaller = [k for k, r in enumerate(found) if r.share < region.share]
+        found.insert(smaller[0] if smaller else len(found), region)
+    return tuple(found)

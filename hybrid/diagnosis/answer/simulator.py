@@ -1,0 +1,135 @@
+"""The simulator with what a diagnosis found: an arm that exists, and effects on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from hybrid.arrays import Array
+from hybrid.diagnosis.evidence.candidates import with_gains
+from hybrid.diagnosis.explanations.explanation import Explanation
+from hybrid.dynamics import inverse_dynamics
+from hybrid.dynamics.cone import nearest_above
+from hybrid.dynamics.pseudo_inertia import (
+    inertial_per_stacked,
+    is_consistent,
+    nominal_bodies,
+    stacked,
+)
+from hybrid.effects import Effect
+from hybrid.effects.armature import Armature
+from hybrid.effects.backlash import Backlash
+from hybrid.effects.elasticity import Elasticity
+from hybrid.effects.payload import LinkInertia
+from hybrid.robot import Robot
+
+_MARGIN = 1e-4  # smallest pseudo-inertia of a link, as a share of the file's
+# A spring or a play needs a rotor before it. One that the file does not know is taken
+# to have this part of the inertia that the joint moves.
+_ROTOR = 0.02
+
+
+def scored_effects(scored: Explanation) -> tuple[Effect, ...]:
+    """The terms of an explanation with the gains that they were scored with."""
+    gains = scored.gains[_rigid(scored) :]
+    edges = np.cumsum([len(own) for own in scored.own])[:-1]
+    parts = np.split(gains, edges) if scored.own else []
+    pairs = zip(scored.terms, parts, strict=True)
+    return tuple(with_gains(t.candidate.effect, x).as_reported() for t, x in pairs)
+
+
+def corrected(
+    scored: Explanation, effects: Sequence[Effect], background: Array | None = None
+) -> tuple[Robot, tuple[Effect, ...]]:
+    """The simulator with its own numbers corrected and some effects added.
+
+    Rotors and bodies become part of the arm. Where the links would not be physical,
+    they are the physical ones that change the torque of the motions least.
+
+    Args:
+        scored: What was found.
+        effects: Effects to add.
+        background: By how much links and declared numbers are off, shape (b,); as
+            they were scored by default.
+
+    Returns:
+        The arm, and the effects that are left.
+    """
+    robot = scored.gap.robot
+    off = scored.gains[: _rigid(scored)] if background is None else background
+    links, rest = np.split(off, [10 * robot.size])
+    inertial = robot.chain.inertial + links.reshape(-1, 10)
+    declared, chain = [], robot.chain
+    numbers = chain.armature, robot.damping, robot.frictionloss, robot.stiffness
+    for values in numbers:
+        new, there = values.copy(), np.flatnonzero(values)
+        new[there] += rest[: len(there)]
+        declared.append(new)
+        rest = rest[len(there) :]
+    armature, damping, frictionloss, stiffness = declared
+    others = []
+    for effect in effects:
+        if isinstance(effect, LinkInertia):
+            inertial[effect.joints[-1]] += effect.gain_values
+        elif isinstance(effect, Armature):
+            armature[effect.joints[0]] += effect.values["inertia"]
+        else:
+            others.append(effect)
+    for effect in others:
+        j = effect.joints[0]
+        if isinstance(effect, (Elasticity, Backlash)) and armature[j] <= 0:
+            armature[j] = _ROTOR * _moved(scored, j)
+    chain = replace(
+        chain,
+        inertial=_physical(scored, inertial),
+        armature=np.maximum(armature, 0.0),
+    )
+    fixed = replace(
+        robot,
+        chain=chain,
+        damping=np.maximum(damping, 0.0),
+        frictionloss=np.maximum(frictionloss, 0.0),
+        stiffness=np.maximum(stiffness, 0.0),
+    )
+    return fixed, tuple(others)
+
+
+def _rigid(scored: Explanation) -> int:
+    """Number of columns of the background."""
+    return len(scored.index) - sum(map(len, scored.own))
+
+
+def _moved(scored: Explanation, joint: int) -> float:
+    """Mean inertia that a joint moves along the motions, [kg·m²]."""
+    q = scored.gap.sampled.q
+    still, unit = np.zeros_like(q), np.zeros_like(q)
+    unit[:, joint] = 1.0
+    chain = replace(scored.gap.robot.chain, gravity=np.zeros(3))
+    torque = inverse_dynamics(chain, chain.inertial, q, still, unit)
+    return float(np.mean(torque[:, joint]))
+
+
+def _physical(scored: Explanation, inertial: Array) -> Array:
+    """The physical links nearest to given ones, in the metric of torque."""
+    fine = is_consistent(inertial) | ~inertial.any(axis=1)
+    if fine.all():
+        return inertial
+    chain, n = scored.gap.robot.chain, len(inertial)
+    columns = scored.index[: 10 * n]
+    A, _ = scored.evidence.normal(columns)
+    P = A + np.diag(scored.evidence.precision[columns])
+    bodies = nominal_bodies(chain, chain.inertial)
+    frame = block_diag(*map(inertial_per_stacked, np.linalg.cholesky(bodies)))
+    # Each link is scaled to unit mean curvature: the solver's tolerances are absolute.
+    bend = np.diag(frame.T @ P @ frame).reshape(n, 10).mean(axis=1)
+    size = np.repeat(np.sqrt(np.maximum(bend / bend.max(), 1e-5)), 10)
+    frame /= size
+    metric = frame.T @ P @ frame
+    metric = np.asarray(metric / np.linalg.eigvalsh(metric)[-1])
+    goal = np.asarray(np.linalg.solve(frame, inertial.ravel()), dtype=np.float64)
+    least = np.asarray(_MARGIN * np.tile(stacked(np.eye(4)), n) * size)
+    z, _ = nearest_above(goal, metric, least, n)
+    return np.asarray((frame @ z).reshape(n, 10))

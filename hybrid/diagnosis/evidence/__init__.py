@@ -1,0 +1,1 @@
+"""What might explain a gap, and how much evidence there is for it."""

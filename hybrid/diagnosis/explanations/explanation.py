@@ -1,0 +1,184 @@
+"""The terms that explain a gap, fitted together and scored on unseen samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.arrays import Array
+from hybrid.diagnosis.evidence.candidates import instead
+from hybrid.diagnosis.evidence.evidence import Evidence
+from hybrid.diagnosis.evidence.products import Index
+from hybrid.diagnosis.evidence.term import Term
+from hybrid.diagnosis.explanations.search import Search
+from hybrid.diagnosis.gap.gap import Gap
+
+_BLOCK_SECONDS = 1.0
+_TAIL = 0.02  # of a term's squares: no more than a filter spreads
+_INSTEAD = 0.7  # of what is less of a law, at least of the one that takes its place
+_ORDERS = 24  # of terms, and as many reversed
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Background and terms on the samples kept for scoring.
+
+    Attributes:
+        gap: The gap.
+        terms: Effects with their shapes.
+        evidence: Cross-products on the samples kept for scoring.
+        index: Columns of background and terms.
+        gains: Their values, found on the other samples.
+        own: Columns of each term.
+        learnt: The same on the samples that the gains were found on.
+    """
+
+    gap: Gap
+    terms: tuple[Term, ...]
+    evidence: Evidence
+    index: Index
+    gains: Array
+    own: tuple[Index, ...]
+    learnt: Explanation | None = None
+
+    @cached_property
+    def rigid(self) -> Index:
+        """Columns of the background."""
+        taken = np.concatenate([np.zeros(0, dtype=np.intp), *self.own])
+        return np.setdiff1d(self.index, taken)
+
+    def without(self, *terms: int) -> Array:
+        """The gains with those of some terms at zero."""
+        gains = self.gains.copy()
+        for k in terms:
+            gains[np.isin(self.index, self.own[k])] = 0.0
+        return gains
+
+    def left(self, gains: Array) -> list[Array]:
+        """Residual of each joint, in the order of ``evidence.rows``, [N·m]."""
+        n = self.gap.robot.size
+        return [self.evidence.residual(i, self.index, gains) for i in range(n)]
+
+    @cached_property
+    def after(self) -> list[Array]:
+        """Residual of each joint with all terms, [N·m]."""
+        return self.left(self.gains)
+
+    @cached_property
+    def before(self) -> list[Array]:
+        """Residual of each joint with the background alone, [N·m]."""
+        return self.left(self.without(*range(len(self.terms))))
+
+    def contribution(self, k: int) -> list[Array]:
+        """Torque of one term at each joint, [N·m]."""
+        return [
+            w - a for w, a in zip(self.left(self.without(k)), self.after, strict=True)
+        ]
+
+    @cached_property
+    def named(self) -> tuple[str, ...]:
+        """Id of the effect that each term belongs to.
+
+        Less of a law that the file declares belongs to the one that takes its place.
+        """
+        first = [self.gains[self.index == own[0]].item() for own in self.own]
+
+        def owner(k: int) -> str:
+            law, joints = self.terms[k].place
+            for other, gain in zip(self.terms, first, strict=True):
+                place = instead(other.candidate.effect), other.place[1]
+                if (
+                    place == (law, joints)
+                    and first[k] < 0 < _INSTEAD * -first[k] < gain
+                ):
+                    return other.place[0]
+            return law
+
+        return tuple(map(owner, range(len(self.terms))))
+
+    def members(self, effect_id: str) -> list[int]:
+        """Terms that belong to one effect."""
+        return [k for k, name in enumerate(self.named) if name == effect_id]
+
+    def where_seen(self, members: Sequence[int]) -> Explanation:
+        """This, or :attr:`learnt` if some terms hardly act on the scored samples.
+
+        What happened only once cannot be checked on another occasion.
+        """
+        if self.learnt is None:
+            return self
+        here, there = (
+            sum(float(part @ part) for k in members for part in x.contribution(k))
+            for x in (self, self.learnt)
+        )
+        return self if here > _TAIL * there else self.learnt
+
+    def blocks(self, i: int) -> NDArray[np.intp]:
+        """Block of time of each scored sample of a joint, for resampling."""
+        rows = self.evidence.rows[i]
+        length = max(1, round(_BLOCK_SECONDS * self.gap.rate))
+        return rows // length
+
+
+def explain(search: Search) -> Explanation:
+    """Score what a search found on the samples it has not seen.
+
+    Args:
+        search: A search that has run on the samples to learn from.
+    """
+    gap, terms, test = search.gap, tuple(search.terms), search.test
+    test.evidence.spread(test.numbers, search.off)  # as it is by now
+    seen, unseen = search.columns(search.known), test.columns(search.known)
+    gains = search.evidence.solve(search.base()).of(seen)
+    learnt = Explanation(
+        gap, terms, search.evidence, seen, gains, tuple(t.index for t in terms)
+    )
+    own = tuple(map(test.own, search.known))
+    return Explanation(gap, terms, test.evidence, unseen, gains, own, learnt)
+
+
+def shares(search: Search, rng: np.random.Generator) -> Array:
+    """Part of each term in what all of them explain, shape (terms,).
+
+    Shapley's shares of the fall in squares, in units of noise, on the samples learnt
+    from; every subset of terms is fitted anew, beside the background as it is with all
+    of them: alone it would take over, at the price of numbers that are far off. They
+    are estimated from random orders and their reverses, which settles the shares of
+    two terms exactly.
+
+    Source: Shapley 1953, doi 10.1515/9781400881970-018; Mitchell et al. 2022,
+    arXiv 2104.12199 (antithetic orders).
+    """
+    evidence, terms = search.evidence, search.terms
+    gain = np.zeros(len(terms))
+
+    rigid, base = search.background, search.base()
+    K = len(rigid)
+    known = evidence.solve(base).gains[:K]
+    A, b = evidence.normal(base)
+    at = {int(k): i for i, k in enumerate(base)}
+
+    def left(order: Sequence[int]) -> float:
+        own = np.concatenate([np.zeros(0, dtype=np.intp)]
+                             + [terms[i].index for i in order])  # fmt: skip
+        here = [at[int(k)] for k in own]
+        H = A[np.ix_(here, here)] + np.diag(evidence.precision[own])
+        gains = np.linalg.solve(H, b[here] - A[here, :K] @ known)
+        columns = np.concatenate([rigid, own])
+        return float(evidence.lost(columns, np.concatenate([known, gains])).sum())
+
+    nothing = left([])
+    for _ in range(_ORDERS if len(terms) > 2 else 1):
+        forth = rng.permutation(len(terms)).tolist()
+        for order in (forth, forth[::-1]):
+            before = nothing
+            for k in range(len(order)):
+                after = left(order[: k + 1])
+                gain[order[k]] += before - after
+                before = after
+    gain = np.maximum(gain, 0.0)
+    return np.asarray(gain / max(gain.sum(), 1e-300))

@@ -1,0 +1,226 @@
+"""The servo law, the shifts of its signals and the gains that explain a torque best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.diagnosis.evidence.bayes import memory, most_noise
+from hybrid.diagnosis.gap.servo import (
+    LATENCIES,
+    MOST_SHIFT,
+    SIGNALS,
+    SLOPE,
+    Law,
+    ServoLog,
+)
+
+WORTH = 14.0  # nat, with the price of a shape
+_ROUNDS, _LONGEST, _CONVERGED = 12, 0.004, 1e-6  # s
+_RIDGE = 1e-10
+_MOST_SCALE = 0.3
+_MUCH = 0.5  # of the squares: what a torque out of step leaves at most
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A servo law with its shifts and gains.
+
+    Attributes:
+        law: The law.
+        late: Commands act late by T after the position, [s].
+        shift: Torque is logged late by S after the position, [s].
+        gains: Gain of each column, shape (p,).
+        left: Torque left, shape (M,), [N·m].
+        covariance: Of T, S and the gains, shape (2 + p, 2 + p).
+    """
+
+    law: Law
+    late: float
+    shift: float
+    gains: Array
+    left: Array
+    covariance: Array
+
+    @property
+    def latency(self) -> float:
+        """From command to torque, whichever of both the position is in step with."""
+        return self.late + min(self.shift, 0.0)
+
+    @property
+    def latency_std(self) -> float:
+        """Standard deviation of the latency, [s]."""
+        way = np.array([1.0, float(self.shift < 0)])
+        return float(np.sqrt(way @ self.covariance[:2, :2] @ way))
+
+    def residual(self, servo: ServoLog) -> Array:
+        """Torque that the law leaves on other samples, shape (M,), [N·m]."""
+        A = servo.signals(self.late, self.shift)
+        return np.asarray(A @ (self.law.target - self.law.columns @ self.gains))
+
+
+def fit(servo: ServoLog, choice: Sequence[Law], *, prompt: bool) -> Fit:
+    """The law, the shifts and the gains that leave least.
+
+    A scan takes all laws at all latencies from one set of cross-products; the best of
+    each law is refined by Gauss–Newton steps. The log is at scale, and its torque in
+    step with its position, unless there is evidence that they are not.
+
+    Args:
+        servo: Signals of a joint.
+        choice: Laws to choose from.
+        prompt: Whether torque must follow the command at once: a position that is
+            logged late, or torque, is no latency.
+    """
+
+    def best(scaled: bool, shifted: bool) -> Fit | None:
+        fits = []
+        for law in choice:
+            if law.scaled == scaled:
+                start, basis = _start(servo.products, law, prompt, shifted)
+                fits.append((_refined(servo.thin, law, start, basis), basis))
+        if not fits:
+            return None
+        found, basis = min(fits, key=lambda x: float(x[0].left @ x[0].left))
+        return _refined(servo, found.law, np.array([found.late, found.shift]), basis)
+
+    at_scale, scaled = best(False, False), best(True, False)
+    if at_scale and scaled and abs(scaled.gains[0] - 1.0) > _MOST_SCALE:
+        scaled = None  # no log is off by so much: the law does not fit
+    found = _likelier(servo, at_scale, scaled)
+    shifted = best(found.law.scaled, True)
+    # Noise of the position lets a shift stand for some of it.
+    if shifted and shifted.left @ shifted.left > _MUCH * (found.left @ found.left):
+        shifted = None
+    return _likelier(servo, found, shifted)
+
+
+def _likelier(servo: ServoLog, found: Fit | None, other: Fit | None) -> Fit:
+    """A fit, or a less simple one with evidence for it."""
+    if found is None or other is None:
+        only = found or other
+        assert only is not None
+        return only
+    return other if evidence(servo, found, other) > WORTH else found
+
+
+def at_once(servo: ServoLog, choice: Sequence[Law], found: Fit) -> Fit:
+    """The law and the gains that leave least without any latency.
+
+    Args:
+        servo: Signals of a joint.
+        choice: Laws to choose from.
+        found: A fit whose shift of the torque stays.
+    """
+    still = np.array([max(0.0, -found.shift), found.shift])
+    fits = [
+        _refined(servo, law, still, np.zeros((2, 0)))
+        for law in choice
+        if law.scaled == found.law.scaled
+    ]
+    return min(fits, key=lambda x: float(x.left @ x.left))
+
+
+def blur(servo: ServoLog, found: Fit, rate: float, cutoff: float) -> float:
+    """Part of the damping, at most, that noise of the speed hides.
+
+    A gain on a noisy signal comes out low by the noise in what only that signal tells,
+    and shifts in time may make up for the rest.
+
+    Args:
+        servo: Signals of a joint.
+        found: Its servo law.
+        rate: Samples per second, [Hz].
+        cutoff: End of the signals' band, [Hz].
+    """
+    A, law = servo.signals(found.late, found.shift), found.law
+    X, at = A @ law.columns, 2 if law.scaled else 1
+    speed, others = X[:, at], [np.delete(X, at, axis=1)]
+    if found.shift:
+        others.append(A[:, [SLOPE]])
+    if found.late:
+        change = servo.drift(found.late) @ (law.target - law.columns @ found.gains)
+        others.append(change[:, None])
+    rest = np.column_stack(others)
+    own = speed - rest @ _least(rest, speed)
+    noise = most_noise(speed, servo.row, rate, cutoff)
+    return min(1.0, noise / max(float(own @ own) / len(own), 1e-300))
+
+
+def evidence(servo: ServoLog, without: Fit, with_: Fit) -> float:
+    """Logarithm of the likelihood that a fit has more than another, [nat]."""
+    independent = len(servo.row) / memory(with_.left, servo.row)
+    before, after = without.left @ without.left, with_.left @ with_.left
+    return float(independent / 2 * np.log(before / after))
+
+
+def _start(G: Array, law: Law, prompt: bool, shifted: bool) -> tuple[Array, Array]:
+    """Shifts (T, S) of the scan, and the directions in which these may change."""
+    slope, along = np.eye(SIGNALS)[SLOPE], np.eye(2)
+    if not shifted:
+        late = LATENCIES[np.argmin(_solve(G, law.columns, law.target)[0])]
+        if prompt:
+            return np.zeros(2), np.zeros((2, 0))
+        return np.array([late, 0.0]), along[:, :1]
+    squares, x = _solve(G, np.column_stack([law.columns, -slope]), law.target)
+    shift = np.clip(x[:, -1], -MOST_SHIFT, MOST_SHIFT)
+    if not prompt:
+        k = int(np.argmin(squares))
+        return np.array([LATENCIES[k], shift[k]]), along
+    # Either the torque is logged late, or the position, and all follows the command.
+    behind = law.target - LATENCIES[LATENCIES <= MOST_SHIFT, None] * slope
+    others, _ = _solve(G[: len(behind)], law.columns, behind)
+    k = int(np.argmin(others))
+    if shift[0] > 0 and squares[0] < others[k]:
+        return np.array([0.0, shift[0]]), along[:, 1:]
+    return np.array([LATENCIES[k], -LATENCIES[k]]), np.array([[1.0], [-1.0]])
+
+
+def _solve(G: Array, columns: Array, target: Array) -> tuple[Array, Array]:
+    """Squares left (K,) and gains (K, p) of cross-products, shape (K, 9, 9)."""
+    H = columns.T @ G @ columns
+    target = np.broadcast_to(target, G.shape[:2])
+    pull = np.einsum("kij,kj->ki", G, target)
+    s = pull @ columns
+    d = 1 / np.sqrt(np.maximum(np.diagonal(H, axis1=1, axis2=2), 1e-300))
+    H = H * d[:, :, None] * d[:, None, :] + _RIDGE * np.eye(H.shape[1])
+    x = d * np.linalg.solve(H, (s * d)[:, :, None])[:, :, 0]
+    return np.einsum("ki,ki->k", pull, target) - np.einsum("ki,ki->k", s, x), x
+
+
+def _refined(servo: ServoLog, law: Law, x: Array, basis: Array) -> Fit:
+    """Gauss–Newton steps from shifts x = (T, S) along the directions of a basis."""
+    at_once = basis.shape[1] == 1 and basis[1, 0] != 0
+    for _ in range(_ROUNDS):
+        A = servo.signals(*x)
+        X, y = A @ law.columns, A @ law.target
+        gains = _least(X, y)
+        mix = law.target - law.columns @ gains
+        turn = np.column_stack([servo.drift(x[0]) @ mix, A[:, SLOPE]])
+        J = np.column_stack([turn @ basis, -X])
+        left = y - X @ gains
+        step = basis @ -_least(J, left)[: basis.shape[1]]
+        if np.all(np.abs(step) < _CONVERGED):
+            break
+        x = x + np.clip(step, -_LONGEST, _LONGEST)
+        if at_once and (x[0] < 0 or x.sum() < 0):
+            x = np.zeros(2)
+    d = _inverse(np.linalg.norm(J, axis=0))
+    spread = np.linalg.pinv((J * d).T @ (J * d), rcond=1e-12) * d * d[:, None]
+    spread *= left @ left / len(left) * memory(left, servo.row)
+    wide = np.eye(2 + len(gains))[:, 2:]
+    wide = np.column_stack([np.pad(basis, ((0, len(gains)), (0, 0))), wide])
+    return Fit(law, float(x[0]), float(x[1]), gains, left, wide @ spread @ wide.T)
+
+
+def _least(X: Array, y: Array) -> Array:
+    d = _inverse(np.linalg.norm(X, axis=0))
+    return np.asarray(d * np.linalg.lstsq(X * d, y, rcond=1e-10)[0])
+
+
+def _inverse(size: Array) -> Array:
+    """1/size, and nothing for a signal that is zero throughout."""
+    return np.divide(1.0, size, out=np.zeros_like(size), where=size > 1e-200)

@@ -1,0 +1,1 @@
+"""The gap of some logs: measured, filtered, and where it counts."""

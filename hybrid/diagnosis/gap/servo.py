@@ -1,0 +1,204 @@
+"""A servo law of one joint, found from what it was asked for and what it gave."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from hybrid.arrays import Array
+from hybrid.diagnosis.gap.gap import Gap
+from hybrid.dynamics import RigidBody
+from hybrid.errors import HybridWarning
+from hybrid.recording import Recording
+from hybrid.recording.clock import resample
+from hybrid.signals import Motion, motion_from_recording
+from hybrid.signals.filters import butterworth
+
+Index = NDArray[np.intp]
+
+_POSITION_CUTOFF = 2.0  # of the gap's, as positions are filtered
+_LATEST, MOST_SHIFT = 0.2, 0.05  # s; as the effects latency and delay allow
+_STEP = 0.001  # s
+LATENCIES = np.arange(0.0, _LATEST, _STEP)
+_ENOUGH = 2000  # samples, to scan
+FEWEST = 100  # samples of a joint
+_CLIPPED = 0.98  # of the rated torque
+# Signals of a joint, in the order of their columns.
+(_FEED, _WEIGHT, _ERROR, _ASKED, _SPEED, _GROWTH, _ONE, _TORQUE, SLOPE) = range(9)
+SIGNALS = 9
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A servo law of one joint, linear in its gains.
+
+    τ(t + S) = c·F + k_p (q_ref(t − T) − q) + k_d (v_ref(t − T) − v) + h·a + constant,
+    with F the torque fed forward: of the simulator along the command, its gravity, or
+    none; and with or without the commanded speed. h = k_d times the age of the speed
+    that the servo sees: it is filtered, or from differences.
+
+    Attributes:
+        columns: Its columns in terms of a joint's signals, shape (9, p).
+        target: Torque to explain in terms of them, shape (9,).
+        scaled: Whether the first column is the torque fed forward, as a log may be off
+            by a factor; stiffness and damping follow, unless they are stated.
+    """
+
+    columns: Array
+    target: Array
+    scaled: bool
+
+
+def laws(kp: float = np.nan, kd: float = np.nan) -> Iterator[Law]:
+    """Every law, with free gains or with stated ones.
+
+    Args:
+        kp: Stiffness, [N·m/rad]; free if not given.
+        kd: Damping, [N·m·s/rad].
+    """
+    unit = np.eye(SIGNALS)
+    feeds = np.zeros(SIGNALS), unit[_FEED], unit[_WEIGHT]
+    rest = [unit[_GROWTH], unit[_ONE]]
+    for feed, speed in product(feeds, (unit[_ASKED] - unit[_SPEED], -unit[_SPEED])):
+        for scaled in (False, True) if feed.any() else (False,):
+            known, parts = feed, [unit[_ERROR], speed]
+            if np.isfinite(kp):
+                known, parts = feed + kp * parts[0] + kd * parts[1], []
+            columns = np.stack([*([known] if scaled else []), *parts, *rest], axis=1)
+            target = unit[_TORQUE] - (0.0 if scaled else known)
+            yield Law(columns, target, scaled)
+
+
+@dataclass(frozen=True, eq=False)
+class ServoLog:
+    """One joint's command, motion and torque, filtered as the gap is.
+
+    Attributes:
+        row: Samples of the gap, shape (M,).
+        t: Their time; each recording is apart from the next, shape (M,), [s].
+        own: Gravity, position, speed and acceleration there, shape (M, 4).
+        asked: Torque fed forward, position and speed commanded at any time.
+        torque: Torque logged at any time.
+    """
+
+    row: Index
+    t: Array
+    own: Array
+    asked: CubicSpline
+    torque: CubicSpline
+
+    def signals(self, late: float, shift: float) -> Array:
+        """All signals with commands late by T and torque by S, [s], shape (M, 9)."""
+        A = np.zeros((len(self.t), SIGNALS))
+        weight, q, v, a = self.own.T
+        A[:, [_FEED, _ERROR, _ASKED]] = self.asked(self.t - late)
+        A[:, _ERROR] -= q
+        A[:, _WEIGHT], A[:, _SPEED], A[:, _GROWTH], A[:, _ONE] = weight, v, a, 1.0
+        A[:, [_TORQUE, SLOPE]] = self._given(shift) if shift else self._in_step
+        return A
+
+    def drift(self, late: float) -> Array:
+        """Change of all signals with T, shape (M, 9)."""
+        A = np.zeros((len(self.t), SIGNALS))
+        A[:, [_FEED, _ERROR, _ASKED]] = -self.asked(self.t - late, 1)
+        return A
+
+    def _given(self, shift: float) -> Array:
+        at = self.t + shift
+        return np.stack([self.torque(at), self.torque(at, 1)], axis=1)
+
+    @cached_property
+    def _in_step(self) -> Array:
+        return self._given(0.0)
+
+    @cached_property
+    def products(self) -> Array:
+        """Cross-products of all signals at every latency of the scan, (K, 9, 9)."""
+        signals = (self.thin.signals(late, 0.0) for late in LATENCIES)
+        return np.stack([A.T @ A for A in signals])
+
+    @cached_property
+    def thin(self) -> ServoLog:
+        """Some of the samples, enough to look for a start."""
+        k = max(1, len(self.row) // _ENOUGH)
+        return replace(self, row=self.row[::k], t=self.t[::k], own=self.own[::k])
+
+    def only(self, use: NDArray[np.bool_]) -> ServoLog:
+        """The samples of a mask over the gap's, shape (all,)."""
+        k = use[self.row]
+        return replace(self, row=self.row[k], t=self.t[k], own=self.own[k])
+
+
+def servo_logs(
+    gap: Gap, recordings: Sequence[Recording | Motion]
+) -> list[ServoLog | None]:
+    """Signals of each joint, of the recordings that have a command.
+
+    Args:
+        gap: The gap.
+        recordings: What it was measured from.
+
+    Returns:
+        Nothing for joints that hardly move, or where no command was logged.
+    """
+    clock, parts, rows = 0.0, [], []
+    for k, recording in enumerate(recordings):
+        if isinstance(recording, Recording) and recording.command is not None:
+            part = _signals(gap, k, recording)
+            here = np.flatnonzero(gap.trajectory == k)
+            since = gap.sampled.t[here] - gap.motions[k].t[0]
+            rows.append((here, clock - part[0][0] + since, since > _LATEST))
+            parts.append((clock - part[0][0] + part[0], *part[1:]))
+            clock = parts[-1][0][-1] + 1 / gap.motions[k].rate
+    if not parts:
+        return [None] * gap.robot.size
+    t, asked, torque, own = map(np.concatenate, zip(*parts, strict=True))
+    row, at, known = map(np.concatenate, zip(*rows, strict=True))
+    found: list[ServoLog | None] = []
+    for i in range(gap.robot.size):
+        whole = CubicSpline(t, torque[:, i])
+        clipped = np.abs(whole(at)) > _CLIPPED * gap.robot.tau_max[i]
+        use = known & gap.moving[row, i] & ~clipped
+        if np.count_nonzero(use) < FEWEST:
+            found.append(None)
+            continue
+        found.append(
+            ServoLog(row[use], at[use], own[use, :, i],
+                     CubicSpline(t, asked[:, :, i]), whole)
+        )  # fmt: skip
+    return found
+
+
+def _signals(
+    gap: Gap, k: int, recording: Recording
+) -> tuple[Array, Array, Array, Array]:
+    """One recording: a longer clock, (N + 2P, 3, n) asked, torque, (M, 4, n) own."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HybridWarning)  # said when the gap was measured
+        recording = resample(recording.in_order(gap.robot.joints))
+    assert recording.command is not None
+    motion, chain = gap.motions[k], gap.robot.chain
+    wanted = motion_from_recording(
+        replace(recording, q=recording.command, v=None),
+        cutoff=_POSITION_CUTOFF * gap.cutoff,
+    )
+    feed = RigidBody(chain, wanted).load + chain.armature * wanted.a
+    still = replace(motion, v=0 * motion.v, a=0 * motion.a)
+    weight = RigidBody(chain, still).load
+    asked = np.stack([feed, wanted.q, wanted.v], axis=1)
+    held = int(np.ceil((_LATEST + MOST_SHIFT) * motion.rate)) + 1
+    t = np.arange(-held, len(motion.t) + held) / motion.rate
+
+    def longer(x: Array) -> Array:
+        x = butterworth(x, rate=motion.rate, cutoff=gap.cutoff)
+        return np.pad(x, ((held, held), *[(0, 0)] * (x.ndim - 1)), mode="edge")
+
+    own = gap.samplers[k](np.stack([weight, motion.q, motion.v, motion.a], axis=1))
+    return t, longer(asked), longer(recording.tau), own
