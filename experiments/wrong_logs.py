@@ -72,7 +72,8 @@ def main() -> None:
         f"{dict(counts)}. Right logs: {count}, in {cpu:.0f} CPU s with their making; "
         f"errors: {said['errors'] or 'none'}; warnings: {said['warnings'] or 'none'}."
     )
-    command = "python experiments/wrong_logs.py --real robot.urdf exciting_1.csv"
+    real = f" --real {' '.join(Path(x).name for x in args.real)}" if args.real else ""
+    command = f"python experiments/wrong_logs.py{real}"
     write_report(args.out, table, summary, f"{command} --seeds {args.seeds}", runs)
 
 

@@ -14,7 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hybrid.diagnosis.answer.diagnosis import Advice, Finding, Region, Shrink, Value
+from hybrid.diagnosis.answer.diagnosis import (
+    Advice,
+    Finding,
+    Region,
+    Shrink,
+    Unseen,
+    Value,
+)
 from hybrid.report.diagnosis import render_diagnosis, write_diagnosis
 from hybrid.report.diagnosis_curves import MOST_POINTS, joint_curves, rms_table, thin
 from hybrid.report.diagnosis_evidence import evidence_matrix
@@ -260,8 +267,19 @@ class TestVerdict:
         lines = verdict_lines(planar().diagnosis)
         assert lines[0].startswith("Explained: 2 effects account for all of the gap")
         assert lines[1].startswith("RMS gap in N·m: shoulder 1.")
-        assert lines[3].startswith("1. Torque ripple at shoulder: ")
-        assert "% less (95% interval " in lines[4]
+        assert lines[3].startswith("On unseen motion, in N·m: shoulder 1.")
+        assert lines[4].startswith("1. Torque ripple at shoulder: ")
+        assert "% less (95% interval " in lines[5]
+
+    def test_it_says_which_joint_has_no_cause_and_where_least_squares_is_better(self):
+        """A user can have the least squares without us."""
+        (finding,) = many(1)
+        own = replace(finding, joints=("shoulder",))
+        unseen = Unseen((4.0, 2.0), (1.2, 1.9), (0.9, 2.1), (1.0, 1.0), (0.8, 0.5))
+        found = replace(planar().diagnosis, findings=(own,), unseen=unseen)
+        text = "\n".join(verdict_lines(found))
+        assert "shoulder 4 → 1.2; no known cause at elbow 1.9;" in text
+        assert "least squares alone leaves less at shoulder 0.9" in text
 
     def test_it_says_what_cannot_be_told_apart(self):
         text = "\n".join(verdict_lines(replace(planar().diagnosis, findings=many(1))))

@@ -31,7 +31,8 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 def verdict_lines(diagnosis: Diagnosis) -> list[str]:
     """The diagnosis in at most ten lines: what, where, how sure, what to run next."""
-    begin = [verdict_sentence(diagnosis), *_places(diagnosis)]
+    places, left = _places(diagnosis), _left(diagnosis)
+    begin = [verdict_sentence(diagnosis), *places, *left]
     end = list(_endings(diagnosis))
     room = MOST_LINES - len(begin) - len(end)
     entries = [list(_entry(k + 1, f)) for k, f in enumerate(diagnosis.findings)]
@@ -63,6 +64,34 @@ def _places(diagnosis: Diagnosis) -> Iterator[str]:
     if conditions:
         first = conditions[0]
         yield f"Densest: {region_name(first)}, {first.share:.0%} of the whole gap"
+
+
+def _left(diagnosis: Diagnosis) -> Iterator[str]:
+    """What the findings leave on unseen motion, joint by joint, and where none is."""
+    if diagnosis.unseen is None or not diagnosis.findings:
+        return
+    joints, unseen = diagnosis.joints, diagnosis.unseen
+    units = diagnosis.units or (_TORQUE,) * len(joints)
+    ends = ["" if unit == _TORQUE else _BOUND + unit for unit in units]
+    named = {joint for f in diagnosis.findings for joint in f.joints}
+    falls, unknown, worse = list[str](), list[str](), list[str]()
+    order = np.argsort(-np.nan_to_num(unseen.before)).tolist()
+    for i in (k for k in order if np.isfinite(unseen.after[k])):
+        before, after, usual = (
+            getattr(unseen, x)[i] for x in ("before", "after", "least_squares")
+        )
+        if joints[i] in named:
+            falls.append(f"{joints[i]} {number(before)} → {number(after)}{ends[i]}")
+        elif after > _ABOVE * unseen.noise[i]:
+            unknown.append(f"{joints[i]} {number(after)}{ends[i]}")
+        if after > _ABOVE * usual:
+            worse.append(f"{joints[i]} {number(usual)}{ends[i]}")
+    parts = [_few(falls, between=", ")]
+    if unknown:
+        parts.append(f"no known cause at {_few(unknown, between=', ')}")
+    if worse:
+        parts.append(f"least squares alone leaves less at {_few(worse, between=', ')}")
+    yield f"On unseen motion, in {_TORQUE}: {'; '.join(x for x in parts if x)}"
 
 
 def _entry(number: int, f: Finding) -> Iterator[str]:

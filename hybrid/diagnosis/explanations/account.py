@@ -70,28 +70,29 @@ def account(search: Search, reached: Array | None = None) -> Account:
     events = _coloured(search)
     for i in np.flatnonzero(events):
         depends[i] = depends[i] or "what does not recur"
-    ceiling = np.maximum(ceiling - events, 0.0)
+    ceiling = ceiling * (1.0 - events)
     if reached is not None:
         ceiling = np.minimum(ceiling, reached)
     return Account(before, after, ceiling, tuple(depends))
 
 
 def _coloured(search: Search) -> Array:
-    """Squares of the residual that are no noise: too slow for it, (n,).
+    """Part of the residual's squares that is no noise: too slow for it, (n,).
 
     Noise of sensors, and of derivatives, is not stronger at low frequencies.
     """
     evidence, gap = search.evidence, search.gap
     found = evidence.solve(search.columns(search.causes))
-    squares = np.zeros(len(evidence.rows))
+    parts = np.zeros(len(evidence.rows))
     for i, rows in enumerate(evidence.rows):
         if len(rows):
             back = np.argsort(rows)
             x = evidence.residual(i, found.index, found.gains)[back]
             slow = coloured(x, rows[back], gap.rate, gap.cutoff)
-            if slow > search.prior.coloured * float(x @ x):
-                squares[i] = slow / search.noise[i]
-    return squares
+            part = slow / max(float(x @ x), 1e-300)
+            if part > search.prior.coloured:
+                parts[i] = part
+    return parts
 
 
 def _left(search: Search, causes: Sequence[Cause]) -> Array:
