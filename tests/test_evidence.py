@@ -272,3 +272,11 @@ def test_the_gains_of_some_columns_are_in_their_order():
     wanted = np.concatenate([index[1], index[2][::-1]])
     assert solution.of(wanted).tolist() == [together[int(k)] for k in wanted]
     assert evidence.add([], []) == []
+
+
+def test_what_is_too_slow_for_noise_is_never_more_than_all_of_it():
+    """A constant, above all: it is at one frequency, not at two."""
+    rng = np.random.default_rng(3)
+    x = 5.0 + rng.standard_normal(400)
+    slow = coloured(x, np.arange(400), 100.0, 20.0)
+    assert 0.9 < slow / (x @ x) < 1.0

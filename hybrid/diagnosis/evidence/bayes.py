@@ -198,6 +198,7 @@ def _spectrum(x: Array, row: NDArray[np.intp], rate: float) -> tuple[Array, Arra
     full = np.zeros(row[-1] - row[0] + 1)
     full[row - row[0]] = x
     power = 2 * np.abs(np.fft.rfft(full)) ** 2 / len(full)
+    power[0] /= 2  # a constant has one sign only
     return power, np.asarray(np.fft.rfftfreq(len(full), 1.0 / rate))
 
 
