@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 # What becomes of a unit.
@@ -74,10 +75,8 @@ class Child:
         self.process.wait()
         for stream in (self.process.stdin, self.process.stdout):
             if stream:
-                try:
+                with suppress(OSError):  # what was not read by a killed child is lost
                     stream.close()
-                except OSError:
-                    pass
 
 
 def ask(message: Mapping[str, Any], model: str | None, limit: float) -> dict[str, Any]:

@@ -53,7 +53,7 @@ class Products:
         self.noise = np.ones(n)
         self.size = 0
         self._processes: list[Noise] | None = None
-        self._white = [x[:, None] for x in self.left]  # as independent samples
+        self._white = list(self.left)  # as independent samples
         self._owner: list[list[int]] = [[] for _ in range(n)]
         # With room for more: what is taken in one by one is not copied each time.
         self._columns = [np.zeros((len(r), 0)) for r in self.rows]
@@ -110,7 +110,7 @@ class Products:
         ]
         self._processes, self._kept = processes, (b"", {})
         for i, columns in enumerate(known):
-            self._white[i] = self._whiten(i, self.left[i][:, None])
+            self._white[i] = self._whiten(i, self.left[i])
             self._columns[i], self._done[i] = self._whiten(i, columns), 0
 
     def _whiten(self, i: int, x: Array) -> Array:
@@ -138,7 +138,7 @@ class Products:
             new = columns[:, k:whole]
             gram[:whole, k:whole] = columns[:, :whole].T @ new
             gram[k:whole, :k] = gram[:k, k:whole].T
-            moment[k:whole] = new.T @ self._white[i][:, 0]
+            moment[k:whole] = new.T @ self._white[i]
             self._sums[i], self._done[i] = (gram, moment), whole
         return gram, moment
 
@@ -164,16 +164,18 @@ class Products:
                 gram, moment = self._multiplied(i)
                 gram, moment = gram[np.ix_(here, here)], moment[here]
             else:
-                use = self._among(i, folds)
-                columns = self._columns[i][use, : len(self._owner[i])][:, here]
-                gram, moment = columns.T @ columns, columns.T @ self._white[i][use, 0]
+                columns, left = self._columns[i][:, here], self._white[i]
+                if folds is not None:
+                    use = self._among(i, folds)
+                    columns, left = columns[use], left[use]
+                gram, moment = columns.T @ columns, columns.T @ left
             A[np.ix_(at, at)] += gram * self._weight(i)
             b[at] += moment * self._weight(i)
         return A, b
 
-    def _among(self, i: int, folds: Index | None) -> NDArray[np.bool_]:
+    def _among(self, i: int, folds: Index) -> NDArray[np.bool_]:
         number = np.repeat(np.arange(len(self.folds)), self.count[i])
-        return np.ones(len(number), bool) if folds is None else np.isin(number, folds)
+        return np.isin(number, folds)
 
     def beside(
         self, base: Index, wanted: Index, places: Mapping[int, Index]
@@ -226,7 +228,7 @@ class Products:
             with each other and with the gap.
         """
         new, (target, known) = self._whiten(i, x), self.known(base, i)
-        parts = (known.T @ new, new.T @ new, new.T @ self._white[i][:, 0])
+        parts = (known.T @ new, new.T @ new, new.T @ self._white[i])
         across, own, moment = (self._weight(i) * part for part in parts)
         return target, across, own, moment
 
@@ -237,17 +239,21 @@ class Products:
             index: Columns.
             gains: Their gains, shape (k,); or on each fold its own, shape (F, k).
         """
+        out = np.zeros((len(self.rows), len(self.folds)))
         gains = np.broadcast_to(gains, (len(self.folds), len(index)))
-        left = [self._left_by_fold(i, index, gains) for i in range(len(self.rows))]
-        pairs = zip(left, self._edges, strict=True)
-        return np.array([_by_fold(x**2, e) for x, e in pairs])
+        for i, edges in enumerate(self._edges):
+            left = self._white[i].copy()
+            for g, (a, b) in zip(gains, slices(edges), strict=True):
+                left[a:b] -= self._fitted(i, index, g, slice(a, b))
+            out[i] = _by_fold(self._coloured(i, left) ** 2, edges)
+        return out
 
-    def _left_by_fold(self, i: int, index: Index, gains: Array) -> Array:
-        (here, at), left = self._here(i, index), self._white[i][:, 0].copy()
-        columns = self._columns[i][:, here]
-        for g, (a, b) in zip(gains, slices(self._edges[i]), strict=True):
-            left[a:b] -= columns[a:b] @ g[at]
-        return self._coloured(i, left)
+    def _fitted(
+        self, i: int, index: Index, gains: Array, part: slice = slice(None)
+    ) -> Array:
+        """What gains make at a joint, whitened."""
+        here, at = self._here(i, index)
+        return np.asarray(self._columns[i][part, here] @ gains[at])
 
     def _coloured(self, i: int, x: Array) -> Array:
         return x if self._processes is None else self._processes[i].colour(x)
@@ -255,9 +261,8 @@ class Products:
     def lost(self, index: Index, gains: Array) -> Array:
         """Squares that gains leave at each joint, weighed by noise, shape (n,)."""
         out = np.zeros(len(self.rows))
-        for i in range(len(self.rows)):
-            here, at = self._here(i, index)
-            left = self._white[i][:, 0] - self._columns[i][:, here] @ gains[at]
+        for i, white in enumerate(self._white):
+            left = white - self._fitted(i, index, gains)
             out[i] = self._weight(i) * (left @ left)
         return out
 
@@ -265,15 +270,13 @@ class Products:
         """Squares of what gains make at each joint, weighed by noise, shape (n,)."""
         out = np.zeros(len(self.rows))
         for i in range(len(self.rows)):
-            here, at = self._here(i, index)
-            torque = self._columns[i][:, here] @ gains[at]
+            torque = self._fitted(i, index, gains)
             out[i] = self._weight(i) * (torque @ torque)
         return out
 
     def residual(self, i: int, index: Index, gains: Array) -> Array:
         """What gains leave of the gap at a joint, in the order of ``rows[i]``."""
-        gains = np.broadcast_to(gains, (len(self.folds), len(index)))
-        return self._left_by_fold(i, index, gains)
+        return self._coloured(i, self._white[i] - self._fitted(i, index, gains))
 
 
 def _roomier(x: Array, used: int, size: int, axes: tuple[int, ...]) -> Array:

@@ -97,10 +97,10 @@ class Screening:
             made_at: A block's gains, where its columns are of these alone; of each.
         """
         squares, moment = self.less(less)
-        first = {int(x[0]): k for k, x in enumerate(self._blocks())}
-        worth = np.empty(len(first))
+        starts = np.sort(np.concatenate([x[:, 0] for x in self.places.values()]))
+        worth = np.empty(len(starts))
         for places in self.places.values():
-            number = np.array([first[int(x[0])] for x in places])
+            number = np.searchsorted(starts, places[:, 0])  # of these blocks
             fixed = np.array([made_at[k] is not None for k in number])
             for use, known in ((~fixed, False), (fixed, True)):
                 if use.any():
@@ -110,10 +110,6 @@ class Screening:
                     prior = precision[x], lower[x], at
                     worth[own] = heavy_tailed(H, moment[x], *prior)[0]
         return worth
-
-    def _blocks(self) -> list[Index]:
-        blocks = [x for places in self.places.values() for x in places]
-        return sorted(blocks, key=lambda x: int(x[0]))
 
 
 def by_size(blocks: Sequence[Index]) -> dict[int, Index]:

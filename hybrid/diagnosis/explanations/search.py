@@ -189,8 +189,14 @@ class Search:
 
     def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
         """See :meth:`.Pool.ranked`."""
-        taken = {c.place for c in self.known if c.index[0] in base}
-        return self.pool.ranked(base, taken)
+        there = [c for c in self.known if c.index[0] in base]
+        return self.pool.ranked(base, self._taken(there))
+
+    def _taken(self, causes: Sequence[Cause]) -> set[Place]:
+        """Where no more may be than some causes: one of a kind, or a few."""
+        most = self.prior.repeated
+        count = Counter(c.place for c in causes)
+        return {x for x, k in count.items() if k >= (most if x[0] in REPEATED else 1)}
 
     def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
         """See :func:`.refine.refine`."""
@@ -357,10 +363,7 @@ class Search:
         whole, less = base, base[:0]
         if own is not None and own in self.causes:
             whole, less = self.columns(self.causes), own.index
-        count = Counter(c.place for c in causes)
-        most = self.prior.repeated
-        taken = {x for x, k in count.items() if k >= (most if x[0] in REPEATED else 1)}
-        ranked = self.pool.ranked(whole, taken, less)
+        ranked = self.pool.ranked(whole, self._taken(causes), less)
         ranked = [(c, x) for c, x in ranked if c.place not in self.refused]
         ranked = ranked[: self.prior.shortlist]
         short = [c for c, x in ranked if x > self.prior.refined * ranked[0][1]]
