@@ -10,7 +10,7 @@ from hybrid.arrays import Array
 from hybrid.signals import butterworth
 
 _OWN = 0.3  # of the gain that columns are of, or it of that; noise lessens it
-_WIDER = 1.0, 10.0, 100.0  # each decade is ten times less probable
+WIDER = 1.0, 10.0, 100.0  # each decade is ten times less probable
 _STRETCH = 0.5  # s, in which noise is as large as ever
 _EVENT = 8.0  # times the usual mean square
 _HALF, _EDGE = 0.5, 0.85  # of the cut-off; there the filter is felt
@@ -73,12 +73,12 @@ def heavy_tailed(
         The logarithm of the evidence, [nat], shape (...), the most probable gains,
         shape (..., p), and how many times wider the prior is, shape (...).
     """
-    found = [log_bayes(H, s, precision / wider**2, lower, made_at) for wider in _WIDER]
-    worth = np.array([x - np.log(w) for (x, _), w in zip(found, _WIDER, strict=True)])
+    found = [log_bayes(H, s, precision / wider**2, lower, made_at) for wider in WIDER]
+    worth = np.array([x - np.log(w) for (x, _), w in zip(found, WIDER, strict=True)])
     best = np.argmax(worth, axis=0)
     gains = np.array([g for _, g in found])
     chosen = np.take_along_axis(gains, best[None, ..., None], axis=0)[0]
-    return worth.max(axis=0), chosen, np.array(_WIDER)[best]
+    return worth.max(axis=0), chosen, np.array(WIDER)[best]
 
 
 def _quadratic(A: Array, b: Array, x: Array) -> Array:

@@ -21,7 +21,6 @@ class Prior:
         file: Relative errors of a file's numbers that are tried.
         file_factor: By which their typical error may be another than the second of
             these, as one standard deviation.
-        rough: Part of an explanation's worth that less exact numbers have to add.
         size: RMS of an unknown law, in rated torque.
         shortlist: Candidates whose shapes are fitted, each time one is sought.
         refined: Part of the best candidate's worth that another one has at least, which
@@ -38,9 +37,8 @@ class Prior:
     inexact: float = 0.03
     misfit: float = 0.1
     solver: float = 0.002
-    file: tuple[float, ...] = (0.01, 0.02, 0.05, 0.1, 0.2)
+    file: tuple[float, ...] = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
     file_factor: float = 2.0
-    rough: float = 0.1
     size: float = 0.03
     shortlist: int = 6
     refined: float = 0.5

@@ -18,13 +18,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from copy import copy
+from dataclasses import replace
 from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.bayes import memory
+from hybrid.diagnosis.evidence.bayes import WIDER, memory
 from hybrid.diagnosis.evidence.candidates import Candidate, Place, same, usual
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise import LAGS, autocovariance, floored
@@ -78,12 +79,12 @@ class Search:
         self.pool = Pool(self.evidence, without)
         self.pool.take_ripples(self.rigid, _RIPPLES)
         self.evidence.estimate_noise(np.arange(self.evidence.size))
+        self.noise = self.evidence.noise.copy()
         self._weigh()
         self.pool.take_contacts(self.rigid)
         self.pool.take_steep(self.rigid)
         self._waves: dict[Place, Array] = {}
         self.laws = [law for j in range(gap.robot.size) for law in self._laws(j)]
-        self._kept: dict[tuple[object, ...], tuple[Candidate, float]] = {}
         self.causes: list[Cause] = []
         self.refused: set[Place] = set()
         self.beliefs: list[Belief] = []  # of the known causes, once it has run
@@ -97,7 +98,7 @@ class Search:
         no less noise than the upper half of its band.
         """
         evidence, rigid, gap = self.evidence, self.evidence.solve(self.rigid), self.gap
-        self.noise, covariances = evidence.noise.copy(), list[Array]()
+        evidence.noise, covariances = self.noise.copy(), list[Array]()
         for i, rows in enumerate(evidence.rows):
             covariance = evidence.covariances[i].copy()
             if len(rows):
@@ -116,6 +117,8 @@ class Search:
         self.covariances = covariances
         rigid = evidence.solve(self.rigid)
         self._whole = evidence.lost(rigid.index, rigid.gains) / 2
+        self._kept: dict[tuple[object, ...], tuple[Candidate, float]] = {}
+        self.__dict__.pop("test", None)
 
     def _wavy_laws(self, joint: int) -> Iterator[Cause]:
         """Waves that stand out of what the background leaves, picked out of many."""
@@ -139,17 +142,26 @@ class Search:
         size = np.sqrt(np.mean(np.sum(x[rows] ** 2, axis=1))) + 1e-12
         std = np.full(x.shape[1], self.prior.size * torque / size)
         (index,) = self.evidence.add([{joint: x}], [std])
-        cost += self._mimicked((joint,), self.prior.misfit)
         return Cause((name, (joint,)), index, cost)
 
-    def _mimicked(self, joints: Sequence[int], part: float) -> float:
-        """What a cause may be worth that is but the inexactness of another, [nat]."""
-        return float(part**2 * self._whole[list(joints)].max())
+    def _widened(self, base: Index, law: Cause) -> Cause:
+        """An unknown law under as wide a prior as is most probable."""
+        columns, std = self.columns_of(law), self.evidence.precision[law.index] ** -0.5
+        none = np.full(len(std), -np.inf)
+        wider = self.evidence.trial(base, columns, std, none).wider
+        if wider == 1.0:
+            return law
+        (index,) = self.evidence.add([columns], [wider * std])
+        return Cause(law.place, index, law.cost + float(np.log(wider)))
 
-    def _cost(self, c: Candidate) -> float:
-        """Odds against an effect at a place, [nat]."""
-        small = self._mimicked(c.place[1], self.prior.inexact)
-        return self.prior.cause + small
+    def _mimicked(self, place: Place, *, known: bool) -> float:
+        """What a cause may be worth that is but the inexactness of another, [nat]."""
+        part = self.prior.inexact if known else self.prior.misfit
+        return float(part**2 * self._whole[list(place[1])].max())
+
+    def _odds(self, c: Cause) -> float:
+        """Odds against a cause, [nat]."""
+        return c.cost + self._mimicked(c.place, known=c.candidate is not None)
 
     @property
     def known(self) -> list[Cause]:
@@ -220,13 +232,13 @@ class Search:
     def score(self, causes: Sequence[Cause]) -> float:
         """Log posterior of an explanation, up to a constant, [nat]."""
         known = self.evidence.solve(self.columns(causes)).evidence
-        return known - sum(c.cost for c in causes)
+        return known - sum(map(self._odds, causes))
 
     def cause(self, c: Candidate) -> Cause:
         """An effect as a cause."""
         std = c.wider * c.std
         (index,) = self.evidence.add([self.gap.columns(c.effect)], [std])
-        cost = self._cost(c) + price(c.effect) + float(np.log(c.wider))
+        cost = self.prior.cause + price(c.effect) + float(np.log(c.wider))
         return Cause(c.place, index, cost, c)
 
     def run(self) -> list[Cause]:
@@ -246,15 +258,20 @@ class Search:
         One unknown law, or an effect that nearly fits, may have been taken in where two
         or three others belong.
         """
-        before = self.score(self.causes), self.causes, self.off
-        self.causes = [self.cause(c) for c in usual(self.gap, self.pool.without)]
-        self.refused = set()
+        before = self.causes, self.off
+        kinds = usual(self.gap, self.pool.without)
+        starts = [[self.cause(replace(c, wider=w)) for c in kinds] for w in WIDER]
+        self.causes, self.refused = max(starts, key=self.score), set()
+        self._widen()
         self._remove()
         for self.library_only in (True, False):
             self._settle()
-        if self.score(self.causes) < before[0]:
-            _, self.causes, self.off = before
-            self.evidence.spread(self.numbers, self.off)
+        now = self.score(self.causes)
+        self.evidence.spread(self.numbers, before[1])
+        if self.score(before[0]) > now:
+            self.causes = before[0]
+            self._take(before[1])
+        self.evidence.spread(self.numbers, self.off)
 
     def stand_in(self) -> None:
         """Let effects of the library stand in for unknown laws, as far as they help.
@@ -297,12 +314,20 @@ class Search:
             return float(self.score(self.causes) - 0.5 * far**2)
 
         now, best = self.off, max(self.prior.file, key=score)
-        # A small remainder of an inexact law is no ground for changing all numbers.
+        # What an inexact law leaves is no ground for changing all numbers.
         whole = score(now) - self.evidence.solve(self.rigid).evidence
-        added = max(self.prior.cause, self.prior.rough * whole)
-        self.off = best if score(best) > score(now) + added else now
-        self.evidence.spread(self.numbers, self.off)
-        return self.off != now
+        added = self.prior.cause + self.prior.misfit**2 * whole
+        best = best if score(best) > score(now) + added else now
+        self.evidence.spread(self.numbers, now)
+        if best != now:
+            self._take(best)
+        return best != now
+
+    def _take(self, off: float) -> None:
+        """Take the file's numbers to be so far off; what is inexact is the rest."""
+        self.off = off
+        self.evidence.spread(self.numbers, off)
+        self._weigh()
 
     def _add(self) -> bool:
         base = self.columns(self.causes)
@@ -372,18 +397,20 @@ class Search:
         for c in short:
             better, worth = self._refined(base, c)
             make = partial(self.cause, better)
-            found.append(Proposal(c.place, worth - self._cost(c), make, better))
+            odds = self.prior.cause + self._mimicked(c.place, known=True)
+            found.append(Proposal(c.place, worth - odds, make, better))
         laws = self._open_laws(causes)
         if laws and not self.library_only:
             none = [np.full(len(x.index), -np.inf) for x in self.laws]
             every = [x.index for x in self.laws]
             gained = self.evidence.screen(whole, every, none, less=less)
             worths = {
-                x: float(gain) - x.cost
+                x: float(gain) - self._odds(x)
                 for x, gain in zip(self.laws, gained, strict=True)
             }
             law = max(laws, key=lambda x: worths[x])
-            found.append(Proposal(law.place, worths[law], lambda: law))
+            make = partial(self._widened, base, law)
+            found.append(Proposal(law.place, worths[law], make))
         return sorted(found, key=lambda x: -x.worth)
 
     def _refined(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
@@ -401,7 +428,10 @@ class Search:
             >= self.prior.repeated
             for j in range(self.gap.robot.size)
         ]
-        return [x for x in self.laws if x not in causes and not full[x.place[1][0]]]
+        there = {c.place for c in causes}
+        return [
+            x for x in self.laws if x.place not in there and not full[x.place[1][0]]
+        ]
 
     def _believe(self) -> list[Belief]:
         """How probable each known cause is, and what might stand in its place."""
