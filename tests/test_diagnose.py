@@ -13,8 +13,7 @@ from simulated import arm, quiet
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.evidence.candidates import candidate
-from hybrid.diagnosis.evidence.contacts import Contacts, witnessed
+from hybrid.diagnosis.evidence.contacts import Contacts
 from hybrid.diagnosis.evidence.shapes import nudges, shape_units
 from hybrid.diagnosis.gap.background import rest, soft_friction
 from hybrid.diagnosis.gap.gap import simulated_torque
@@ -263,18 +262,6 @@ class TestGap:
         assert finding.effect == "contact"
         assert any("no step has seen" in x for x in diagnosis.diagnosis.warnings)
 
-    @pytest.mark.parametrize(
-        ("start", "seen"), [(0.0, False), (1.0, True), (5.92, False)]
-    )
-    def test_a_contact_that_nobody_saw_come_or_stay_is_none(self, start, seen):
-        """Friction remembers what was before the log, and the filter its end."""
-        gap = faultless().gap
-        values = {"start": start, "duration": 0.5, "recording": 1.0}
-        assert witnessed(gap, Contact((0, 1), values)) is seen
-        values["recording"] = -1.0
-        assert witnessed(gap, Contact((0, 1), values)) is seen
-        assert witnessed(gap, Coulomb((0,), {"level": 1.0}))
-
     def test_fit_and_score_share_nothing(self):
         gap = planar().gap
         learn = split(gap)
@@ -442,14 +429,6 @@ class TestCause:
             low, high = found[name].interval
             assert low <= truth <= high
         assert found["Izz"].value == pytest.approx(values["Izz"], rel=0.1)
-
-    @pytest.mark.parametrize("arm_carries", [Payload, LinkInertia])
-    def test_a_link_is_hardly_another_one_but_a_payload_may_be_anything(
-        self, arm_carries
-    ):
-        given = candidate(faultless().gap, arm_carries((0, 1)))
-        assert given.likely(given.std) and given.likely(-6.0 * given.std)
-        assert given.likely(10.0 * given.std) is (arm_carries is Payload)
 
     @pytest.mark.study
     def test_what_motions_in_a_plane_do_not_tell_is_said_to_be_so(self):

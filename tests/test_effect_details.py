@@ -1,6 +1,7 @@
 """Every law at numbers worked out by hand, and every hook beside the law."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ from test_effect_laws import effect, motion_of
 from hybrid.dynamics import RigidBody
 from hybrid.effects import JointState, effect_class, effect_classes
 from hybrid.effects.backlash import _fall, _flight
+from hybrid.effects.effect import Scale
 from hybrid.effects.elasticity import _swing
 from hybrid.effects.gravity_tilt import level_axes
 from hybrid.effects.loop import Loop, commanded_torque
@@ -123,13 +125,24 @@ def test_a_limit_is_suggested_where_clearly_more_is_asked_for_than_delivered():
     assert cls.suggested([], 0) == {}
 
 
-def test_a_limit_below_nearly_all_torques_is_a_gain():
-    law = effect("saturation", limit=5.0)
-    high, low = np.full(100, 8.0), np.full(100, 1.0)
-    both = np.where(np.arange(100) < 79, 8.0, 1.0)
-    more = np.where(np.arange(100) < 82, -8.0, 1.0)
-    found = [law.imitates(drive(x, x)) for x in (high, low, both, more)]
-    assert found == [True, False, False, True]
+@pytest.mark.parametrize(
+    "cls", [x for x in effect_classes().values() if x.becomes], ids=lambda x: x.id
+)
+def test_an_effect_is_the_law_that_it_becomes_at_its_limit(cls):
+    """To a few per cent, up to a factor; the plainer law has a size of its own."""
+    scale = Scale(30.0, 2.0)
+    limit, plain = cls.typical((0,), [scale]).at_limit(scale)
+    t = np.arange(0.0, 4.0, 0.001)
+    q, v, a = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
+    tau = 20.0 * np.sin(2 * t + 0.3)
+    motion = Motion(
+        t, q[:, None], v[:, None], a[:, None], tau[:, None], np.full(len(t), True)
+    )
+    both = limit, effect_class(plain)((0,))
+    body = SimpleNamespace(load=motion.tau)  # what the drive gives, the arm takes
+    one, other = (x.columns(motion, body)[:, 0, 0] for x in both)
+    part = one @ other / np.sqrt((one @ one) * (other @ other))
+    assert abs(part) > 0.97
 
 
 def test_a_drive_clips_only_near_its_limit():
@@ -580,7 +593,12 @@ def test_flags_tell_a_fit_how_to_treat_an_effect():
     }  # fmt: skip
     assert not dry & {"viscous", "nonlinear_viscous", "thermal_friction", "spring"}
     assert flagged("steep") == {"elasticity", "backlash"}
-    assert flagged("echoes") == {"elasticity"}
+    assert flagged("shows_in_motion") == {
+        "elasticity",
+        "backlash",
+        "delay",
+        "actuator_lag",
+    }
     assert flagged("differentiates") == {"delay", "actuator_lag"}
     assert flagged("shifts") == {"delay"}
     assert flagged("not_in_loop") == {"elasticity", "backlash", "delay"}

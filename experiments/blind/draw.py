@@ -10,7 +10,6 @@ from blind.independent import INDEPENDENT
 from blind.size import Rig
 from blind.strangers import STRANGERS
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.candidates import places
 from hybrid.effects import Effect, effect_classes
 from hybrid.effects.effect import Port
 from hybrid.errors import EffectError, HybridError
@@ -81,7 +80,7 @@ def _usual(name: str, rig: Rig, rng: np.random.Generator) -> Effect | None:
     if name in STRANGERS or name in INDEPENDENT:
         spots = list(_spots(cls.over, rig.robot.size))
     else:
-        spots = list(places(cls, rig.robot.size))
+        spots = list(cls.places(rig.robot.size))
     joints = spots[rng.integers(len(spots))]
     scale = rig.scales[joints[-1]]
     values: dict[str, float] = {}

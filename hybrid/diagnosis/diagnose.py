@@ -21,6 +21,7 @@ from hybrid.diagnosis.evidence.candidates import Candidate
 from hybrid.diagnosis.evidence.logs import measured, since_first
 from hybrid.diagnosis.evidence.term import Term
 from hybrid.diagnosis.explanations.account import Account, account
+from hybrid.diagnosis.explanations.belief import unknown_worth
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.explanation import Explanation, explain, shares
 from hybrid.diagnosis.explanations.refit import refit
@@ -163,7 +164,9 @@ def _believed(
         at another joint, what is there.
     """
     beliefs = [b for b in search.beliefs if b.probability > _HALF]
-    beliefs = [b for b in beliefs if b.worth > search.unknown_worth(b.cause)]
+    beliefs = [b for b in beliefs if b.worth > unknown_worth(search, b.cause)]
+    # A law that is another one here, of which nobody knows, is not told from it.
+    beliefs = [b for b in beliefs if b.limit not in search.pool.without]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
     kinds, torn = {}, {}

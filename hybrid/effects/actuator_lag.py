@@ -21,6 +21,7 @@ class ActuatorLag(Effect):
 
     id = "actuator_lag"
     port = Port.DRIVE
+    shows_in_motion = True
     differentiates = True
     memory = ("known", "asked", "reported")
     gains = (Quantity("time", "s", 0.005, -0.05, 0.05),)

@@ -38,6 +38,7 @@ class Backlash(Effect):
 
     id = "backlash"
     port = Port.TRANSMISSION
+    shows_in_motion = True
     rough = 0.4
     not_in_loop = "it needs the load that comes next, to know when the gap is crossed"
     steep = True

@@ -21,6 +21,8 @@ class Contact(Effect):
     port = Port.ENVIRONMENT
     not_in_loop = "it happened once, during the recording"
     scope = "arm"
+    repeats = True
+    choices = 8.0
     gains = (
         *(Quantity(f"force_{x}", "N", 10.0, -500.0, 500.0) for x in "xyz"),
         *(Quantity(f"moment_{x}", "N·m", 1.0, -100.0, 100.0) for x in "xyz"),

@@ -17,6 +17,7 @@ class Delay(Effect):
 
     id = "delay"
     port = Port.MEASUREMENT
+    shows_in_motion = True
     differentiates = True
     shifts = True
     # The torque that is late is that of the file, whose numbers are a little off.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Literal, Self
@@ -13,6 +13,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects.in_plant import InPlant
 from hybrid.effects.instant import Instant
+from hybrid.effects.nominal import Nominal
 from hybrid.effects.quantity import Quantity, Scale
 from hybrid.effects.state import Body, JointState
 from hybrid.errors import EffectError
@@ -81,9 +82,6 @@ class Effect(InPlant, Instant, ABC):
     shifts: ClassVar[bool] = False
     # What the second joint is called that it puts behind a motor's, if it does.
     behind: ClassVar[str] = ""
-    # Whether noise of positions, which is in the torque that it is held against too,
-    # may be taken for it.
-    echoes: ClassVar[bool] = False
     # What its law leaves out: relative standard deviation of values fitted to motion of
     # an exact plant, beyond what noise leaves open.
     inexact: ClassVar[Mapping[str, float]] = {}
@@ -91,6 +89,17 @@ class Effect(InPlant, Instant, ABC):
     rough: ClassVar[float] = 0.0
     # Whether most joints have it, so that any fit of an arm begins with it.
     usual: ClassVar[bool] = False
+    # The plainer law that it becomes at an end of a shape's range: the shape, which
+    # end, and the id of that law. It may take the place of that in an arm's file.
+    becomes: ClassVar[tuple[str, Literal["lower", "upper"], str] | None] = None
+    # Whether it sums up other laws, for a fit of all of them.
+    composite: ClassVar[bool] = False
+    # Whether its shapes are read off what is left of a gap, and it may be there more
+    # than once; and the logarithm of how many differ in effect.
+    repeats: ClassVar[bool] = False
+    choices: ClassVar[float | None] = None
+    # Whether torque alone does not settle it, and motion does.
+    shows_in_motion: ClassVar[bool] = False
     equation: ClassVar[str]
     source: ClassVar[str]
     sentence: ClassVar[str]
@@ -184,6 +193,55 @@ class Effect(InPlant, Instant, ABC):
             for x in (y.scaled(scale) for y in (*self.gains, *self.shapes))
         )
 
+    @classmethod
+    def places(cls, size: int) -> Iterator[tuple[int, ...]]:
+        """Joints that it may act on, on an arm of some joints."""
+        match cls.scope:
+            case "joint":
+                yield from ((j,) for j in range(size))
+            case "arm":
+                yield tuple(range(size))
+            case "coupling":
+                yield from ((j, j + 1) for j in range(size - 1))
+
+    @property
+    def at_joints(self) -> tuple[int, ...]:
+        """Joints that it is said to be of."""
+        return self.joints
+
+    @classmethod
+    def declared(cls, nominal: Nominal) -> Array | None:
+        """The number of a file that it is a change of, shape (n,), or nothing."""
+        return None
+
+    def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
+        """What is known of its gains before any recording.
+
+        Args:
+            nominal: Numbers of the file.
+            scale: Size of its joint.
+
+        Returns:
+            Standard deviation and smallest value of each gain, shape (p,) each.
+        """
+        std = np.array([g.scaled(scale).deviation for g in self.gains])
+        known = self.declared(nominal)
+        if known is None:
+            return std, self.least_gains
+        return std, -known[list(self.joints)]  # the file may say too much
+
+    def at_limit(self, scale: Scale) -> tuple[Self, str] | None:
+        """As it is where it is the law that it :attr:`becomes`, and the id of that.
+
+        Args:
+            scale: Size of its joint.
+        """
+        if self.becomes is None:
+            return None
+        name, end, law = self.becomes
+        (shape,) = (s for s in self.shapes if s.name == name)
+        return self.at({name: getattr(shape.scaled(scale), end)}), law
+
     def reaches(self, size: int) -> tuple[int, ...]:
         """Joints whose torque it changes, r of them: those it acts on.
 
@@ -230,13 +288,6 @@ class Effect(InPlant, Instant, ABC):
     def holds(self, motion: Motion) -> bool:
         """Whether a motion agrees with what the law implies besides its torque."""
         return True
-
-    def imitates(self, motion: Motion) -> bool:
-        """Whether, on a motion, this law is the same as another, simpler law.
-
-        It may stand there for one that is not known: it is no cause then.
-        """
-        return False
 
     @property
     def observes(self) -> bool:

@@ -33,10 +33,10 @@ class Elasticity(Effect):
 
     id = "elasticity"
     port = Port.TRANSMISSION
+    shows_in_motion = True
     rough = 0.4
     steep = True
     behind = "deflection"
-    echoes = True
     # Noise of positions is largest where it swings, which looks like damping.
     inexact: ClassVar[Mapping[str, float]] = {"compliance": 0.05, "damping": 0.5}
     not_in_loop = "its link swings by the load that comes next"

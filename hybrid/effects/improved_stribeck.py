@@ -23,6 +23,7 @@ class ImprovedStribeck(JointEffect):
 
     id = "improved_stribeck"
     port = Port.DRIVE
+    composite = True
     fields = {"viscous": "damping"}
     dry = True
     gains = (

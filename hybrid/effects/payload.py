@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity, Scope
+from hybrid.effects.effect import Body, Effect, Port, Quantity, Scale, Scope
+from hybrid.effects.nominal import Nominal
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
 
@@ -27,6 +28,12 @@ _GAINS = (
     Quantity("Iyz", "kg·m²", 0.0, -10.0, 10.0),
     Quantity("Izz", "kg·m²", 0.002, 0.0, 20.0),
 )
+
+
+_LINK_OFF = 0.15  # a link that is wrong is so by this much
+# Of the mass of a middling link: what an arm usually carries, within a hand's breadth.
+_CARRIED = (1.0, *[0.1] * 3, *[0.02] * 6)
+_LIGHTEST = 0.1  # kg, of a middling link
 
 
 class LinkInertia(Effect):
@@ -49,6 +56,21 @@ class LinkInertia(Effect):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "joints", tuple(range(max(self.joints) + 1)))
+
+    @classmethod
+    def places(cls, size: int) -> Iterator[tuple[int, ...]]:
+        """Every link, with all joints up to it."""
+        yield from (tuple(range(k + 1)) for k in range(size))
+
+    @property
+    def at_joints(self) -> tuple[int, ...]:
+        """The joint that moves the link."""
+        return self.joints[-1:]
+
+    def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
+        """A link that is wrong is so by some 15 %, up or down."""
+        std = _LINK_OFF * nominal.size[self.joints[-1]]
+        return std, np.full(len(std), -np.inf)
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """See :meth:`Effect.columns`; shape (N, len(joints), 10)."""
@@ -90,3 +112,18 @@ class Payload(LinkInertia):
     equation = "τ = Y_n(q, v, a) · π_payload"
     sentence = "The arm carries a payload that the simulator does not know."
     remedy = "Add the payload's mass, centre of mass and inertia to the last link."
+
+    @classmethod
+    def places(cls, size: int) -> Iterator[tuple[int, ...]]:
+        """The whole arm."""
+        yield tuple(range(size))
+
+    @property
+    def at_joints(self) -> tuple[int, ...]:
+        """The whole arm."""
+        return self.joints
+
+    def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
+        """As much as a middling link."""
+        middling = max(float(np.median(nominal.inertial[:, 0])), _LIGHTEST)
+        return np.array(_CARRIED) * middling, self.least_gains

@@ -34,6 +34,8 @@ class Quantity:
             usual size if not given.
         inner: Whether it is of the fit alone, and no law has it.
         whole: Whether it is a number of something, which is chosen and not fitted.
+        near: How far from a value a fit may look, in its unit; a part of its range if
+            not given.
     """
 
     name: str
@@ -45,6 +47,15 @@ class Quantity:
     spread: float | None = None
     inner: bool = False
     whole: bool = False
+    near: float | None = None
+
+    @property
+    def deviation(self) -> float:
+        """Prior standard deviation: twice the usual size, or a third of the largest."""
+        if self.spread is not None:
+            return self.spread
+        largest = max(abs(self.lower), abs(self.upper)) / 3
+        return min(2 * abs(self.typical), largest) if self.typical else largest
 
     def scaled(self, scale: Scale) -> Quantity:
         """The same with numbers in SI units for a joint of this size."""

@@ -16,7 +16,6 @@ _TOTAL = 0.8  # the same that a fit finds, at least, of one that does
 _NEAR = 0.2  # of the limit: how far from it a drive that clips delivers, at most
 _SELDOM = 0.1  # of the samples, at which it may not
 _MOVING = 0.05  # of the highest speed; at rest friction holds what it gets
-_MOSTLY = 0.8  # of the time; a limit is above the torques of the rest
 _ENOUGH = 100  # samples below the limit, or beyond, to learn from
 _CLEARLY, _HIGH = 1.1, 0.9  # times what is delivered in this part of the time
 
@@ -30,6 +29,7 @@ class Saturation(Effect):
 
     id = "saturation"
     port = Port.DRIVE
+    becomes = "limit", "lower", "torque_gain"
     gains = (Quantity("loss", "", 0.5, 0.0, 1.0, spread=5.0),)
     shapes = (
         Quantity("limit", "N·m", 0.3, 0.02, 2.0, per=(1, 0)),
@@ -83,11 +83,6 @@ class Saturation(Effect):
         over = moves & (np.abs(asked) > limit)
         apart = np.abs(np.sign(asked) * tau - limit) > _NEAR * limit
         return bool((over & apart).sum() <= _SELDOM * over.sum())
-
-    def imitates(self, motion: Motion) -> bool:
-        """Whether nearly all torques are beyond its limit: what they lack is a gain."""
-        beyond = np.abs(motion.tau[:, self.joints]) > self.values["limit"]
-        return bool(np.mean(beyond[motion.mask]) > _MOSTLY)
 
     @property
     def least_gains(self) -> Array:

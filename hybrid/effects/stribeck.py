@@ -10,9 +10,6 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects.effect import JointState, Port, Quantity
 from hybrid.effects.joint_effect import JointEffect
-from hybrid.signals import Motion
-
-_TOP = 0.99  # of the range of speeds at which friction has fallen
 
 
 class Stribeck(JointEffect):
@@ -31,10 +28,6 @@ class Stribeck(JointEffect):
     source = "Bo and Pavelescu 1982, doi 10.1016/0043-1648(82)90156-4"
     sentence = "Friction of {joints} is higher at low speed and falls with speed."
     remedy = "Add a Stribeck term, or run the joint above its Stribeck speed."
-
-    def imitates(self, motion: Motion) -> bool:
-        """Whether it falls over all speeds, as other friction might."""
-        return self.values["velocity"] > _TOP * self.shapes[0].upper
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:

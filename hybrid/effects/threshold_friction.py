@@ -26,6 +26,7 @@ class ThresholdFriction(JointEffect):
 
     id = "threshold_friction"
     port = Port.DRIVE
+    composite = True
     fields = {
         "coulomb_positive": "frictionloss",
         "coulomb_negative": "frictionloss",

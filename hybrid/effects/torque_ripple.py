@@ -21,12 +21,14 @@ class TorqueRipple(JointEffect):
 
     id = "torque_ripple"
     port = Port.DRIVE
+    repeats = True
+    choices = 6.0
     gains = (
         Quantity("sine", "N·m", 0.02, -0.15, 0.15, per=(1, 0)),
         Quantity("cosine", "N·m", 0.0, -0.15, 0.15, per=(1, 0)),
     )
     shapes = (
-        Quantity("periods", "1/turn", 20.0, 1.0, 1000.0),
+        Quantity("periods", "1/turn", 20.0, 1.0, 1000.0, near=0.5),
         Quantity("fastest", "rad/s", 1e3, 1e-4, 1e3, whole=True),
     )
     equation = "τ = A_s · sin(k q) + A_c · cos(k q)"

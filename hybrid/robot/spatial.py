@@ -80,3 +80,29 @@ def inertia_fault(mass: float, about: Array) -> str:
         f"{', '.join(f'{x:.4g}' for x in moments)} kg·m²); valid are a mass of 0 or "
         "more and moments of which none is above the sum of the others"
     )
+
+
+def link_spread(inertial: Array) -> Array:
+    """Scale of each link parameter, by which a relative error of it is meant.
+
+    A coordinate of the centre of mass that the file puts at zero may still be off: its
+    scale is at least a third of the link's radius of gyration.
+
+    Args:
+        inertial: Link parameters, shape (n, 10).
+
+    Returns:
+        Scales in the parameters' units, shape (n, 10).
+    """
+    scale = np.zeros_like(inertial)
+    for k, link in enumerate(inertial):
+        mass = link[0]
+        if mass <= 0:
+            continue
+        centre = link[1:4] / mass
+        own = np.trace(central_inertia(link)[2]) / 2
+        radius = np.sqrt(max(own / mass, 1e-8))
+        scale[k, 0] = mass
+        scale[k, 1:4] = mass * np.maximum(np.abs(centre), radius / 3)
+        scale[k, 4:] = own / 2 + mass * (centre @ centre) + 1e-9
+    return scale

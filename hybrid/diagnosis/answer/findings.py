@@ -41,7 +41,7 @@ def findings(
     """
     gap = scored.gap
     grouped: dict[str, list[int]] = {}
-    for k in sorted(range(len(effects)), key=lambda k: _where(effects[k])):
+    for k in sorted(range(len(effects)), key=lambda k: effects[k].at_joints):
         grouped.setdefault(scored.named[k], []).append(k)
     found = []
     for effect_id, members in grouped.items():
@@ -51,7 +51,7 @@ def findings(
         # What the file declares, and this takes the place of, comes last.
         members.sort(key=lambda k: effects[k].id != effect_id)
         cls = effects[members[0]]
-        joints = tuple(dict.fromkeys(j for k in members for j in _where(effects[k])))
+        joints = tuple(dict.fromkeys(j for k in members for j in effects[k].at_joints))
         names = tuple(gap.robot.joints[j] for j in sorted(joints))
         alike = [a for k in members if effects[k].id == effect_id for a in kinds[k]]
         gone = dict.fromkeys(x for k in members if (x := effects[k].id) != effect_id)
@@ -154,17 +154,13 @@ def _removed(before: float, after: float) -> float:
     return float(1.0 - np.sqrt(after / before)) if before > 0 else 0.0
 
 
-def _where(effect: Effect) -> tuple[int, ...]:
-    return effect.joints[-1:] if effect.id == "link_inertia" else effect.joints
-
-
 def values(gap: Gap, effect: Effect) -> list[Value]:
     """The parameters of an effect with their 95 % intervals.
 
     Of a shape that the recordings do not tell, all of its range.
     """
     scale, prior = gap.scales[effect.joints[-1]], candidate(gap, effect).std
-    joint = "+".join(gap.robot.joints[j] for j in _where(effect))
+    joint = "+".join(gap.robot.joints[j] for j in effect.at_joints)
     if effect.scope == "arm":
         joint = "arm"
     values = []
@@ -180,7 +176,7 @@ def values(gap: Gap, effect: Effect) -> list[Value]:
             determined = part_of_range(bounds, low, high) < _OPEN
         unit = x.unit
         if effect.scope != "arm":
-            unit = unit_at(gap.robot, _where(effect), unit)
+            unit = unit_at(gap.robot, effect.at_joints, unit)
         values.append(Value(joint, x.name, value, unit, (low, high), determined))
     return values
 

@@ -10,11 +10,10 @@ import numpy as np
 from hybrid.diagnosis.answer.motion import motion_shrink, rollout_agrees, step_warning
 from hybrid.diagnosis.answer.replay import Replay
 from hybrid.diagnosis.answer.result import Result
+from hybrid.effects import effect_class
 from hybrid.errors import HybridError
 
 _LOST = 1.0  # rad; a replay that is so far off tells nothing
-# Effects between motor and link, and of clocks: torque alone does not settle them.
-_IN_MOTION = {"elasticity", "backlash", "actuator_lag", "delay"}
 _ASTRAY = "replayed, the simulator leaves the motion with or without {}"
 _NO_REPLAY = (
     "too few stretches of a tenth of a second, of those kept for scoring, to replay "
@@ -62,7 +61,7 @@ def replayed(
             else:
                 f = replace(f, shrink={**f.shrink, "motion": shrink})
             found.append(f)
-            if f.effect in _IN_MOTION and any(
+            if effect_class(f.effect).shows_in_motion and any(
                 rollout_agrees(replay, k, rng) is False for k in members
             ):
                 denied += f.share

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.bayes import loudness
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.effects import Effect
 from hybrid.effects.contact import Contact
 
 _CHUNK = 0.05  # s
@@ -68,37 +67,6 @@ class _Stretch:
             (self.recording, self.first, ends[0]),
             (other.recording, other.first, ends[1]),
         )
-
-
-def witnessed(gap: Gap, effect: Effect) -> bool:
-    """Whether the arm was seen without a contact before it, and with it, if it is one.
-
-    As a log begins, friction and play still remember what was before; as it ends, so
-    does the filter.
-    """
-    if effect.id != Contact.id:
-        return True
-    use, own = gap.moving.any(axis=1), effect.values["recording"]
-    start, shown = effect.values["start"], False
-    for r in range(len(gap.motions)):
-        t = gap.sampled.t[use & (gap.trajectory == r)]
-        if own not in (_OF_ALL, r) or not len(t):
-            continue
-        if start < t[0] + _CHUNK:
-            return False
-        shown |= start <= t[-1] - _CHUNK
-    return bool(shown)
-
-
-def at_once(one: Effect, other: Effect) -> bool:
-    """Whether two effects are contacts, and some of the time of both is the same."""
-    if {one.id, other.id} != {Contact.id}:
-        return False
-    spans = [
-        (x["recording"], x["start"], x["start"] + x["duration"])
-        for x in (one.values, other.values)
-    ]
-    return _meet(*spans)
 
 
 def _meet(a: tuple[float, float, float], b: tuple[float, float, float]) -> bool:

@@ -52,10 +52,6 @@ class Solution:
         """Gains of some of the columns, in their order."""
         return self.gains[self._rows(columns)]
 
-    def deviation(self, columns: Index) -> Array:
-        """Posterior standard deviations of the same gains."""
-        return np.sqrt(np.diag(self.covariance)[self._rows(columns)])
-
     def _rows(self, columns: Index) -> Index:
         order = np.argsort(self.index)
         return order[np.searchsorted(self.index[order], columns)]

@@ -29,8 +29,6 @@ from hybrid.effects.torque_ripple import TorqueRipple
 _RIPPLES = 3  # orders tried at each joint at a time
 _CONTACTS = 2  # stretches of time tried at a time
 _ODD = 10.0  # nats for any cause, without which a joint has no gap
-# Effects whose shapes come from the residual; they may be there more than once.
-REPEATED = {TorqueRipple.id, Contact.id}
 
 
 class Pool:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import Candidate, scale_of, with_gains
 from hybrid.diagnosis.evidence.evidence import Evidence, Trial
 from hybrid.diagnosis.evidence.products import Index
@@ -146,28 +145,3 @@ def take_nudges(evidence: Evidence, effect: Effect) -> Index:
         return np.zeros(0, dtype=np.intp)
     spread = [np.array([_SHAPE_SPREAD])] * len(blocks)
     return np.concatenate(evidence.add(blocks, spread))
-
-
-def shape_steps(
-    evidence: Evidence, base: Index, placed: Sequence[tuple[Candidate, Index]]
-) -> list[Array]:
-    """Gauss-Newton step of the shapes of some candidates, fitted together.
-
-    Args:
-        evidence: Cross-products of the gap.
-        base: All columns that are in, shape (k,).
-        placed: The candidates, and which of these columns are theirs.
-
-    Returns:
-        For each candidate a step of every shape, in parts of its range, shape (s,);
-        none, shape (0,), of an effect that is scanned.
-    """
-    solution = evidence.solve(base)
-    index = [
-        np.zeros(0, dtype=np.intp)
-        if c.effect.steep
-        else take_nudges(evidence, with_gains(c.effect, solution.of(own)))
-        for c, own in placed
-    ]
-    whole = evidence.solve(np.concatenate([base, *index]))
-    return [whole.of(own) for own in index]

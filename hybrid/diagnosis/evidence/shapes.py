@@ -12,10 +12,8 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.effects import Effect
 from hybrid.effects.effect import Quantity
-from hybrid.effects.torque_ripple import TorqueRipple
 
 _PRICE = 2.0  # of choosing one shape; the logarithm of how many differ in effect
-_SHAPE_PRICE = {"torque_ripple": 6.0, "contact": 8.0}  # of hundreds, of thousands
 _SCAN_PRICE = 8.0  # of a gain that is scanned: each value is another law
 _REACH = 0.2  # of a shape's range, to either side
 _WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
@@ -26,8 +24,9 @@ _NUDGE = 0.05  # of the reach, for a derivative
 
 def price(effect: Effect) -> float:
     """Evidence that the choice of an effect's shapes has to pay for, [nat]."""
-    scanned = _SCAN_PRICE if effect.steep else 0.0
-    return _SHAPE_PRICE.get(effect.id, _PRICE * len(effect.shapes) + scanned)
+    if effect.choices is not None:
+        return effect.choices
+    return _PRICE * len(effect.shapes) + (_SCAN_PRICE if effect.steep else 0.0)
 
 
 @dataclass(frozen=True)
@@ -85,11 +84,11 @@ def fit_shapes(
 
 
 def _reach(effect: Effect, first: _Range) -> float:
-    """How far to look; of a ripple, not as far as its next wave."""
-    if effect.id != TorqueRipple.id:
+    """How far to look, in parts of the range."""
+    if first.shape.near is None:
         return _REACH
-    periods = effect.values["periods"]
-    return first.place(periods + 0.5) - first.place(periods)
+    value = effect.values[first.shape.name]
+    return first.place(value + first.shape.near) - first.place(value)
 
 
 def _one(loss: Callable[[Array], float], start: Array, reach: float) -> Array:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.candidates import instead
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.term import Term
@@ -90,7 +89,8 @@ class Explanation:
         def owner(k: int) -> str:
             law, joints = self.terms[k].place
             for other, gain in zip(self.terms, first, strict=True):
-                place = instead(other.candidate.effect), other.place[1]
+                plain = other.candidate.effect.becomes
+                place = plain[2] if plain else "", other.place[1]
                 if (
                     place == (law, joints)
                     and first[k] < 0 < _INSTEAD * -first[k] < gain

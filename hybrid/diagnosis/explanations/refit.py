@@ -10,7 +10,6 @@ from scipy.stats import chi2, qmc
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import Candidate, with_gains
 from hybrid.diagnosis.evidence.evidence import Evidence, Solution
-from hybrid.diagnosis.evidence.pool import REPEATED
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.refine import shifted, take_nudges
 from hybrid.diagnosis.evidence.shapes import at_places, places, shape_units
@@ -68,7 +67,7 @@ def refit(gap: Gap, search: Search) -> tuple[Effect, ...]:
         known = whole.covariance[np.ix_(here, here)]
         unit = np.array([*np.ones(len(i)), *shape_units(gap, effect)])
         covariance = known * np.outer(unit, unit)
-        if len(s) and not effect.steep and effect.id not in REPEATED:
+        if len(s) and not effect.steep and not effect.repeats:
             base = np.setdiff1d(index, i)
             part = known[len(i) :, len(i) :]
             far = _over_shapes(

@@ -16,7 +16,7 @@ Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam facto
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, partial
@@ -25,24 +25,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.bayes import WIDER, memory
-from hybrid.diagnosis.evidence.candidates import Candidate, Place, same, usual
+from hybrid.diagnosis.evidence.bayes import WIDER
+from hybrid.diagnosis.evidence.candidates import Candidate, Place, usual
 from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.diagnosis.evidence.noise import LAGS, autocovariance, floored
-from hybrid.diagnosis.evidence.pool import REPEATED, Pool
+from hybrid.diagnosis.evidence.pool import Pool
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.refine import refine
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.evidence.term import Term
-from hybrid.diagnosis.explanations.belief import Belief
+from hybrid.diagnosis.explanations.belief import Belief, beliefs
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.elsewhere import Elsewhere
+from hybrid.diagnosis.explanations.laws import Laws
 from hybrid.diagnosis.explanations.prior import Prior
 from hybrid.diagnosis.explanations.proposal import Proposal
-from hybrid.diagnosis.explanations.unknown import WAVES, unknown_laws, waves
+from hybrid.diagnosis.explanations.weight import weigh
 from hybrid.diagnosis.gap.background import background, clocks, rest
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.diagnosis.gap.split import between
+from hybrid.effects import effect_classes
 
 _RIPPLES = 9  # orders at each joint, of which noise is estimated
 _ROUNDS = 4  # of adding, exchanging and widening
@@ -83,8 +84,7 @@ class Search:
         self._weigh()
         self.pool.take_contacts(self.rigid)
         self.pool.take_steep(self.rigid)
-        self._waves: dict[Place, Array] = {}
-        self.laws = [law for j in range(gap.robot.size) for law in self._laws(j)]
+        self.laws = Laws(self.evidence, self.rigid, self.prior)
         self.causes: list[Cause] = []
         self.refused: set[Place] = set()
         self.beliefs: list[Belief] = []  # of the known causes, once it has run
@@ -92,76 +92,22 @@ class Search:
         self.library_only = False
 
     def _weigh(self) -> None:
-        """Let noise be what it is, and what no law and no simulator has exactly.
-
-        What these leave is as slow as what they are of. The stop band of a filter has
-        no less noise than the upper half of its band.
-        """
-        evidence, rigid, gap = self.evidence, self.evidence.solve(self.rigid), self.gap
-        evidence.noise, covariances = self.noise.copy(), list[Array]()
-        for i, rows in enumerate(evidence.rows):
-            covariance = evidence.covariances[i].copy()
-            if len(rows):
-                back = np.argsort(rows)
-                left = evidence.residual(i, rigid.index, rigid.gains)[back]
-                torque = gap.measured[rows[back], i]
-                torque -= np.mean(torque)
-                law = self.prior.inexact**2 * autocovariance(left, rows[back], LAGS)
-                solver = self.prior.solver**2 * np.mean(torque**2)
-                solver *= memory(torque, rows[back])
-                evidence.noise[i] += solver + law[0] * memory(left, rows[back])
-                covariance += law
-                covariance[0] += law[0] + solver
-            covariances.append(floored(covariance, gap.cutoff / gap.rate))
-        evidence.weigh(covariances)
-        self.covariances = covariances
-        rigid = evidence.solve(self.rigid)
-        self._whole = evidence.lost(rigid.index, rigid.gains) / 2
+        """Let noise be what it is, and what no law and no simulator has exactly."""
+        self.covariances = weigh(self.evidence, self.noise, self.rigid, self.prior)
+        rigid = self.evidence.solve(self.rigid)
+        self._whole = self.evidence.lost(rigid.index, rigid.gains) / 2
         self._kept: dict[tuple[object, ...], tuple[Candidate, float]] = {}
         self.__dict__.pop("test", None)
 
-    def _wavy_laws(self, joint: int) -> Iterator[Cause]:
-        """Waves that stand out of what the background leaves, picked out of many."""
-        evidence, rows = self.evidence, self.evidence.rows[joint]
-        found = evidence.solve(self.rigid)
-        left = evidence.residual(joint, found.index, found.gains)
-        for name, x in waves(self.gap, joint, left, rows):
-            if x.shape[1]:
-                self._waves[name, (joint,)] = x
-                picked = WAVES * np.log(len(rows))
-                yield self._law(name, joint, x, self.prior.unknown + float(picked))
-
-    def _laws(self, joint: int) -> Iterator[Cause]:
-        if len(self.evidence.rows[joint]):
-            for name, x in unknown_laws(self.gap, joint):
-                yield self._law(name, joint, x, self.prior.unknown)
-            yield from self._wavy_laws(joint)
-
-    def _law(self, name: str, joint: int, x: Array, cost: float) -> Cause:
-        rows, torque = self.evidence.rows[joint], self.gap.scales[joint].torque
-        size = np.sqrt(np.mean(np.sum(x[rows] ** 2, axis=1))) + 1e-12
-        std = np.full(x.shape[1], self.prior.size * torque / size)
-        (index,) = self.evidence.add([{joint: x}], [std])
-        return Cause((name, (joint,)), index, cost)
-
-    def _widened(self, base: Index, law: Cause) -> Cause:
-        """An unknown law under as wide a prior as is most probable."""
-        columns, std = self.columns_of(law), self.evidence.precision[law.index] ** -0.5
-        none = np.full(len(std), -np.inf)
-        wider = self.evidence.trial(base, columns, std, none).wider
-        if wider == 1.0:
-            return law
-        (index,) = self.evidence.add([columns], [wider * std])
-        return Cause(law.place, index, law.cost + float(np.log(wider)))
-
-    def _mimicked(self, place: Place, *, known: bool) -> float:
+    def mimicked(self, c: Cause | Candidate) -> float:
         """What a cause may be worth that is but the inexactness of another, [nat]."""
+        known = isinstance(c, Candidate) or c.candidate is not None
         part = self.prior.inexact if known else self.prior.misfit
-        return float(part**2 * self._whole[list(place[1])].max())
+        return float(part**2 * self._whole[list(c.place[1])].max())
 
     def _odds(self, c: Cause) -> float:
         """Odds against a cause, [nat]."""
-        return c.cost + self._mimicked(c.place, known=c.candidate is not None)
+        return c.cost + self.mimicked(c)
 
     @property
     def known(self) -> list[Cause]:
@@ -208,7 +154,8 @@ class Search:
         """Where no more may be than some causes: one of a kind, or a few."""
         most = self.prior.repeated
         count = Counter(c.place for c in causes)
-        return {x for x, k in count.items() if k >= (most if x[0] in REPEATED else 1)}
+        again = {x.id for x in effect_classes().values() if x.repeats}
+        return {x for x, k in count.items() if k >= (most if x[0] in again else 1)}
 
     def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
         """See :func:`.refine.refine`."""
@@ -246,9 +193,9 @@ class Search:
         self._settle()
         if len(self.known) < len(self.causes) or len(self.causes) > _FEW:
             self._start_again()
-        self.beliefs = self._believe()
+        self.beliefs = beliefs(self)
         if self._simplify():
-            self.beliefs = self._believe()
+            self.beliefs = beliefs(self)
         self.whole = list(self.causes)
         return self.causes
 
@@ -397,20 +344,20 @@ class Search:
         for c in short:
             better, worth = self._refined(base, c)
             make = partial(self.cause, better)
-            odds = self.prior.cause + self._mimicked(c.place, known=True)
+            odds = self.prior.cause + self.mimicked(c)
             found.append(Proposal(c.place, worth - odds, make, better))
-        laws = self._open_laws(causes)
+        laws = self.laws.open(causes)
         if laws and not self.library_only:
-            none = [np.full(len(x.index), -np.inf) for x in self.laws]
-            every = [x.index for x in self.laws]
-            gained = self.evidence.screen(whole, every, none, less=less)
-            worths = {
-                x: float(gain) - self._odds(x)
-                for x, gain in zip(self.laws, gained, strict=True)
-            }
-            law = max(laws, key=lambda x: worths[x])
-            make = partial(self._widened, base, law)
-            found.append(Proposal(law.place, worths[law], make))
+            every = self.laws.all  # the same ones each time, whose products are kept
+            none = [np.full(len(x.index), -np.inf) for x in every]
+            gained = self.evidence.screen(
+                whole, [x.index for x in every], none, less=less
+            )
+            known = dict(zip(every, gained, strict=True))
+            law = max(laws, key=lambda x: known[x] - self._odds(x))
+            make = partial(self.laws.widened, base, law)
+            worth = float(known[law]) - self._odds(law)
+            found.append(Proposal(law.place, worth, make))
         return sorted(found, key=lambda x: -x.worth)
 
     def _refined(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
@@ -420,47 +367,6 @@ class Search:
         if key not in self._kept:
             self._kept[key] = refine(self.evidence, base, c)
         return self._kept[key]
-
-    def _open_laws(self, causes: Collection[Cause]) -> list[Cause]:
-        """Unknown laws that are not among some causes, where there are few yet."""
-        full = [
-            sum(c.candidate is None and c.place[1] == (j,) for c in causes)
-            >= self.prior.repeated
-            for j in range(self.gap.robot.size)
-        ]
-        there = {c.place for c in causes}
-        return [
-            x for x in self.laws if x.place not in there and not full[x.place[1][0]]
-        ]
-
-    def _believe(self) -> list[Belief]:
-        """How probable each known cause is, and what might stand in its place."""
-        now, found = self.score(self.causes), []
-        for cause in self.known:
-            rest = [c for c in self.causes if c is not cause]
-            worth = now - self.score(rest)
-            options: dict[Place, Proposal] = {}
-            for x in self.proposals(rest, own=cause):
-                options.setdefault(x.place, x)
-            twins = {place for place, x in options.items() if self._twin(cause, x)}
-            found.append(Belief.of(cause, worth, options, twins, self.prior.alike))
-        return found
-
-    def _twin(self, cause: Cause, other: Proposal) -> bool:
-        """Whether something else has the same torque, and but another prior."""
-        one, two = cause.candidate, other.candidate
-        if one is None or two is None or one.place[1] != two.place[1]:
-            return False
-        return same(*(self.gap.columns(c.effect) for c in (one, two)))
-
-    def unknown_worth(self, cause: Cause) -> float:
-        """What the unknown laws are worth at the joint that a cause is about, [nat]."""
-        evidence, causes = self.evidence, self.causes
-        gains = evidence.solve(self.columns(causes)).of(cause.index)
-        order = np.argsort(cause.index)
-        joint = int(np.argmax(evidence.made(cause.index[order], gains[order])))
-        rest = [c for c in causes if c.candidate is not None or c.place[1] != (joint,)]
-        return self.score(causes) - self.score(rest)
 
     def _simplify(self) -> bool:
         """Exchange causes for plainer ones that are as probable; whether there are."""
@@ -493,12 +399,9 @@ class Search:
 
     def columns_of(self, cause: Cause) -> Columns:
         """Torque per unit of each gain of a cause at every sample, by joint."""
-        if cause.candidate is not None:
-            return self.gap.columns(cause.candidate.effect)
-        (joint,) = cause.place[1]
-        if (x := self._waves.get(cause.place)) is None:
-            x = dict(unknown_laws(self.gap, joint))[cause.place[0]]
-        return {joint: x}
+        if cause.candidate is None:
+            return self.laws.columns(cause)
+        return self.gap.columns(cause.candidate.effect)
 
     def _lost(self, causes: Sequence[Cause]) -> Array:
         """What some causes lose on unseen samples, less what a fit says, [nat].

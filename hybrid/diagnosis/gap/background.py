@@ -16,7 +16,7 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.spring import Spring
 from hybrid.effects.viscous import Viscous
-from hybrid.robot.spatial import central_inertia
+from hybrid.robot.spatial import link_spread
 
 _KNEES = (0.003, 0.01, 0.017, 0.03)  # rad/s
 _LEADS = (0.0, 0.01)  # s
@@ -123,29 +123,3 @@ def soft_friction(
         soft = np.clip(ahead, -1.0, 1.0) - np.sign(v)[:, :, None]
         parts.append(sampler(soft.reshape(len(v), -1)))
     return np.concatenate(parts)
-
-
-def link_spread(inertial: Array) -> Array:
-    """Scale of each link parameter, by which a relative error of it is meant.
-
-    A coordinate of the centre of mass that the file puts at zero may still be off: its
-    scale is at least a third of the link's radius of gyration.
-
-    Args:
-        inertial: Link parameters, shape (n, 10).
-
-    Returns:
-        Scales in the parameters' units, shape (n, 10).
-    """
-    scale = np.zeros_like(inertial)
-    for k, link in enumerate(inertial):
-        mass = link[0]
-        if mass <= 0:
-            continue
-        centre = link[1:4] / mass
-        own = np.trace(central_inertia(link)[2]) / 2
-        radius = np.sqrt(max(own / mass, 1e-8))
-        scale[k, 0] = mass
-        scale[k, 1:4] = mass * np.maximum(np.abs(centre), radius / 3)
-        scale[k, 4:] = own / 2 + mass * (centre @ centre) + 1e-9
-    return scale

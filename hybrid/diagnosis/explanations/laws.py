@@ -1,0 +1,87 @@
+"""Unknown laws as causes: what each is of, its columns, and its prior."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.diagnosis.evidence.candidates import Place
+from hybrid.diagnosis.evidence.evidence import Evidence
+from hybrid.diagnosis.evidence.products import Index
+from hybrid.diagnosis.explanations.cause import Cause
+from hybrid.diagnosis.explanations.prior import Prior
+from hybrid.diagnosis.explanations.unknown import WAVES, unknown_laws, waves
+from hybrid.diagnosis.gap.gap import Columns
+
+
+class Laws:
+    """Unknown laws of all joints, whose columns are in the evidence.
+
+    Args:
+        evidence: Cross-products of the gap.
+        rigid: Columns of the background, of whose residual waves are picked.
+        prior: What is believed before any recording.
+
+    Attributes:
+        all: The laws.
+    """
+
+    def __init__(self, evidence: Evidence, rigid: Index, prior: Prior) -> None:
+        self._evidence, self._prior, self._gap = evidence, prior, evidence.gap
+        self._waves: dict[Place, Array] = {}
+        found = evidence.solve(rigid)
+        left = [
+            evidence.residual(j, found.index, found.gains)
+            for j in range(len(evidence.rows))
+        ]
+        self.all = [law for j, x in enumerate(left) if len(x) for law in self._of(j, x)]
+
+    def _of(self, joint: int, left: Array) -> Iterator[Cause]:
+        rows = self._evidence.rows[joint]
+        for name, x in unknown_laws(self._gap, joint):
+            yield self._law(name, joint, x, self._prior.unknown)
+        picked = self._prior.unknown + float(WAVES * np.log(len(rows)))
+        for name, x in waves(self._gap, joint, left, rows):
+            if x.shape[1]:
+                self._waves[name, (joint,)] = x
+                yield self._law(name, joint, x, picked)
+
+    def _law(self, name: str, joint: int, x: Array, cost: float) -> Cause:
+        rows, torque = self._evidence.rows[joint], self._gap.scales[joint].torque
+        size = np.sqrt(np.mean(np.sum(x[rows] ** 2, axis=1))) + 1e-12
+        std = np.full(x.shape[1], self._prior.size * torque / size)
+        (index,) = self._evidence.add([{joint: x}], [std])
+        return Cause((name, (joint,)), index, cost)
+
+    def columns(self, law: Cause) -> Columns:
+        """Torque per unit of each gain of a law at every sample, by joint."""
+        (joint,) = law.place[1]
+        if (x := self._waves.get(law.place)) is None:
+            x = dict(unknown_laws(self._gap, joint))[law.place[0]]
+        return {joint: x}
+
+    def widened(self, base: Index, law: Cause) -> Cause:
+        """A law under as wide a prior as is most probable.
+
+        Args:
+            base: Columns that are in already.
+            law: One of the laws.
+        """
+        columns, std = self.columns(law), self._evidence.precision[law.index] ** -0.5
+        none = np.full(len(std), -np.inf)
+        wider = self._evidence.trial(base, columns, std, none).wider
+        if wider == 1.0:
+            return law
+        (index,) = self._evidence.add([columns], [wider * std])
+        return Cause(law.place, index, law.cost + float(np.log(wider)))
+
+    def open(self, causes: Collection[Cause]) -> list[Cause]:
+        """Laws that are not among some causes, at joints where there are few yet."""
+        there = [c.place for c in causes if c.candidate is None]
+        at = [joints for _, joints in there]
+        most = self._prior.repeated
+        return [
+            x for x in self.all if x.place not in there and at.count(x.place[1]) < most
+        ]
