@@ -165,8 +165,6 @@ def _believed(
     """
     beliefs = [b for b in search.beliefs if b.probability > _HALF]
     beliefs = [b for b in beliefs if b.worth > unknown_worth(search, b.cause)]
-    # A law that is another one here, of which nobody knows, is not told from it.
-    beliefs = [b for b in beliefs if b.limit not in search.pool.without]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
     kinds, torn = {}, {}

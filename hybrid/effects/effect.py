@@ -89,8 +89,8 @@ class Effect(InPlant, Instant, ABC):
     rough: ClassVar[float] = 0.0
     # Whether most joints have it, so that any fit of an arm begins with it.
     usual: ClassVar[bool] = False
-    # The plainer law that it becomes at an end of a shape's range: the shape, which
-    # end, and the id of that law. It may take the place of that in an arm's file.
+    # What it becomes at an end of a shape's range: the shape, which end, and the id of
+    # a plainer law, whose place in an arm's file it may take; or "", what many laws do.
     becomes: ClassVar[tuple[str, Literal["lower", "upper"], str] | None] = None
     # Whether it sums up other laws, for a fit of all of them.
     composite: ClassVar[bool] = False
@@ -231,7 +231,7 @@ class Effect(InPlant, Instant, ABC):
         return std, -known[list(self.joints)]  # the file may say too much
 
     def at_limit(self, scale: Scale) -> tuple[Self, str] | None:
-        """As it is where it is the law that it :attr:`becomes`, and the id of that.
+        """As it is where it is what it :attr:`becomes`, and the id of that.
 
         Args:
             scale: Size of its joint.

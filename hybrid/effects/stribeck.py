@@ -19,6 +19,7 @@ class Stribeck(JointEffect):
     port = Port.DRIVE
     fields = {"level": "friction"}
     dry = True
+    becomes = "velocity", "upper", ""
     gains = (Quantity("level", "N·m", 0.03, 0.0, 0.3, per=(1, 0)),)
     shapes = (
         Quantity("velocity", "rad/s", 0.05, 0.001, 1.0),

@@ -27,7 +27,7 @@ class Belief:
         alike: What may stand in its place, itself first, and how probable each is.
         probability: That it, or a known effect alike, is there; the rest is that of
             no cause or an unknown law.
-        limit: Id of the plainer law that it cannot be told from; see
+        limit: Id of what it cannot be told from, where it is not itself any more; see
             :attr:`.Effect.becomes`.
     """
 
@@ -35,7 +35,7 @@ class Belief:
     worth: float
     alike: tuple[tuple[Proposal, float], ...]
     probability: float
-    limit: str = ""
+    limit: str | None = None
 
     @classmethod
     def of(
@@ -45,7 +45,7 @@ class Belief:
         options: Mapping[Place, Proposal],
         twins: Collection[Place],
         least: float,
-        limit: str = "",
+        limit: str | None = None,
     ) -> Belief:
         """Normalised over what may stand in its place, and over nothing there.
 
@@ -55,7 +55,7 @@ class Belief:
             options: What may stand in its place.
             twins: What has the same torque; only its prior is another.
             least: Probability from which on something counts.
-            limit: Id of the plainer law that it cannot be told from.
+            limit: Id of what it cannot be told from, if it is at its limit.
         """
         known = list(options.values())
         nat = np.array([0.0, *(x.worth for x in known)])
@@ -108,20 +108,20 @@ def _twin(search: Search, cause: Cause, other: Proposal) -> bool:
     return same(*(search.gap.columns(c.effect) for c in (one, two)))
 
 
-def _limit(search: Search, cause: Cause, rest: list[Cause]) -> str:
-    """Id of the law that it cannot be told from, at an end of a shape, or nothing.
+def _limit(search: Search, cause: Cause, rest: list[Cause]) -> str | None:
+    """Id of what it cannot be told from, at an end of a shape, or nothing.
 
     What it is worth more may be no more than laws are inexact by.
     """
     c = cause.candidate
     end = None if c is None else c.effect.at_limit(scale_of(search.gap, c.effect))
     if c is None or end is None:
-        return ""
+        return None
     base = search.columns(rest)
     own, there = (
         gain(search.evidence, base, replace(c, effect=x)) for x in (c.effect, end[0])
     )
-    return end[1] if own - there < search.mimicked(cause) else ""
+    return end[1] if own - there < search.mimicked(cause) else None
 
 
 def unknown_worth(search: Search, cause: Cause) -> float:

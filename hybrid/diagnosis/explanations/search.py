@@ -97,6 +97,7 @@ class Search:
         rigid = self.evidence.solve(self.rigid)
         self._whole = self.evidence.lost(rigid.index, rigid.gains) / 2
         self._kept: dict[tuple[object, ...], tuple[Candidate, float]] = {}
+        self._last: dict[Cause, frozenset[Cause | bool]] = {}
         self.__dict__.pop("test", None)
 
     def mimicked(self, c: Cause | Candidate) -> float:
@@ -194,7 +195,7 @@ class Search:
         if len(self.known) < len(self.causes) or len(self.causes) > _FEW:
             self._start_again()
         self.beliefs = beliefs(self)
-        if self._simplify():
+        if self._simplify() | self._unmask():
             self.beliefs = beliefs(self)
         self.whole = list(self.causes)
         return self.causes
@@ -247,10 +248,19 @@ class Search:
             while len(self.causes) < _MOST and self._add():
                 changed = True
             for cause in list(self.causes):
-                if cause in self.causes:
-                    changed |= self._renew(cause)
+                if cause in self.causes and self._last.get(cause) != self._near(cause):
+                    if self._renew(cause):
+                        changed = True
+                    else:
+                        self._last[cause] = self._near(cause)
             if not changed and not self._widen():
                 break
+
+    def _near(self, cause: Cause) -> frozenset[Cause | bool]:
+        """What is at the same joints; what is at others hardly matters to a cause."""
+        own = set(cause.place[1])
+        near = (c for c in self.causes if own.intersection(c.place[1]))
+        return frozenset([self.library_only, *near])
 
     def _widen(self) -> bool:
         """Let the file's numbers be as far off as is most probable."""
@@ -261,9 +271,9 @@ class Search:
             return float(self.score(self.causes) - 0.5 * far**2)
 
         now, best = self.off, max(self.prior.file, key=score)
-        # What an inexact law leaves is no ground for changing all numbers.
+        # Each link is then another one; and no more than what inexact laws leave.
         whole = score(now) - self.evidence.solve(self.rigid).evidence
-        added = self.prior.cause + self.prior.misfit**2 * whole
+        added = self.prior.cause * self.gap.robot.size + self.prior.misfit**2 * whole
         best = best if score(best) > score(now) + added else now
         self.evidence.spread(self.numbers, now)
         if best != now:
@@ -348,17 +358,20 @@ class Search:
             found.append(Proposal(c.place, worth - odds, make, better))
         laws = self.laws.open(causes)
         if laws and not self.library_only:
-            every = self.laws.all  # the same ones each time, whose products are kept
-            none = [np.full(len(x.index), -np.inf) for x in every]
-            gained = self.evidence.screen(
-                whole, [x.index for x in every], none, less=less
-            )
-            known = dict(zip(every, gained, strict=True))
-            law = max(laws, key=lambda x: known[x] - self._odds(x))
-            make = partial(self.laws.widened, base, law)
-            worth = float(known[law]) - self._odds(law)
-            found.append(Proposal(law.place, worth, make))
+            found.append(self._unknown(laws, base, whole, less))
         return sorted(found, key=lambda x: -x.worth)
+
+    def _unknown(
+        self, laws: Sequence[Cause], base: Index, whole: Index, less: Index
+    ) -> Proposal:
+        """The best of some unknown laws beside a base, which is a whole less a part."""
+        every = self.laws.all  # the same ones each time, whose products are kept
+        none = [np.full(len(x.index), -np.inf) for x in every]
+        gained = self.evidence.screen(whole, [x.index for x in every], none, less=less)
+        known = dict(zip(every, gained, strict=True))
+        law = max(laws, key=lambda x: known[x] - self._odds(x))
+        make = partial(self.laws.widened, base, law)
+        return Proposal(law.place, float(known[law]) - self._odds(law), make)
 
     def _refined(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
         """See :func:`.refine.refine`; kept, for the same is asked again and again."""
@@ -376,6 +389,26 @@ class Search:
             if plain is not None:
                 self.causes[self.causes.index(belief.cause)] = plain.make()
         return self.causes != before
+
+    def _unmask(self) -> bool:
+        """Let unknown laws take the place of laws at their limits; whether there are.
+
+        A law there is another one, which would be in its place if anybody knew it.
+        """
+        masks = [
+            b.cause for b in self.beliefs
+            if b.limit is not None and b.cause in self.causes
+        ]  # fmt: skip
+        for cause in masks:
+            self.causes = [c for c in self.causes if c is not cause]
+            laws = self.laws.open(self.causes)
+            laws = [x for x in laws if x.place[1][0] in cause.place[1]]
+            if laws:
+                base = self.columns(self.causes)
+                law = self._unknown(laws, base, base, base[:0])
+                self.causes.append(law.make())
+            self._remove()
+        return bool(masks)
 
     def unseen(self) -> dict[Cause, float]:
         """By how much each known cause lowers the squares on unseen samples, [nat].
