@@ -282,7 +282,8 @@ def test_bad_input_is_one_line_and_writes_nothing(diagnose, logs, tmp_path, caps
     before = tree(tmp_path)
     alone = f"diagnose --robot {PLANAR} --recordings {tmp_path}"
     for command, words in {
-        f"diagnose --recordings {logs}": "--robot, --out",
+        f"diagnose --recordings {logs}": "--out",
+        f"diagnose --recordings {logs} --out {tmp_path}/x": "either --robot or",
         f"diagnose --robot {PLANAR} --recordings nowhere --out {tmp_path}/x": "nowhere",
         f"diagnose --robot no.xml --recordings {logs} --out {tmp_path}/x": "no.xml",
         f"{diagnose} --out {tmp_path}/file": "file",

@@ -21,11 +21,12 @@ from hybrid.cli.options import (
     whole,
     write_record,
 )
-from hybrid.errors import EffectError, HybridWarning
+from hybrid.errors import EffectError, HybridError, HybridWarning
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
     from hybrid.diagnosis.answer.result import Result
+    from hybrid.model import DynamicModel
     from hybrid.recording import Recording
     from hybrid.robot import Robot
 
@@ -46,12 +47,20 @@ cause), not_excited (the recordings move the arm too little).
 
 examples:
   hybrid simulate --robot models/coman_like.xml --effects stribeck:elbow --out logs
-  hybrid diagnose --robot models/coman_like.xml --recordings logs --out diagnosis"""
+  hybrid diagnose --robot models/coman_like.xml --recordings logs --out diagnosis
+  hybrid diagnose --baseline model.json --recordings new_logs --out changed"""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
-    add_robot(parser, more=", the simulator as it stands today")
+    add_robot(parser, required=False, more=", the simulator as it stands today")
+    parser.add_argument(
+        "--baseline",
+        type=Path,
+        metavar="MODEL.json",
+        help="a model of the healthy arm, as identify writes it, in place of --robot: "
+        "what has changed since?",
+    )
     add_recordings(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument(
@@ -75,20 +84,24 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.files import atomic_folder
     from hybrid.report.diagnosis import CONTENT, PAGE, write_diagnosis
     from hybrid.report.diagnosis_text import verdict_lines
+    from hybrid.robot import Robot
     from hybrid.servo import without_torque
 
-    robot = load_robot(args)
+    simulator = _simulator(args)
+    robot = simulator if isinstance(simulator, Robot) else simulator.robot
     recordings, files = read_logs(args, screen, robot.joints, torque=False)
-    inputs = [args.robot, *files]
+    inputs = [args.baseline or args.robot, *files]
     names = (PAGE, CONTENT, SIMULATOR, MODEL)
     check_outputs([*(args.out / name for name in names), args.json], inputs)
     how = record(args, inputs)
     if without_torque(recordings):
+        if args.baseline:
+            raise HybridError("--baseline needs logs with torque; these have none")
         _diagnose_servos(args, robot, recordings, how, screen)
         return
     with screen.working(f"diagnosing {robot.name}") as tell:
         result = examine(
-            robot, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell
+            simulator, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell
         )
         rng = np.random.default_rng(args.seed)
         result = replayed(result, rng, progress=tell)
@@ -105,6 +118,23 @@ def run(args: Namespace, screen: Screen) -> None:
     if notes is not None and (result.effects or result.command):
         lacks = f"; only in {MODEL}, or better: {_few(notes)}" if notes else ""
         screen.say(f"Simulator with what was found: {args.out / SIMULATOR}{lacks}")
+
+
+def _simulator(args: Namespace) -> Robot | DynamicModel:
+    """What the arm is compared with.
+
+    Raises:
+        HybridError: Neither a simulator nor a model is given, or both.
+    """
+    from hybrid.model import DynamicModel
+
+    if (args.robot is None) == (args.baseline is None):
+        raise HybridError("either --robot or --baseline says what to compare with")
+    if args.baseline is None:
+        return load_robot(args)
+    if args.joints or args.hold:
+        raise HybridError("--joints and --hold go with --robot; a model has its own")
+    return DynamicModel.load(args.baseline)
 
 
 def _diagnose_servos(

@@ -24,7 +24,8 @@ LOGS = (
     ".parquet, .npz, .h5, .mat"
 )
 _NOT_SETTINGS = {
-    "verb", "parser", "robot", "recordings", "recording", "model", "effects_from",
+    "verb", "parser", "robot", "recordings", "recording", "model", "baseline",
+    "effects_from",
     "out", "json", "seed", "poses", "page", "plan", "scheduler", "workers",
 }  # fmt: skip
 

@@ -26,13 +26,16 @@ from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.explanation import Explanation, explain, shares
 from hybrid.diagnosis.explanations.refit import refit
 from hybrid.diagnosis.explanations.search import Search
+from hybrid.diagnosis.gap.baseline import Baseline
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.grounds import too_little, unlike
 from hybrid.diagnosis.gap.split import split
 from hybrid.diagnosis.gap.units import units
 from hybrid.diagnosis.gap.visited import not_excited
+from hybrid.effects import effect_classes
 from hybrid.effects.delay import Delay
 from hybrid.identification.data import taken
+from hybrid.model import DynamicModel
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -54,7 +57,7 @@ _WHERE = "{} at {} may as well be {} at {}: these motions do not tell"
 
 
 def diagnose(
-    robot: Robot,
+    robot: Robot | DynamicModel,
     recordings: Sequence[Recording | Motion],
     *,
     cutoff: float | None = None,
@@ -65,7 +68,8 @@ def diagnose(
     """Say where a sim-to-real gap lies, what causes it, and how far it shrinks.
 
     Args:
-        robot: The simulator as it stands today.
+        robot: The simulator as it stands today; or a model of the healthy arm, which
+            is to say what has changed since.
         recordings: Logs of the real arm: time, position and torque. One with holes
             counts as several.
         cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
@@ -92,7 +96,7 @@ def diagnose(
 
 @one_thread
 def examine(
-    robot: Robot,
+    robot: Robot | DynamicModel,
     recordings: Sequence[Recording | Motion],
     *,
     cutoff: float | None = None,
@@ -101,12 +105,22 @@ def examine(
     progress: Progress | None = None,
 ) -> Result:
     """:func:`diagnose` in torque, with everything that led to the answer."""
+    healthy = None
+    if isinstance(robot, DynamicModel):
+        healthy = Baseline(robot)
+        robot = healthy.robot
+        born = [x.id for x in effect_classes().values() if x.inborn]
+        without = [*without, *born]  # these do not change
     recordings = since_first(taken(robot, recordings))
     tell, rng = progress or (lambda _: None), np.random.default_rng(seed)
     tell("measuring the gap")
+    if healthy:
+        recordings = healthy.taken_from(recordings)
     logged, recordings, gap, as_logged = measured(
         robot, recordings, cutoff, clocks=Delay.id not in without
     )
+    if healthy:
+        gap, as_logged = healthy.beside(gap), healthy.beside(as_logged)
     # Torque that is late at every joint is no term: it is taken back already.
     late = [Delay.id] if logged.clocks else []
     search = Search(gap, split(gap), without=[*without, *late])
@@ -144,14 +158,16 @@ def examine(
         tell("finding where the gap lies")
         where = locate(as_logged, np.array(diagnosis.noise_floor), rng)
         diagnosis = replace(diagnosis, where=where)
-    if verdict != "not_excited" and not foreign:
+    # Torque that was taken from the logs was asked for.
+    if verdict != "not_excited" and not foreign and not healthy:
         tell("asking whether torque follows the command")
         distorted = {j for e in effects if e.reports for j in e.joints}
         link = command_link(gap, recordings, rng, without=without, distorted=distorted)
         diagnosis = joined(diagnosis, found, as_logged, link, rng)
     return Result(
-        diagnosis, as_logged, search, scored, found, effects, link.effects, torn
-    )
+        diagnosis, as_logged, search, scored, found, effects, link.effects, torn,
+        healthy.model.effects if healthy else (),
+    )  # fmt: skip
 
 
 def _believed(

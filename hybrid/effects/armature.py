@@ -19,6 +19,7 @@ class Armature(JointEffect):
 
     id = "armature"
     usual = True
+    inborn = True
     port = Port.DRIVE
     fields = {"inertia": "armature"}
     differentiates = True

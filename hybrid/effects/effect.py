@@ -89,6 +89,8 @@ class Effect(InPlant, Instant, ABC):
     rough: ClassVar[float] = 0.0
     # Whether most joints have it, so that any fit of an arm begins with it.
     usual: ClassVar[bool] = False
+    # Whether an arm has it from its first day, or never.
+    inborn: ClassVar[bool] = False
     # What it becomes at an end of a shape's range: the shape, which end, and the id of
     # a plainer law, whose place in an arm's file it may take; or "", what many laws do.
     becomes: ClassVar[tuple[str, Literal["lower", "upper"], str] | None] = None

@@ -45,6 +45,7 @@ class LinkInertia(Effect):
 
     id = "link_inertia"
     port = Port.BODY
+    inborn = True
     scope: ClassVar[Scope] = "coupling"
     differentiates = True
     gains = _GAINS
@@ -108,6 +109,7 @@ class Payload(LinkInertia):
     """Ten inertial parameters of what the last link carries."""
 
     id = "payload"
+    inborn = False
     scope = "arm"
     equation = "τ = Y_n(q, v, a) · π_payload"
     sentence = "The arm carries a payload that the simulator does not know."

@@ -62,6 +62,7 @@ def write_fixed(
         EffectError: An effect cannot be simulated.
     """
     robot, effects = fixed_simulator(result)
+    effects = (*result.healthy, *effects)
     folder = Path(directory)
     made = build_simulator(
         robot,

@@ -30,6 +30,7 @@ class Result:
         command: Those between command and torque.
         torn: Terms of the search that are not named, and what explains as much at
             another joint.
+        healthy: Effects of the model that was the simulator, taken from the logs.
     """
 
     diagnosis: Diagnosis
@@ -40,6 +41,7 @@ class Result:
     effects: tuple[Effect, ...]
     command: tuple[Effect, ...] = ()
     torn: Mapping[Term, Candidate] = field(default_factory=dict)
+    healthy: tuple[Effect, ...] = ()
 
     @property
     def late(self) -> tuple[Effect, ...]:

@@ -41,6 +41,13 @@ def weigh(
             law = prior.inexact**2 * autocovariance(left, rows[back], LAGS)
             steps = prior.solver**2 * np.mean(torque**2) * memory(torque, rows[back])
             evidence.noise[i] += steps + law[0] * memory(left, rows[back])
+            if gap.known is not None:
+                # Laws that were identified are as inexact as real ones are.
+                known = gap.known[rows[back], i]
+                law += prior.misfit**2 * autocovariance(known, rows[back], LAGS)
+                evidence.noise[i] += (
+                    prior.misfit**2 * np.mean(known**2) * memory(known, rows[back])
+                )
             covariance += law
             covariance[0] += law[0] + steps
         covariances.append(floored(covariance, gap.cutoff / gap.rate))

@@ -44,6 +44,7 @@ class Gap:
             blocks of 3 s where there are fewer than four trajectories.
         trajectory: Recording of each sample, shape (M,).
         notes: What of the recordings is of no use, in words.
+        known: Torque that was taken from the logs beforehand, shape (M, n), [N·m].
     """
 
     robot: Robot
@@ -55,6 +56,7 @@ class Gap:
     fold: NDArray[np.intp]
     trajectory: NDArray[np.intp]
     notes: tuple[str, ...] = ()
+    known: Array | None = None
 
     @property
     def samplers(self) -> list[Sampler]:
