@@ -19,7 +19,14 @@ if TYPE_CHECKING:
     from hybrid.excitation import design as excite
     from hybrid.exports.export import export
     from hybrid.fleets.fleet import Fleet, fleet
-    from hybrid.identification import DynamicModel, Fit, identify, predict, validate
+    from hybrid.identification import (
+        DynamicModel,
+        Fit,
+        Identifier,
+        identify,
+        predict,
+        validate,
+    )
     from hybrid.inspect import Inspection, inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
     from hybrid.plant import simulate
@@ -40,6 +47,7 @@ __all__ = [
     "Effect",
     "Fit",
     "Fleet",
+    "Identifier",
     "Inspection",
     "Motion",
     "OnlineIdentifier",
@@ -71,6 +79,7 @@ _HOME = {
     "Effect": "hybrid.effects",
     "Fleet": "hybrid.fleets",
     "Fit": "hybrid.identification",
+    "Identifier": "hybrid.identification",
     "Inspection": "hybrid.inspect",
     "Motion": "hybrid.signals",
     "OnlineIdentifier": "hybrid.online",

@@ -1,0 +1,75 @@
+"""Identification as an estimator of scikit-learn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Self
+
+import numpy as np
+from sklearn.base import BaseEstimator
+from sklearn.utils.validation import check_is_fitted
+
+from hybrid.arrays import Array
+from hybrid.identification.fit import Fit
+from hybrid.identification.three_stage import STAGES, Stage, identify
+from hybrid.identification.validation import predict
+from hybrid.recording import Recording
+from hybrid.regression.least_squares import Estimator
+from hybrid.robot import Robot
+
+
+class Identifier(BaseEstimator):  # type: ignore[misc]
+    """:func:`identify` with ``fit``, ``predict`` and ``score``, one recording a sample.
+
+    It can be cloned, searched over and cross-validated by scikit-learn.
+
+    Args:
+        robot: The arm.
+        estimator: See :func:`identify`; so are the others.
+        stages: Stages to run.
+        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
+        robust: Whether to weigh down stretches that do not fit.
+        consistent: Whether the links are to be bodies that could be built.
+        seed: Seed of the mixtures' starts.
+
+    Attributes:
+        fit_: The result of :func:`identify`.
+    """
+
+    fit_: Fit
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        estimator: Estimator = "irls",
+        stages: Sequence[Stage] = STAGES,
+        cutoff: float | None = None,
+        robust: bool = False,
+        consistent: bool = False,
+        seed: int = 0,
+    ) -> None:
+        self.robot = robot
+        self.estimator = estimator
+        self.stages = stages
+        self.cutoff = cutoff
+        self.robust = robust
+        self.consistent = consistent
+        self.seed = seed
+
+    def fit(self, X: Sequence[Recording], y: None = None) -> Self:
+        """Identify from recordings; ``y`` is not used: torque is in them."""
+        settings = self.get_params(deep=False)
+        self.fit_ = identify(settings.pop("robot"), X, **settings)
+        return self
+
+    def predict(self, X: Sequence[Recording]) -> list[Array]:
+        """Torque along each recording, shape (N, n) each, [N·m]."""
+        check_is_fitted(self)
+        return [predict(self.fit_.model, x) for x in X]
+
+    def score(self, X: Sequence[Recording], y: None = None) -> float:
+        """Part of the torque's variance that is predicted: R², mean over joints."""
+        measured = np.concatenate([x.tau for x in X])
+        left = measured - np.concatenate(self.predict(X))
+        return float(np.mean(1.0 - left.var(axis=0) / measured.var(axis=0)))
