@@ -11,6 +11,7 @@ from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.clocks import clocks_apart
 from hybrid.diagnosis.answer.command import Link, command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
+from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.findings import findings
 from hybrid.diagnosis.answer.links import joined
 from hybrid.diagnosis.answer.locate import locate
@@ -151,6 +152,7 @@ def examine(
     diagnosis = replace(
         _diagnosis(as_logged, search, found, causes, verdict, unexplained),
         unseen=shown,
+        events=events_at_rest(as_logged),
         warnings=(*gap.notes, *logged.notes, *doubts),
     )
     link = Link()

@@ -105,7 +105,21 @@ def _entry(number: int, f: Finding) -> Iterator[str]:
         yield f"   {'; '.join(parts)}"
 
 
+def pushes(diagnosis: Diagnosis) -> Iterator[str]:
+    """What pushed the arm while it stood still, one sentence each."""
+    for e in diagnosis.events:
+        joint = int(np.argmax(np.abs(e.torque)))
+        unit = (diagnosis.units or (_TORQUE,) * len(diagnosis.joints))[joint]
+        yield (
+            f"{e.recording}, {number(e.start)} to {number(e.end)}{_BOUND}s: "
+            f"{number(e.torque[joint])}{_BOUND}{unit} at {diagnosis.joints[joint]}, "
+            f"as of {number(float(np.linalg.norm(e.force[:3])))}{_BOUND}N"
+        )
+
+
 def _endings(diagnosis: Diagnosis) -> Iterator[str]:
+    if diagnosis.events:
+        yield f"Pushed while at rest: {_few(list(pushes(diagnosis)))}"
     if diagnosis.not_excited:
         yield f"Not excited, so nothing is said of: {_few(diagnosis.not_excited)}"
     if diagnosis.warnings:

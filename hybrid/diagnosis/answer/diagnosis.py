@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
+from hybrid.diagnosis.answer.events import Event
 from hybrid.files import write_json
 from hybrid.shown import Shown
 
@@ -163,7 +164,8 @@ class Diagnosis(Shown):
     Attributes:
         robot: Name of the simulator.
         joints: Its joints.
-        rms: Gap of each joint as the simulator stands, in :attr:`units`.
+        rms: Gap of each joint as the simulator stands, in :attr:`units`; 0 of a joint
+            that does not move, of which nothing is known.
         relative: The same over the RMS of measured torque.
         noise_floor: What no model could remove, in the same.
         where: Parts of the gap, largest first.
@@ -178,6 +180,7 @@ class Diagnosis(Shown):
         warnings: What a user should know.
         provenance: Versions, seeds and files.
         unseen: The gap of each joint on motions that no step has seen.
+        events: Pushes while the arm stood still.
     """
 
     robot: str
@@ -196,6 +199,7 @@ class Diagnosis(Shown):
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     unseen: Unseen | None = None
+    events: tuple[Event, ...] = ()
 
     def save(self, path: str | Path) -> None:
         """Write it to a JSON file."""
@@ -208,13 +212,17 @@ class Diagnosis(Shown):
             "robot": self.robot,
             "joints": list(self.joints),
             "gap": {
-                "rms": list(self.rms),
-                "relative": list(self.relative),
-                "noise_floor": list(self.noise_floor),
+                "rms": self._of_moved(self.rms),
+                "relative": self._of_moved(self.relative),
+                "noise_floor": self._of_moved(self.noise_floor),
                 "units": list(self.units),
             },
             "unseen": None if self.unseen is None else self.unseen.as_dict(),
             "where": [_region(r) for r in self.where],
+            "events": [
+                {**asdict(e), "torque": list(e.torque), "force": list(e.force)}
+                for e in self.events
+            ],
             "findings": [_finding(f) for f in self.findings],
             "verdict": self.verdict,
             "unexplained": self.unexplained,
@@ -224,6 +232,10 @@ class Diagnosis(Shown):
             "warnings": list(self.warnings),
             "provenance": dict(self.provenance),
         }
+
+    def _of_moved(self, values: Sequence[float]) -> list[float | None]:
+        """Nothing where nothing was measured."""
+        return [x if r > 0 else None for x, r in zip(values, self.rms, strict=True)]
 
 
 def _region(r: Region) -> dict[str, Any]:

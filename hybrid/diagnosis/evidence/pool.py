@@ -26,7 +26,7 @@ from hybrid.effects import effect_classes
 from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
 
-_RIPPLES = 3  # orders tried at each joint at a time
+_RIPPLES, _MOST_RIPPLES = 3, 24  # orders tried at each joint at a time, and in all
 _CONTACTS = 2  # stretches of time tried at a time
 _ODD = 10.0  # nats for any cause, without which a joint has no gap
 
@@ -75,6 +75,11 @@ class Pool:
         solution = self.evidence.solve(base)
         sampled, found = self.gap.sampled, []
         for j, rows in enumerate(self.evidence.rows):
+            if (
+                sum(place == (TorqueRipple.id, (j,)) for place, *_ in known)
+                >= _MOST_RIPPLES
+            ):
+                continue
             left = self.evidence.residual(j, solution.index, solution.gains)
             q, v = sampled.q[rows, j], sampled.v[rows, j]
             for k in ripple_orders(left, q, v, self.gap.cutoff, count):

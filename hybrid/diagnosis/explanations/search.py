@@ -47,7 +47,8 @@ from hybrid.effects import effect_classes
 
 _RIPPLES = 9  # orders at each joint, of which noise is estimated
 _ROUNDS = 4  # of adding, exchanging and widening
-_MOST = 30  # causes, and times that some are refused
+_MOST = 20  # causes
+_REFUSALS = 6  # times that some causes are refused
 _FEW = 3  # causes: an arm with more of them may have what most have
 _BETTER = 0.5  # nat, for a change to be worth it
 
@@ -234,7 +235,7 @@ class Search:
 
     def _settle(self) -> None:
         """Grow an explanation until all of its causes hold on unseen recordings."""
-        for _ in range(_MOST):
+        for _ in range(_REFUSALS):
             self._grow()
             bad = [c for c, fall in self.unseen().items() if fall <= 0]
             if not bad:

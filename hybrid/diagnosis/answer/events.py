@@ -1,0 +1,84 @@
+"""Pushes on an arm at rest: stretches in which it holds more, or less, than before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.diagnosis.gap.gap import Gap
+from hybrid.effects.contact import Contact
+
+_SLOW, _SLOWEST = 0.01, 0.01  # of the highest speed; rad/s or m/s
+_CLEAR = 8.0  # deviations of what the arm holds at rest
+_LEAST = 0.01  # of the rated torque
+_SHORTEST, _PAUSE = 0.05, 0.2  # s, of an event, and between two of them
+_FEWEST = 1.0  # s at rest, to know what is usual
+_NORMAL = 1.4826  # standard deviation over median size
+
+
+@dataclass(frozen=True)
+class Event:
+    """A push on an arm that stood still.
+
+    Attributes:
+        recording: Log that it is in, or its number from 0.
+        start: When it began, by the clock of the diagnosis, [s].
+        end: When it was over, [s].
+        torque: What it asked of each joint, mean, shape (n,), [N·m].
+        force: Force and moment at the last link that come nearest, along the axes of
+            the base, shape (6,), [N, N·m].
+    """
+
+    recording: str
+    start: float
+    end: float
+    torque: tuple[float, ...]
+    force: tuple[float, ...]
+
+
+def events_at_rest(gap: Gap) -> tuple[Event, ...]:
+    """Pushes while no joint moves, in their order."""
+    sampled, n = gap.sampled, gap.robot.size
+    v = np.abs(sampled.v)
+    slow = v <= np.maximum(_SLOW * v.max(axis=0, initial=0.0), _SLOWEST)
+    still = sampled.mask & slow.all(axis=1)
+    rated = np.array([s.torque for s in gap.scales])
+    found = []
+    wrench = gap.columns(Contact(tuple(range(n)), {"start": 0.0, "duration": 1e9}))
+    push = np.stack([wrench[j] for j in range(n)], axis=1)  # (M, n, 6)
+    for r, motion in enumerate(gap.motions):
+        rows = np.flatnonzero(still & (gap.trajectory == r))
+        if len(rows) < _FEWEST * gap.rate:
+            continue
+        x = gap.left[rows] - np.median(gap.left[rows], axis=0)
+        usual = _NORMAL * np.median(np.abs(x), axis=0)
+        odd = np.abs(x) > np.maximum(_CLEAR * usual, _LEAST * rated)
+        for own in _stretches(np.any(odd, axis=1), rows, gap.rate):
+            torque = x[own].mean(axis=0)
+            columns = push[rows[own]].mean(axis=0)
+            force = np.linalg.lstsq(columns, torque, rcond=1e-3)[0]
+            t = sampled.t[rows[own]]
+            found.append(
+                Event(
+                    motion.source or str(r),
+                    float(t[0]),
+                    float(t[-1]),
+                    tuple(map(float, torque)),
+                    tuple(map(float, force)),
+                )
+            )
+    return tuple(found)
+
+
+def _stretches(
+    odd: NDArray[np.bool_], rows: NDArray[np.intp], rate: float
+) -> Iterator[NDArray[np.intp]]:
+    """Odd samples that follow each other, as places among the rows."""
+    at = np.flatnonzero(odd)
+    parts = np.split(at, np.flatnonzero(np.diff(rows[at]) > _PAUSE * rate) + 1)
+    for part in parts:
+        if len(part) >= max(_SHORTEST * rate, 2):
+            yield part
