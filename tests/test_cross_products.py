@@ -136,23 +136,6 @@ def test_recordings_add_up_in_any_order():
     assert_same(parts, whole, 1e-13)
 
 
-def test_merging_keeps_sums_and_never_joins_recordings():
-    robot = arm("planar")
-    products = crossed(linear_problem(robot), loaded(robot, count=3))
-    for factor in (1, 2, 3, 7, 10_000):
-        merged = products.merged(factor)
-        assert_same(merged.total, products.total, 1e-13)
-        np.testing.assert_array_equal(merged.counts.sum(0), products.counts.sum(0))
-        for r in range(3):
-            blocks = (products.recording == r).sum()
-            assert (merged.recording == r).sum() == -(-blocks // factor)
-            assert_same(
-                merged.blocks[merged.recording == r].sum(0),
-                products.blocks[products.recording == r].sum(0),
-                1e-13,
-            )
-
-
 def test_folds_add_up_and_hold_their_own_samples_only():
     robot = arm("planar")
     problem, chosen = linear_problem(robot), loaded(robot)
