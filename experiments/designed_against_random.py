@@ -78,7 +78,7 @@ def run(name, seed, cutoff):
         model = identify(robot, [log], stages=stages, cutoff=cutoff).model
         errors = validate(model, tests).rows
         rows.append([*(errors[k].mean for k in (0, 1, -1)), cost])
-    model = identify(robot, quiet, stages=("rigid",), cutoff=cutoff).model
+    model = identify(robot, tests, stages=("rigid",), cutoff=cutoff).model
     errors = validate(model, tests).rows
     return [*rows, [errors[0].mean, errors[1].mean, None, None]]
 

@@ -127,7 +127,8 @@ def _inertia(arm: Arm) -> tuple[Array, Array]:
 def _quickest(arm: Arm, kd: Array) -> float:
     """Fastest decay that the damping gives to any motion of all joints, [1/s]."""
     motors, root = np.ix_(arm.motor, arm.motor), np.sqrt(kd)
-    mobility = np.linalg.inv(_masses(arm, _COUPLED))[:, *motors]
+    masses = _masses(arm, _COUPLED)
+    mobility = np.array([np.linalg.inv(M)[motors] for M in masses])
     return float(np.linalg.eigvalsh(root[:, None] * mobility * root).max())
 
 

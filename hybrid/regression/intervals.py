@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.stats import t as student
 
@@ -200,7 +201,7 @@ def _scores(products: CrossProducts, theta: Array, weight: Array) -> Array:
     return found
 
 
-def _memory(series: Array, recording: Array) -> Array:
+def _memory(series: Array, recording: NDArray[np.intp]) -> Array:
     """Variance of a sum over that of a sum of independent terms, shape (p,).
 
     Source: a first-order autoregression, Andrews and Monahan 1992, doi 10.2307/2951574;
