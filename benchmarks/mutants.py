@@ -1,8 +1,8 @@
 """Whether the tests can fail: one change at a time to the code, and who notices.
 
 Cosmic Ray makes the changes (an operator, a number, a condition, a loop). A seed draws
-some of all that are possible. Each meets, in a process of its own, the tests that
-`pyproject.toml` names for its module. A change that no test notices has survived.
+some of all that are possible. Each meets, in a process of its own, the cheapest of
+the tests that execute its line. A change that none of them notices has survived.
 
     python benchmarks/mutants.py --out reports/mutants
     python benchmarks/mutants.py --out here --seed 7 --count 50 --only hybrid/signals
@@ -28,7 +28,6 @@ from typing import Any
 import numpy as np
 from mutation import ROOT, Mutant, digest, drawn
 from sandbox import Sandbox
-from tiers import tiers
 
 from hybrid.report import Table, markdown_table, provenance, write_results
 
@@ -54,44 +53,41 @@ def read_rows(path: Path) -> dict[str, Row]:
 
 
 def campaign(mutants: Sequence[Mutant], minutes: float) -> list[Row]:
-    """Outcomes that the log has, and those of as many others as time allows.
-
-    What survived its tests as they were counts as survived until it is tried anew.
-    """
+    """Outcomes that the log has, and those of as many others as time allows."""
     WORK.mkdir(parents=True, exist_ok=True)
     log = WORK / "mutants.jsonl"
-    done, found, left = read_rows(log), {}, []
-    hashes = {m.path: tiers(m.path)[1].digest for m in mutants}
-    for mutant in mutants:
-        row = done.get(mutant.key)
-        if row and row["source"] == digest(mutant.source()):
-            found[mutant.key] = row
-        if not _valid(found.get(mutant.key), hashes[mutant.path]):
-            left.append(mutant)
-    if not left or minutes <= 0:
-        return list(found.values())
+    done, found = read_rows(log), {}
     end = time.monotonic() + 60 * minutes
-    with Sandbox(WORK / "baseline.json") as sandbox, log.open("a") as out:
-        for mutant, (outcome, seconds) in sandbox.outcomes(left):
+    with Sandbox() as sandbox, log.open("a") as out:
+        witnesses = sandbox.witnesses(WORK / "witnesses.json")
+        tests = {m: witnesses.digest(m) for m in mutants}
+        for mutant in mutants:
+            row = done.get(mutant.key)
+            if row and _valid(row, mutant, tests[mutant]):
+                found[mutant.key] = row
+        left = [m for m in mutants if m.key not in found]
+        for mutant, (outcome, seconds, failed) in sandbox.outcomes(left, witnesses):
             row = found[mutant.key] = {
                 "key": mutant.key,
                 "path": mutant.path,
                 "outcome": outcome,
                 "seconds": round(seconds, 2),
+                "failed": failed,
                 "diff": diff(mutant),
                 "source": digest(mutant.source()),
-                "tests": hashes[mutant.path],
+                "tests": tests[mutant],
             }
-            print(f"{outcome:9} {seconds:6.1f} s  {mutant.path}", flush=True)
+            print(f"{outcome:9} {seconds:6.1f} s  {mutant.path}  {failed}", flush=True)
             print(json.dumps(row), file=out, flush=True)
             if time.monotonic() > end:
                 break
     return list(found.values())
 
 
-def _valid(row: Row | None, tests: str) -> bool:
+def _valid(row: Row, mutant: Mutant, tests: str) -> bool:
     """Whether an outcome needs no other try."""
-    return bool(row) and (row["outcome"] in DETECTED or row["tests"] == tests)
+    same = row["source"] == digest(mutant.source())
+    return same and (row["outcome"] in DETECTED or row["tests"] == tests)
 
 
 def table(rows: list[Row], reasons: dict[str, str]) -> Table:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import ast
 import hashlib
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -58,12 +59,14 @@ class Mutant:
         occurrence: Which of its places in the module.
         place: The line's text, and which of its places in equal lines; it stays the
             same when other lines change.
+        row: Number of the line, from one.
     """
 
     path: str
     operator: str
     occurrence: int
     place: str
+    row: int = field(compare=False, default=0)
 
     @cached_property
     def key(self) -> str:
@@ -90,11 +93,11 @@ def drawn(seed: int, count: int, only: tuple[str, ...] = ()) -> list[Mutant]:
     Args:
         seed: Which ones.
         count: How many.
-        only: Modules or folders to stay within; all that have tests named if empty.
+        only: Modules or folders to stay within; the core if empty.
     """
     modules = sorted(
         path.relative_to(ROOT).as_posix()
-        for name in SETTINGS["tests"]
+        for name in SETTINGS["core"]
         for path in [ROOT / name, *(ROOT / name).rglob("*.py")]
         if path.suffix == ".py" and path.name != "__init__.py"
     )
@@ -118,7 +121,17 @@ def mutants(path: str) -> Iterator[Mutant]:
             seen[line] = seen.get(line, -1) + 1
             marker = node.parent is not None and node.parent.type == "parameters"
             if not (marker or any(a <= (row, column) < b for a, b in unused)):
-                yield Mutant(path, name, occurrence, f"{line}\0{seen[line]}")
+                yield Mutant(path, name, occurrence, f"{line}\0{seen[line]}", row)
+
+
+def places(text: str) -> list[str]:
+    """A name for every line, which stays the same when other lines change."""
+    seen: Counter[str] = Counter()
+    found = []
+    for line in map(str.strip, text.splitlines()):
+        found.append(f"{line}\0{seen[line]}")
+        seen[line] += 1
+    return found
 
 
 def _compiles(mutant: Mutant) -> bool:

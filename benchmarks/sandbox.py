@@ -19,15 +19,18 @@ import tempfile
 import time
 import traceback
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import hypothesis
 import pytest
+from _pytest.main import pytest_runtestloop
 from hypothesis import Phase
-from mutation import ROOT, Mutant, digest
+from mutation import ROOT, Mutant
 from patch import Patch, patch_of
-from tiers import Tier, tiers
+from recorder import Recorder
+from witnesses import Witnesses, test_files
 
 _COPIED = ("hybrid", "tests")
 # Loaded before the fork, as they take longer than most tests.
@@ -35,25 +38,16 @@ _HEAVY = (
     "matplotlib.figure", "mujoco", "pinocchio", "scipy.linalg", "scipy.optimize",
     "scipy.signal", "scipy.spatial", "scipy.stats", "sklearn.cluster", "torch", "yaml",
 )  # fmt: skip
-_LONG = 600.0  # s, for the unchanged code
 _PATIENCE = 4.0  # times the processor time of the unchanged code, ended as "timeout"
 _GRACE = 5.0  # s more
 _WALL = 8.0  # times that limit in wall-clock time, for a process that sleeps
 _BROKEN = 99
-# Five: no test is left, as none of the folder is slow or beside. Else none ran.
-_OUTCOMES = {0: "survived", 1: "killed", 2: "killed", 5: "survived"}
-Outcome = tuple[str, float]  # in a word, and processor time, [s]
+_OUTCOMES = {0: "survived", 1: "killed"}
+Outcome = tuple[str, float, str]  # in a word, processor time [s], the test that fails
 
 
 class Sandbox:
-    """Runs tests against changed code; a context, at whose end the copy is gone.
-
-    Args:
-        file: Keeps how long the tests take on the unchanged code.
-    """
-
-    def __init__(self, file: Path) -> None:
-        self._file = file
+    """Runs tests against changed code; a context, at whose end the copy is gone."""
 
     def __enter__(self) -> Sandbox:
         for name in _HEAVY:
@@ -70,86 +64,80 @@ class Sandbox:
                 shutil.copytree(path, self.root / path.name, ignore=ignored)
             elif not path.name.startswith("."):
                 (self.root / path.name).symlink_to(path)
-        known = self._file.read_text() if self._file.exists() else "{}"
-        self._baseline: dict[str, float] = json.loads(known)
-        modules = sorted((self.root / "hybrid").rglob("*.py"))
-        self._package = digest("".join(x.read_text() for x in modules))
         self._clock = 0
         return self
 
     def __exit__(self, *_: Any) -> None:
         shutil.rmtree(self.root)
 
-    def outcomes(self, mutants: Sequence[Mutant]) -> Iterator[tuple[Mutant, Outcome]]:
+    def witnesses(self, file: Path) -> Witnesses:
+        """What every test executes; test files that have changed are watched anew.
+
+        Args:
+            file: Keeps it, from one test file to the next.
+        """
+        known, part = Witnesses.read(file), self.root / "watched.json"
+        for name, text in test_files().items():
+            if known.files.get(name) == text:
+                continue
+            child = _fork()
+            if child == 0:
+                self._session([name], Recorder(self.root, {name: text}, part), ())
+            status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+            if status not in (0, 1, 5):  # all passed, some failed, or there are none
+                raise SystemExit((self.root / "log").read_text()[-3000:])
+            known = known.updated(Witnesses.read(part))
+            known.write(file)
+        return known
+
+    def outcomes(
+        self, mutants: Sequence[Mutant], witnesses: Witnesses
+    ) -> Iterator[tuple[Mutant, Outcome]]:
         """What the tests say of each mutant, in any order."""
-        groups: dict[tuple[Tier, Tier], list[Mutant]] = {}
+        inner, jobs, outer = [], [], []
         for mutant in mutants:
-            groups.setdefault(tiers(mutant.path), []).append(mutant)
-        for (first, second), group in groups.items():
-            left: dict[Mutant, float] = {}
-            for mutant, (outcome, seconds) in self._met(group, first):
-                if outcome == "survived":
-                    left[mutant] = seconds
-                else:
-                    yield mutant, (outcome, seconds)
-            for mutant, (outcome, seconds) in self._met(list(left), second):
-                yield mutant, (outcome, left[mutant] + seconds)
+            tests = witnesses.of(mutant)
+            limit = _PATIENCE * sum(map(witnesses.costs.__getitem__, tests)) + _GRACE
+            patch = patch_of((ROOT / mutant.path).read_text(), mutant)
+            if not tests:
+                yield mutant, ("survived", 0.0, "")
+            elif patch is None:
+                outer.append((mutant, Job(None, tests, limit)))
+            else:
+                inner.append(mutant)
+                jobs.append(Job(patch, tests, limit))
+        for k, outcome in self._forked(jobs, confirm=True):
+            yield inner[k], outcome
+        for mutant, job in outer:
+            yield mutant, self._written(mutant, job)
 
-    def _met(self, group: list[Mutant], tier: Tier) -> Iterator[tuple[Mutant, Outcome]]:
-        """What one tier of tests says of each mutant."""
-        if not group:
-            return
-        limit = _PATIENCE * self._unchanged(tier) + _GRACE
-        patches = {m: patch_of((ROOT / m.path).read_text(), m) for m in group}
-        inner = [(m, p) for m, p in patches.items() if p is not None]
-        for k, outcome in self._forked(tier, [p for _, p in inner], limit):
-            yield inner[k][0], outcome
-        for mutant in group:
-            if patches[mutant] is None:
-                yield mutant, self._written(mutant, tier, limit)
-
-    def _unchanged(self, tier: Tier) -> float:
-        """Processor time of tests that must pass on the code as it is, [s]."""
-        key = self._package + tier.digest
-        if key not in self._baseline:
-            ((_, (outcome, seconds)),) = self._forked(tier, [None], _LONG)
-            if outcome != "survived":
-                log = (self.root / "log").read_text()
-                raise SystemExit(
-                    f"{tier.files} fail on the unchanged code:\n{log[-3000:]}"
-                )
-            self._baseline[key] = seconds
-            self._file.write_text(json.dumps(self._baseline))
-        return self._baseline[key]
-
-    def _forked(
-        self, tier: Tier, patches: list[Patch | None], limit: float
-    ) -> Iterator[tuple[int, Outcome]]:
-        """Outcomes of patches, each in a fork of one session that has collected."""
-        if not patches:
+    def _forked(self, jobs: list[Job], confirm: bool) -> Iterator[tuple[int, Outcome]]:
+        """Outcomes of jobs, each in a fork of one session that has collected."""
+        if not jobs:
             return
         inlet, outlet = os.pipe()
         child = _fork()
         if child == 0:
             os.close(inlet)
-            self._session(tier, [_Forks(patches, limit, outlet)])
+            files = sorted({x.partition("::")[0] for job in jobs for x in job.tests})
+            self._session(files, _Forks(jobs, outlet, confirm))
         os.close(outlet)
         with os.fdopen(inlet) as lines:
             for k, line in enumerate(lines):
                 yield k, tuple(json.loads(line))
         os.waitpid(child, 0)
 
-    def _written(self, mutant: Mutant, tier: Tier, limit: float) -> Outcome:
-        """Outcome of a change that is written into the file."""
+    def _written(self, mutant: Mutant, job: Job) -> Outcome:
+        """Outcome of a change that is written into the file.
+
+        It is killed where the package cannot be loaded any more.
+        """
         module = self.root / mutant.path
         before = module.read_text()
         self._write(module, mutant.source())
-        child = _fork()
-        if child == 0:
-            _limit(limit)
-            self._session(tier, [_Own(mutant.path)])
         try:
-            return _waited(child, limit)
+            found = self._forked([job], confirm=False)
+            return next((x for _, x in found), ("killed", 0.0, "import"))
         finally:
             self._write(module, before)
 
@@ -159,7 +147,9 @@ class Sandbox:
         self._clock += 1
         os.utime(module, (self._clock, self._clock))
 
-    def _session(self, tier: Tier, plugins: list[Any]) -> None:
+    def _session(
+        self, files: Sequence[str], plugin: Any, stop: Sequence[str] = ("-x",)
+    ) -> None:
         """Run pytest on the copy, and end the process."""
         code = _BROKEN
         try:
@@ -171,12 +161,13 @@ class Sandbox:
                 del sys.modules[name]
             sys.path[:0] = [str(self.root), str(self.root / "tests")]
             os.environ["PYTHONPATH"] = str(self.root)
-            options = ["-x", "-q", "-s", "--tb=line"]
+            options = [*stop, "-q", "-s", "--tb=line"]
+            options += [f"--basetemp={self.root}/temporary"]
             options += ["-p", "no:cacheprovider", "-p", "no:xdist"]
             options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
             options += ["--hypothesis-profile=mutants", "--hypothesis-seed=0"]
-            plugins = [tier, *plugins]
-            code = int(pytest.main([*options, *tier.files], plugins=plugins))
+            plugin.start()
+            code = int(pytest.main([*options, *files], plugins=[plugin]))
         except BaseException:
             traceback.print_exc()
         finally:
@@ -184,59 +175,97 @@ class Sandbox:
             os._exit(code)
 
 
-class _Forks:
-    """A plugin that runs the collected tests once for each patch, in a fork."""
+@dataclass(frozen=True)
+class Job:
+    """A patch, none for the code as it is, and the tests that it meets.
 
-    def __init__(self, patches: list[Patch | None], limit: float, outlet: int) -> None:
-        self.patches, self.limit, self.outlet = patches, limit, outlet
+    Attributes:
+        patch: The patch.
+        tests: Names of tests, in their order.
+        limit: Processor time, ended as "timeout", [s].
+    """
+
+    patch: Patch | None
+    tests: tuple[str, ...]
+    limit: float
+
+
+class _Forks:
+    """A plugin that runs collected tests once for each job, in a fork.
+
+    A test that fails must pass alone on the code as it is, or it says nothing.
+    """
+
+    def __init__(self, jobs: list[Job], outlet: int, confirm: bool) -> None:
+        self.jobs, self.outlet, self.confirm = jobs, outlet, confirm
+        self.unsound: set[str] = set()
+        self.sound: set[str] = set()
+
+    def start(self) -> None:
+        """Nothing needs to be watched before tests are collected."""
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool | None:
-        """Fork for each patch; the child goes on with the usual loop."""
+        """Run each job and say its outcome."""
         if session.testsfailed:
             return None
-        for patch in self.patches:
-            child = _fork()
-            if child == 0:
-                _limit(self.limit)
-                if patch is not None:
-                    _applied(patch)
-                    _Own(patch.path).pytest_collection_modifyitems(session.items)
-                return None
-            line = json.dumps(_waited(child, self.limit)) + "\n"
-            os.write(self.outlet, line.encode())
+        for job in self.jobs:
+            outcome = self._run(session, job)
+            while outcome[2] and not self._confirmed(session, outcome[2], job.limit):
+                outcome = self._run(session, job)
+            os.write(self.outlet, (json.dumps(outcome) + "\n").encode())
         return True
 
+    def _confirmed(self, session: pytest.Session, test: str, limit: float) -> bool:
+        if self.confirm and test not in self.sound | self.unsound:
+            alone = self._run(session, Job(None, (test,), limit))
+            (self.sound if alone[0] == "survived" else self.unsound).add(test)
+        return test not in self.unsound
 
-class _Own:
-    """Leaves out tests that are for another module of the folder by their parameter.
-
-    A test of every effect need not run for all when one of them was changed.
-    """
-
-    def __init__(self, path: str) -> None:
-        self.own = Path(path).stem
-        self.names = {x.stem for x in Path(path).parent.glob("*.py")}
-
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Keep what names no module, or the changed one."""
-        named = [self.names & set(_parameters(x).split("-")) for x in items]
-        if any(self.own in x for x in named):
-            both = zip(items, named, strict=True)
-            items[:] = [x for x, names in both if not names or self.own in names]
-
-
-def _parameters(item: pytest.Item) -> str:
-    """The text in brackets of a parametrised test's name."""
-    return item.name.partition("[")[2].rstrip("]")
+    def _run(self, session: pytest.Session, job: Job) -> Outcome:
+        """Outcome of a job, with the test that failed."""
+        failed = Path.cwd() / "failed"
+        failed.unlink(missing_ok=True)
+        child = _fork()
+        if child == 0:
+            _limit(job.limit)
+            _ended(session, job, self.unsound, failed)
+        outcome, seconds = _waited(child, job.limit)
+        return outcome, seconds, failed.read_text() if failed.exists() else ""
 
 
-def _applied(patch: Patch) -> None:
+def _ended(session: pytest.Session, job: Job, unsound: set[str], out: Path) -> None:
+    """Run a job's tests, write down the first that fails, and end the process."""
+    code = _BROKEN
     try:
-        patch.apply()
-    except Exception:
+        if job.patch is not None:
+            job.patch.apply()
+        known = {x.nodeid: x for x in session.items}
+        names = [x for x in job.tests if x in known and x not in unsound]
+        session.items = [known[x] for x in names]
+        session.config.pluginmanager.register(_First(out))
+        try:
+            pytest_runtestloop(session)
+        except session.Failed:
+            pass
+        code = 1 if session.testsfailed else 0
+    except BaseException:
         traceback.print_exc()
-        os._exit(_BROKEN)
+    finally:
+        sys.stdout.flush()
+        os._exit(code)
+
+
+class _First:
+    """Writes down which test fails first."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Note a test that fails."""
+        if report.failed and not self.out.exists():
+            self.out.write_text(report.nodeid)
 
 
 def _fork() -> int:
@@ -251,7 +280,7 @@ def _limit(seconds: float) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (whole, whole + 1))
 
 
-def _waited(child: int, limit: float) -> Outcome:
+def _waited(child: int, limit: float) -> tuple[str, float]:
     """Wait for a process that was given a limit, [s]."""
     deadline = time.monotonic() + _WALL * limit
     while True:

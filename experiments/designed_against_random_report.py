@@ -34,11 +34,11 @@ def write(folder, options, runs):
             each.append((name, motion, f"{np.median(excess):.1f}", values))
     header = ("arm", "fit", "random [N·m]", "designed [N·m]", "lower by [%]")
     table = markdown_table(Table((*header, "designed wins", "design [CPU s]"), rows))
-    lead = "RMS torque error on eight random motions that neither knows, mean of the "
-    lead += "joints: median of the seeds (lowest–highest)."
+    lead = "RMS torque error on eight random motions that neither knows, of a plant "
+    lead += "without noise, mean of the joints: median of the seeds (lowest–highest)."
     seen = "Error of plain least squares above that of those which have seen the eight "
-    seen += "motions themselves. It may be negative: each fit takes the cut-off of the "
-    seen += "positions from its own log unless one is given, and errors depend on it."
+    seen += "motions themselves. It may be negative, as these minimise their squares "
+    seen += "below their cut-off, and not the RMS of moving samples."
     header = ("arm", "motion", "median [%]", f"each seed from {options.first} [%]")
     pooled = markdown_table(Table(header, each))
     command = f"python experiments/designed_against_random.py --first {options.first}"

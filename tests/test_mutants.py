@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 import mutation
 from patch import patch_of
-from tiers import tiers
+from witnesses import Witnesses
 
 SIGNALS = ("hybrid/signals",)
 
@@ -74,18 +74,35 @@ def test_a_constant_is_no_function():
     assert patch_of(source, mutant) is None
 
 
-def test_what_survives_meets_the_slow_tests_and_those_of_its_folder_once():
-    first, second = tiers("hybrid/calibration/solve.py")
-    quick, slow = (
-        f"tests/test_calibrate.py::test_{x}"
-        for x in ("calibrate_is_public", "errors_stay_within_a_fifth[0.0]")
-    )
-    assert first.holds(quick) and not first.holds(slow)
-    assert second.holds(slow) and not second.holds(quick)
-    near = tiers("hybrid/online/intake.py")[1]
-    beside = tiers("hybrid/regression/prior.py")
-    assert beside[0].files == ("tests/test_ladder.py",)
-    assert "tests/test_cross_products.py" in beside[1].files
-    assert beside[1].holds("tests/test_cross_products.py::test_anything")
-    assert not beside[1].holds("tests/test_ladder.py::test_anything")
-    assert "tests/test_ladder.py" not in near.files
+def _mutant(text, path="hybrid/signals/filters.py"):
+    return next(m for m in mutation.mutants(path) if text in m.place)
+
+
+def _witnesses(costs, path, *words):
+    """Tests that all execute the lines with one of the words."""
+    names = mutation.places((mutation.ROOT / path).read_text())
+    lines = {x: list(costs) for x in names if any(w in x for w in words)}
+    files = {x.partition("::")[0]: "hash" for x in costs}
+    return Witnesses(costs, {path: lines}, files)
+
+
+def test_a_mutant_meets_the_cheapest_tests_that_execute_its_line():
+    mutant = _mutant("int(rate / (5.0 * cutoff)")
+    costs = {"a::dear": 15.0, "a::cheap": 1.0, "b::cheap": 2.0, "b::dearest": 19.0}
+    met = _witnesses(costs, mutant.path, "int(rate / (5.0 * cutoff)").of(mutant)
+    assert met == ("b::cheap", "a::cheap", "a::dear")
+    assert not _witnesses(costs, mutant.path, "no such line").of(mutant)
+
+
+def test_a_constant_meets_the_tests_that_execute_a_line_which_names_it():
+    mutant, costs = _mutant("_PART ="), {"a::b": 1.0}
+    assert _witnesses(costs, mutant.path, "< _PART").of(mutant) == ("a::b",)
+    assert not _witnesses(costs, mutant.path, "int(rate / (5.0").of(mutant)
+
+
+def test_a_test_file_that_is_watched_anew_replaces_what_it_executed_before():
+    path = "hybrid/signals/filters.py"
+    old = _witnesses({"a::x": 1.0, "b::x": 1.0}, path, "_PART")
+    both = old.updated(_witnesses({"a::y": 2.0}, path, "_PART"))
+    assert both.costs == {"b::x": 1.0, "a::y": 2.0}
+    assert all(set(x) == {"a::y", "b::x"} for x in both.lines[path].values())

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from arms import public_arm
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -540,6 +541,19 @@ def test_a_servo_is_slower_than_its_drive(two_links):
     np.testing.assert_array_equal(
         Plant(two_links, seen).servo.kp, Plant(two_links).servo.kp
     )
+
+
+@pytest.mark.parametrize("name", ["ur10", "panda"])  # files without rotors
+def test_a_sampled_servo_damps_every_motion_of_all_joints_in_every_posture(name):
+    plant, rng = Plant(public_arm(name)), np.random.default_rng(5)
+    robot, period = plant.robot, 1 / plant.control_rate
+    for q in rng.uniform(-np.pi, np.pi, (300, robot.size)):
+        still = np.zeros((robot.size, robot.size))
+        unit = np.eye(robot.size)
+        at_rest = inverse_dynamics(robot, still + q, still, still)
+        inertia = inverse_dynamics(robot, still + q, still, unit) - at_rest
+        decay = np.linalg.eigvals(np.linalg.solve(inertia, np.diag(plant.servo.kd)))
+        assert decay.real.max() * period < 1.5  # at 2 its sign alternates for ever
 
 
 def test_a_drive_at_its_limit_cannot_carry_what_it_says(pendulum):

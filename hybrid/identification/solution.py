@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2
 
 from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
@@ -60,9 +59,7 @@ class Solution:
         known = (scatter > 0) & (found.std > 0)
         if not known.any():
             return found
-        ratio = np.median(scatter[known] / found.std[known] ** 2)
-        usual = chi2.median(folds - 1) / (folds - 1)
-        more = max(1.0, float(ratio / usual))
+        more = max(1.0, float(np.mean(scatter[known] / found.std[known] ** 2)))
         return replace(found, covariance=more * found.covariance)
 
     @cached_property

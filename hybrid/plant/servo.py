@@ -14,13 +14,14 @@ from hybrid.plant.noise import rated_torque
 from hybrid.plant.reference import Reference
 from hybrid.robot.robot import Robot
 
-# Damping times period over rotor inertia: a sampled servo is unstable at 2.
+# Damping times period over inertia, of any motion of all joints: a sampled servo is
+# unstable at 2.
 _LARGEST_STEP = 1.0
 # The servo is at least so stiff that usual friction, this part of the rated torque,
 # moves a joint by no more than this angle; gains from inertia alone leave the wrists
 # of files without rotors stuck.
 _FRICTION, _DROOP = 0.05, 0.02  # 1, rad
-_POSTURES = 20
+_POSTURES, _COUPLED = 20, 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +84,8 @@ class Servo:
         omega = np.minimum(np.minimum(omega, stable / inertia), quickest)
         # A servo that must be slow for the lag is stiff enough all the same.
         inertia = np.minimum(np.maximum(inertia, stiff / omega**2), stable / omega)
+        decay = _quickest(arm, 2 * damping * omega * inertia)
+        inertia *= min(1.0, _LARGEST_STEP / (decay * period))
         return cls(
             kp=omega**2 * inertia,
             kd=2 * damping * omega * inertia,
@@ -115,17 +118,30 @@ def _inertia(arm: Arm) -> tuple[Array, Array]:
 
     Both over a few postures, shape (n,), [kg·m²].
     """
+    masses = _masses(arm, _POSTURES)
+    held = [M.diagonal()[arm.motor] for M in masses]
+    free = [1.0 / np.linalg.inv(M).diagonal()[arm.motor] for M in masses]
+    return np.max(held, axis=0), np.min(free, axis=0)
+
+
+def _quickest(arm: Arm, kd: Array) -> float:
+    """Fastest decay that the damping gives to any motion of all joints, [1/s]."""
+    motors, root = np.ix_(arm.motor, arm.motor), np.sqrt(kd)
+    masses = _masses(arm, _COUPLED)
+    mobility = np.array([np.linalg.inv(M)[motors] for M in masses])
+    return float(np.linalg.eigvalsh(root[:, None] * mobility * root).max())
+
+
+def _masses(arm: Arm, postures: int) -> Array:
+    """Mass matrices of all degrees of freedom, shape (P, m, m), [kg·m²]."""
     import mujoco
 
     model: Any = arm.model
     data = mujoco.MjData(model)
-    full = np.zeros((model.nv, model.nv))
+    full = np.zeros((postures, model.nv, model.nv))
     rng = np.random.default_rng(0)
-    held, free = [], []
-    for _ in range(_POSTURES):
+    for M in full:
         data.qpos[arm.motor] = rng.uniform(-np.pi, np.pi, len(arm.motor))
         mujoco.mj_forward(model, data)
-        mujoco.mj_fullM(model, data, full)
-        held.append(full.diagonal()[arm.motor].copy())
-        free.append(1.0 / np.linalg.inv(full).diagonal()[arm.motor])
-    return np.max(held, axis=0), np.min(free, axis=0)
+        mujoco.mj_fullM(model, data, M)
+    return full

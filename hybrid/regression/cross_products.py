@@ -7,7 +7,7 @@ then never touch a sample again, and memory does not grow with the length of the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
@@ -71,33 +71,6 @@ class CrossProducts:
     def samples(self) -> int:
         """Samples of the joint that moved most."""
         return int(np.diag(self.counts.sum(axis=0)).max())
-
-    def labels(self, factor: int) -> NDArray[np.intp]:
-        """Number of each block once ``factor`` neighbours of a recording are one."""
-        label, last = np.zeros(len(self.counts), dtype=int), -1
-        seen: dict[int, int] = {}
-        for b, r in enumerate(self.recording):
-            position = seen[int(r)] = seen.get(int(r), -1) + 1
-            if position % factor == 0:
-                last += 1
-            label[b] = last
-        return label
-
-    def merged(self, factor: int) -> CrossProducts:
-        """Blocks of one recording merged, ``factor`` neighbours at a time.
-
-        Folds are given up.
-        """
-        if factor == 1:
-            return self
-        starts = np.flatnonzero(np.diff(self.labels(factor), prepend=-1))
-        return replace(
-            self,
-            blocks=np.add.reduceat(self.blocks, starts),
-            counts=np.add.reduceat(self.counts, starts),
-            recording=self.recording[starts],
-            fold=self.fold[starts],
-        )
 
     def normal(self, weight: Array, sums: Array | None = None) -> tuple[Array, Array]:
         """Normal equations A theta = b for a weight across joints.

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.stats import t as student
 
@@ -26,8 +27,7 @@ from hybrid.regression.least_squares import (
 )
 from hybrid.regression.prior import Prior
 
-_FEWEST_BLOCKS = 24
-_UNCORRELATED = 0.05
+_MOST_ALIKE = 0.9  # correlation of successive blocks that a log of 100 can show
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def weak_directions(A: Array, weakest: float) -> Array:
 def _covariance(
     products: CrossProducts, found: Settled, prior: Prior | None
 ) -> tuple[Array, int]:
-    """Delete-a-block jackknife, on blocks long enough to be independent.
+    """Delete-a-block jackknife, as much wider as successive blocks change alike.
 
     A prior holds unknowns where the data would not: by how much they may be off is
     added, the prior being worth as many samples as the noise lets count for one.
@@ -173,12 +173,13 @@ def _covariance(
     if prior is not None:
         held = held + prior.precision
         rest = rest + prior.pull - prior.precision @ theta
-    merged, scores = _independent_blocks(products, _scores(products, theta, weight))
+    scores = _scores(products, theta, weight)
     count = len(scores)
     changes = np.empty((count, len(theta)))
-    for k, own in enumerate(merged.normal(weight, merged.blocks)[0]):
+    for k, own in enumerate(products.normal(weight, products.blocks)[0]):
         changes[k] = pseudo_solve(held - own, rest - scores[k])
     spread = changes - changes.mean(axis=0)
+    spread *= np.sqrt(_memory(spread, products.recording))
     covariance = np.asarray((count - 1) / count * spread.T @ spread)
     if prior is not None:
         inverse = pseudo_inverse(held)
@@ -200,21 +201,19 @@ def _scores(products: CrossProducts, theta: Array, weight: Array) -> Array:
     return found
 
 
-def _independent_blocks(
-    products: CrossProducts, scores: Array
-) -> tuple[CrossProducts, Array]:
-    """Merge neighbours until the scores of successive blocks are uncorrelated."""
-    factor = 1
-    while True:
-        label = products.labels(factor)
-        starts = np.flatnonzero(np.diff(label, prepend=-1))
-        merged = np.add.reduceat(scores, starts)
-        enough = len(np.unique(products.labels(2 * factor))) >= _FEWEST_BLOCKS
-        recording = products.recording[starts]
-        follows = recording[1:] == recording[:-1]
-        power = (merged**2).sum(axis=0)
-        lagged = (merged[1:][follows] * merged[:-1][follows]).sum(axis=0)
-        alike = np.mean(lagged / np.where(power > 0, power, 1.0))
-        if alike < _UNCORRELATED or not enough:
-            return products.merged(factor), merged
-        factor *= 2
+def _memory(series: Array, recording: NDArray[np.intp]) -> Array:
+    """Variance of a sum over that of a sum of independent terms, shape (p,).
+
+    Source: a first-order autoregression, Andrews and Monahan 1992, doi 10.2307/2951574;
+    its bias by Kendall 1954, doi 10.1093/biomet/41.3-4.403.
+
+    Args:
+        series: What successive blocks change, less its mean, shape (B, p).
+        recording: Which recording each block is from, shape (B,).
+    """
+    follows = recording[1:] == recording[:-1]
+    power = np.maximum((series**2).sum(axis=0), 1e-300)
+    lagged = (series[1:][follows] * series[:-1][follows]).sum(axis=0) / power
+    count = max(int(follows.sum()), 5)
+    alike = np.clip((count * lagged + 1) / (count - 4), -_MOST_ALIKE, _MOST_ALIKE)
+    return np.asarray((1 + alike) / (1 - alike))
