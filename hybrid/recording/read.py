@@ -175,23 +175,20 @@ def recording_of(
 
 def _recording(table: LogTable, decision: Decision, torque: bool) -> Recording:
     reading, time = decision.reading, decision.time
-    wanted = (u.index for u in reading.columns if u.index >= 0)
-    columns = table.load(tuple(dict.fromkeys(wanted)))
+    clock, channels = _samples(table, decision)
     if time.index < 0:  # no clock, but a rate
-        rows = len(next(iter(columns.values())))
-        t, unit = np.arange(rows, dtype=np.float64) * time.factor, "s"
+        t, unit = clock * time.factor, "s"
     else:
-        _check_numbers(columns[time.index], time, table)
-        t, unit = seconds(columns[time.index], time.unit)
+        t, unit = seconds(clock, time.unit)
     time = replace(time, unit=unit, stated=time.stated or unit != "s")
-    used, notes, channels = [time], list(reading.notes), {}
+    used, notes = [time], list(reading.notes)
     for channel, group in decision.channels.items():
-        x = _channel(table, columns, group, t.shape)
+        x = channels[channel]
         # How ROS says that something was not measured.
         if channel != "q" and x.size and np.isnan(x).all():
             notes.append(f"{channel} holds no number")
+            del channels[channel]
             continue
-        channels[channel] = x
         used += group
     if torque and "tau" not in channels:
         raise RecordingError(f"{table.place}: no torques: tau holds no number")
@@ -205,28 +202,53 @@ def _recording(table: LogTable, decision: Decision, torque: bool) -> Recording:
     )
 
 
-def _channel(
-    table: LogTable,
-    columns: dict[int, NDArray[Any]],
+def _samples(
+    table: LogTable, decision: Decision
+) -> tuple[NDArray[Any], dict[str, Array]]:
+    """The clock as in the file, shape (N,), and channels in SI, shape (N, n).
+
+    Where a map gives a rate in place of a clock, rows are counted.
+    """
+    columns = (u.index for u in decision.reading.columns if u.index >= 0)
+    blocks = table.load(tuple(dict.fromkeys(columns)))
+    sizes = [next(iter(block.values())).size for block in blocks]
+    channels = {
+        name: np.empty((sum(sizes), len(group)))
+        for name, group in decision.channels.items()
+    }
+    clocks, at, time = [np.arange(sum(sizes), dtype=float)], 0, decision.time
+    if time.index >= 0:
+        clocks = [block[time.index] for block in blocks]
+        for clock in clocks:
+            _check_numbers(clock, time, table)
+    for size in sizes:
+        block = blocks.pop(0)  # and nobody holds it any more
+        for name, group in decision.channels.items():
+            _fill(channels[name][at : at + size], block, group, table)
+        at += size
+    return np.concatenate(clocks), channels
+
+
+def _fill(
+    values: Array,
+    block: dict[int, NDArray[Any]],
     used: tuple[Used, ...],
-    shape: tuple[int, ...],
-) -> Array:
-    """Samples of a channel in SI, shape (N, n)."""
-    values = np.empty((*shape, len(used)))
+    table: LogTable,
+) -> None:
+    """Put a block's samples of a channel, in SI, into their rows, shape (N, n)."""
     for k, u in enumerate(used):
-        x = columns[u.index]
+        x = block[u.index]
         _check_numbers(x, u, table)
-        if x.shape != shape:
+        if len(x) != len(values):
             raise RecordingError(
                 f"{table.place}: {u.channel}{k + 1} ({u.joint}) has {len(x)} rows; "
-                f"valid are {shape[0]}, as many as there are times"
+                f"valid are {len(values)}, as many as there are times"
             )
         values[:, k] = x
         if u.factor != 1.0:
             values[:, k] *= u.factor
         if u.offset:
             values[:, k] += u.offset
-    return values
 
 
 def _check_numbers(x: NDArray[Any], used: Used, table: LogTable) -> None:

@@ -81,8 +81,10 @@ def _with_command(
     arm is taken to stay at it.
     """
     used = decision.channels["command"]
-    columns = table.load((decision.time.index, *(u.index for u in used)))
-    first = main.load((0,))[0][0]
+    wanted = (decision.time.index, *(u.index for u in used))
+    blocks = table.load(wanted)
+    columns = {k: np.concatenate([block[k] for block in blocks]) for k in wanted}
+    first = main.load((0,))[0][0][0]
     # Both clocks are nanoseconds of the same epoch.
     at = seconds(columns[decision.time.index] - first, "ns")[0] + recording.t[0]
     reading = recording.reading

@@ -19,7 +19,7 @@ MOST_COLUMNS = 20_000  # of a table: more are no log of an arm
 _NAME = re.compile(r"(.*[./]|)(?:joint_)?names?[_.]?\[?(\d+)\]?")
 _STATE = re.compile(r"(.*[./]|)(position|velocity|effort)s?[_.]?\[?(\d+)\]?")
 
-Load = Callable[[tuple[int, ...]], dict[int, NDArray[Any]]]
+Load = Callable[[tuple[int, ...]], list[dict[int, NDArray[Any]]]]
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,9 @@ class LogTable:
     Attributes:
         source: File or folder that it comes from.
         labels: Label of each column, as the file has it.
-        load: Gives the samples of columns by their indices, each of shape (N,).
+        load: Gives the samples of columns by their indices, in blocks of rows, one
+            after the other: index -> shape (N,). A stream gives its blocks away, so
+            that a log is never held twice: the numbers can be had once.
         units: Unit that the file states for each column apart from its label; empty
             strings where it states none, or no strings at all.
         joints: Joint names of the file, for columns that are only numbered.
@@ -74,7 +76,7 @@ def table_of_arrays(
     """
     values = list(columns.values())
     return LogTable(
-        source, tuple(columns), lambda used: {k: values[k] for k in used}, **more
+        source, tuple(columns), lambda used: [{k: values[k] for k in used}], **more
     )
 
 

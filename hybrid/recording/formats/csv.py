@@ -54,7 +54,7 @@ def read_csv(path: Path) -> list[tuple[LogTable]]:
 
 def _read_columns(
     path: Path, dialect: _Dialect, used: tuple[int, ...]
-) -> dict[int, NDArray[Any]]:
+) -> list[dict[int, NDArray[Any]]]:
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
@@ -77,7 +77,7 @@ def _read_columns(
         raise _explained(path, dialect, used, error) from error
     if table.num_rows == 0:
         raise RecordingError(f"{path}: no rows below the column names")
-    return {k: table.column(str(k)).to_numpy() for k in used}
+    return [{k: table.column(str(k)).to_numpy() for k in used}]
 
 
 def _inflated(path: Path) -> Any:

@@ -47,8 +47,8 @@ def table_of_frame(frame: Any) -> LogTable:
     rows = table.slice(0, 1).combine_chunks().to_batches()
     spread = spread_columns(table.schema, rows[0] if rows else None)
 
-    def load(used: tuple[int, ...]) -> dict[int, NDArray[Any]]:
-        return {k: column_of(table, spread[k], "table") for k in used}
+    def load(used: tuple[int, ...]) -> list[dict[int, NDArray[Any]]]:
+        return [{k: column_of(table, spread[k], "table") for k in used}]
 
     labels = tuple(label for label, _, _ in spread)
     return LogTable("table", labels, load, kind=type(frame).__module__.split(".")[0])

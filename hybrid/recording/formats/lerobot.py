@@ -71,8 +71,10 @@ def _episodes(
         part = table.take(rows) if np.ptp(rows) >= len(rows) else table.slice(
             rows[0], len(rows))  # fmt: skip
 
-        def load(used: tuple[int, ...], part: Any = part) -> dict[int, NDArray[Any]]:
-            return {k: column_of(part, spread[k], str(file)) for k in used}
+        def load(
+            used: tuple[int, ...], part: Any = part
+        ) -> list[dict[int, NDArray[Any]]]:
+            return [{k: column_of(part, spread[k], str(file)) for k in used}]
 
         yield (
             LogTable(str(file), labels, load, kind="LeRobot", name=f"episode {episode}",

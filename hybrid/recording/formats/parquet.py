@@ -40,7 +40,7 @@ def read_parquet(path: Path) -> list[tuple[LogTable]]:
     spread = spread_columns(schema, first)
     labels = tuple(label for label, _, _ in spread)
 
-    def load(used: tuple[int, ...]) -> dict[int, NDArray[Any]]:
+    def load(used: tuple[int, ...]) -> list[dict[int, NDArray[Any]]]:
         size = 8 * rows * len(used)
         if size > LARGEST_FILE:
             raise RecordingError(
@@ -53,7 +53,7 @@ def read_parquet(path: Path) -> list[tuple[LogTable]]:
                 table = file.read(columns=names)
         except (pa.ArrowException, OSError, MemoryError) as error:
             raise damaged(source, error) from error
-        return {k: column_of(table, spread[k], source) for k in used}
+        return [{k: column_of(table, spread[k], source) for k in used}]
 
     return [(LogTable(source, labels, load, kind="Parquet"),)]
 
