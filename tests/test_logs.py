@@ -367,6 +367,19 @@ def test_an_array_of_matlab_without_the_numbers_of_its_class_is_refused(
         read(path)
 
 
+def test_a_matrix_without_rows_may_not_state_any_number_of_columns(tmp_path):
+    """22 bytes of version 4: 300 million columns took 41 s and 6 GB to be labelled."""
+    path = tmp_path / "log.mat"
+    path.write_bytes(struct.pack("<5i", 0, 300_000_000, 0, 0, 2) + b"q\0")
+    with pytest.raises(RecordingError, match="q has 300000000 columns; valid are up"):
+        read(path)
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["t"] = np.zeros(0)
+        file.create_dataset("q", shape=(0, 300_000_000), dtype="f8")
+    with pytest.raises(RecordingError, match="q has 300000000 columns; valid are up"):
+        read(tmp_path / "log.h5")
+
+
 def test_what_scipy_reads_of_its_own_files_is_not_refused():
     folder = Path(scipy.io.matlab.__file__).parent / "tests" / "data"
     files = [

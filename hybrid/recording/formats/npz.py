@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.names import printable
-from hybrid.recording.table import LARGEST_FILE, LogTable, table_of_arrays
+from hybrid.recording.table import (
+    LARGEST_FILE,
+    MOST_COLUMNS,
+    LogTable,
+    table_of_arrays,
+)
 from hybrid.recording.words import is_time, meaning, split_unit
 
 _DAMAGE = (
@@ -83,6 +88,11 @@ def _split(
     label: str, values: NDArray[Any], joints: tuple[str, ...] | None, source: str
 ) -> dict[str, NDArray[Any]]:
     """The columns of an array (N, n) under the labels they would have in a table."""
+    if values.shape[1] > MOST_COLUMNS:  # an array without rows may state any number
+        raise RecordingError(
+            f"{source}: {printable(label)} has {values.shape[1]} columns; valid are up "
+            f"to {MOST_COLUMNS}"
+        )
     word, unit = split_unit(label)
     unit = f" [{unit}]" if unit else ""
     if joints is None:
