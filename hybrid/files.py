@@ -39,6 +39,9 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         _sync(temporary)
         os.replace(temporary, path)
         _sync(path.parent)
+    except OSError as error:
+        error.filename = str(path)  # a full disk names no file, others the temporary
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 
