@@ -40,7 +40,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         os.replace(temporary, path)
         _sync(path.parent)
     except OSError as error:
-        error.filename = str(path)  # a full disk names no file, others the temporary
+        if error.errno is not None:  # and words: a full disk names no file
+            error.filename = str(path)
         raise
     finally:
         temporary.unlink(missing_ok=True)

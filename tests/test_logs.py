@@ -449,7 +449,9 @@ def test_the_effort_of_a_driver_that_logs_currents_needs_its_constants(tmp_path)
     messages, log = Messages(), truth()
     currents = replace(log, tau=log.tau / 12.0)
     path = bag(tmp_path / "bag", states(messages, log=currents), messages)
-    with pytest.raises(RecordingError, match=r"no torques, but currents .*torque_const"):
+    with pytest.raises(
+        RecordingError, match=r"no torques, but currents .*torque_const"
+    ):
         taken(read, path, map="ur_driver")
     given = {"preset": "ur_driver", "tau": {"torque_constant": 12.0}}
     assert np.allclose(taken(read, path, map=given).tau, log.tau)
