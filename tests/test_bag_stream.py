@@ -1,21 +1,17 @@
 """A large bag: it is held once, in any number of blocks, and images stay packed."""
 
 import weakref
-from importlib import import_module
 
 import numpy as np
 import pytest
 from logs import ARM, START, Messages, bag, states, truth
 from rosbags.rosbag2 import StoragePlugin
 
-from hybrid.recording import read
+from hybrid.recording import build, read
 from hybrid.recording.formats import stream
 from hybrid.recording.formats.stream import Stream
+from hybrid.recording.streams import recording_of
 from hybrid.recording.table import LogTable
-
-# import_module, because the package exports the function of the same name
-reading = import_module("hybrid.recording.read")
-recording_of = reading.recording_of
 
 
 @pytest.fixture
@@ -62,13 +58,13 @@ def test_a_block_is_dropped_as_soon_as_its_rows_are_in_the_recording(
 ):
     made, x = filled(500, 64)
     blocks = [weakref.ref(block) for block in made._blocks]
-    alive, fill = [], reading._fill
+    alive, fill = [], build._fill
 
     def spied(*args):
         alive.append(sum(block() is not None for block in blocks))
         fill(*args)
 
-    monkeypatch.setattr(reading, "_fill", spied)
+    monkeypatch.setattr(build, "_fill", spied)
     recording = recording_of((table_of(made),))
     assert np.allclose(recording.tau[:, 5], x + 0.11)
     assert alive == [k for k in range(len(blocks), 0, -1) for _ in ("q", "tau")]

@@ -71,8 +71,10 @@ def run(args: Namespace, screen: Screen) -> None:
     joints = model.robot.joints
     (recording,), files = read_logs(args, screen, joints)
     recording = recording.in_order(joints)
-    # On the robot the tracker bridges gaps; a log that is wrong throughout it believes.
-    act_on(inspect_recording(recording, model.robot).doubts, recording.source)
+    # The tracker leaves wrong rows out, and says so; a wrong column it believes.
+    act_on(
+        inspect_recording(recording, model.robot).doubts, recording.source, rows=False
+    )
     times, q, tau = recording.t, recording.q, recording.tau
     inputs = [args.model, *files]
     check_outputs([args.out, args.json], inputs)

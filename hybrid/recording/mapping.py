@@ -99,7 +99,10 @@ class Mapping:
         )
 
 
-def read_mapping(given: str | Path | MappingType[str, Any] | Mapping | None) -> Mapping:
+Map = str | Path | MappingType[str, Any] | Mapping | None
+
+
+def read_mapping(given: Map) -> Mapping:
     """The map of a YAML file, a dict, or the name of a preset.
 
     Args:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -119,6 +120,28 @@ def labels_of(recording: Recording) -> dict[str, NDArray[np.float64]]:
         for k, joint in enumerate(recording.joints):
             columns[f"{channel}{k + 1}" if numbered else f"{channel}_{joint}"] = x[:, k]
     return columns
+
+
+@contextmanager
+def whole(source: object, kind: str) -> Iterator[None]:
+    """Turn whatever a library raises of a damaged file into one line.
+
+    Args:
+        source: File for the message.
+        kind: What it should be.
+
+    Raises:
+        RecordingError: The block raised an error; those of this package stay as is.
+    """
+    try:
+        yield
+    except RecordingError:
+        raise
+    except Exception as error:  # a damaged file ends in any error of any library
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise RecordingError(
+            f"{source}: not a whole {kind} (truncated?): {reason}"
+        ) from error
 
 
 class NoJointsError(RecordingError):
