@@ -80,6 +80,10 @@ def _read_columns(
     return [{k: table.column(str(k)).to_numpy() for k in used}]
 
 
+def _opener(path: Path) -> Any:
+    return gzip.open if path.suffix.lower() == ".gz" else open
+
+
 def _inflated(path: Path) -> Any:
     """The file, or what is in it if it is gzipped, up to the size of any log."""
     if path.suffix.lower() != ".gz":
@@ -131,8 +135,7 @@ def _dialect_of(path: Path) -> _Dialect:
 
 def _first_lines(path: Path) -> tuple[str, str]:
     try:
-        opened = gzip.open if path.suffix.lower() == ".gz" else open
-        with opened(path, "rb") as file:
+        with _opener(path)(path, "rb") as file:
             header, first = (file.readline(1 << 20) for _ in range(2))
     except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or error
@@ -177,8 +180,9 @@ def _explained(
 
 
 def _cells(path: Path, dialect: _Dialect) -> Iterator[list[str]]:
-    opened = gzip.open if path.suffix.lower() == ".gz" else open
-    with opened(path, "rt", encoding="utf-8-sig", errors="replace", newline="") as file:
+    with _opener(path)(
+        path, "rt", encoding="utf-8-sig", errors="replace", newline=""
+    ) as file:
         reader = csv.reader(file, delimiter=dialect.delimiter)
         try:
             next(reader)
