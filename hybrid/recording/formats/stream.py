@@ -58,10 +58,14 @@ class Stream:
             self.rows, done = self.rows + count, done + count
 
     def clock(self) -> tuple[NDArray[np.int64], bool]:
-        """Times of all rows, [ns], and whether they are those in the messages."""
-        stamps = np.concatenate(self._stamps)
-        headed = bool((np.diff(stamps) > 0).all())
-        return (stamps if headed else np.concatenate(self._times)), headed
+        """Times of all rows, [ns], and whether they are those in the messages.
+
+        They are given away, as columns are.
+        """
+        stamps, self._stamps = np.concatenate(self._stamps), []
+        times, self._times = self._times, []
+        headed = bool((stamps[1:] > stamps[:-1]).all())
+        return (stamps if headed else np.concatenate(times)), headed
 
     def given(
         self, used: tuple[int, ...], clock: NDArray[np.int64]
