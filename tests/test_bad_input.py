@@ -1,6 +1,7 @@
 """Bad input ends in one line that names file, column and row, or in a warning."""
 
 import struct
+import tracemalloc
 import warnings
 import zipfile
 from dataclasses import replace
@@ -304,6 +305,18 @@ def test_npz_that_asks_for_more_than_it_holds_is_refused(tmp_path, member):
         with pytest.raises(RecordingError, match="not a whole NPZ file") as error:
             read(tmp_path / "bad.npz")
         assert "\n" not in str(error.value)
+
+
+def test_what_no_channel_needs_is_not_unpacked(tmp_path, monkeypatch):
+    """A member of zeros unpacks to a thousand times what it takes."""
+    fields = {"t": np.arange(3) / 10, "q": np.ones((3, 2)), "tau": np.ones((3, 2))}
+    np.savez_compressed(tmp_path / "log.npz", **fields, more=np.zeros((10**6, 3)))
+    tracemalloc.start()
+    with pytest.warns(HybridWarning, match="ignored columns"):
+        assert read(tmp_path / "log.npz").q.shape == (3, 2)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 4e6
 
 
 def test_an_archive_that_unpacks_to_more_than_any_log_is_refused(tmp_path):

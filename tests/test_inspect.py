@@ -1,5 +1,6 @@
 """A wrong log is refused or warned of, by cause and column; a right one is not."""
 
+import re
 import warnings
 from dataclasses import replace
 from functools import cache
@@ -132,6 +133,22 @@ def test_a_spring_that_the_file_lacks_is_no_other_unit(part):
     cable = Spring((joint,), {"stiffness": stiffness, "preload": -0.2 * stiffness})
     x = healthy(real("coman_like"), effects=[cable], nominal=arm, seed=3)
     assert check_recordings([x], arm) == [x]
+
+
+@pytest.mark.parametrize(("constant", "severity"), [(12.0, "error"), (6.0, "warning")])
+def test_a_current_in_place_of_torque_is_told_with_the_constants_it_asks_for(
+    constant, severity
+):
+    """As UR's ROS driver logs it: amperes under the name of effort."""
+    log, arm = right("ur5"), robot("ur5")
+    constants = constant * np.linspace(0.9, 1.1, arm.size)
+    doubts = inspect_recording(replace(log, tau=log.tau / constants), arm).doubts
+    (doubt,) = (d for d in doubts if "a motor current in A" in d.text)
+    assert doubt.severity == severity and "tau: {unit: A, torque_constant" in doubt.line
+    asked = re.search(r"ask for (.*) N·m/A", doubt.remedy).group(1).split(", ")
+    # the wrist carries next to nothing: friction alone tells no constant
+    told = np.array([np.nan if x == "?" else float(x) for x in asked])[:3]
+    assert np.nanmax(np.abs(np.log(told / constants[:3]))) < np.log(2)
 
 
 @pytest.mark.parametrize("kind", HEALTHY)

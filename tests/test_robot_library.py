@@ -35,8 +35,13 @@ def test_a_file_of_the_same_name_comes_first(tmp_path, monkeypatch):
 PACKAGE = {
     "__init__.py": "",
     "_descriptions.py": "class D:\n    repository = 'zoo'\n\n"
-    "DESCRIPTIONS = {'lizard_mj_description': D, 'newt_description': D}\n",
+    "DESCRIPTIONS = {f'{x}_description': D for x in ('lizard_mj', 'toad', 'newt')}\n",
     "lizard_mj_description.py": "MJCF_PATH = {folder!r} + '/planar.xml'\n",
+    "toad_description.py": "XACRO_PATH = {folder!r} + '/planar.xacro'\n"
+    "XACRO_ARGS = {'kind': 'planar'}\n",
+    "_xacro.py": "def get_urdf_path(module):\n"
+    "    assert module.XACRO_ARGS == {'kind': 'planar'}\n"
+    "    return module.XACRO_PATH.replace('xacro', 'xml')\n",
     "newt_description.py": "raise SystemExit('this fetches')\n",
 }
 
@@ -75,7 +80,7 @@ def descriptions(tmp_path, monkeypatch):
 def test_a_name_of_robot_descriptions_is_the_file_in_its_cache(descriptions):
     at, commit = descriptions
     at(commit)
-    for name in ("lizard", "lizard_mj", "lizard_mj_description"):
+    for name in ("lizard", "lizard_mj", "lizard_mj_description", "toad"):
         assert Robot.load(name).joints == Robot.load(MODELS / "scara.xml").joints
 
 

@@ -1,6 +1,7 @@
 """``hybrid track``: parameters and payloads along a recording, from the terminal."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hybrid.identification import DynamicModel
 from hybrid.online import OnlineIdentifier
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
-from hybrid.recording import Recording, write
+from hybrid.recording import Recording, read, write
 from hybrid.robot import Robot
 
 
@@ -99,4 +100,13 @@ def test_bad_input_is_one_line_and_writes_nothing(folder, capsys):
     )
     error = capsys.readouterr().err.strip().splitlines()
     assert len(error) == 2 and all(x.startswith("error: ") for x in error)
+    assert not (folder / "track.csv").exists()
+
+
+def test_a_log_in_milliradians_is_refused_as_by_any_verb(folder, capsys):
+    log = read(folder / "log.csv")
+    write(replace(log, q=1000 * log.q), folder / "wrong.csv")
+    (folder / "track.csv").unlink(missing_ok=True)
+    assert command(folder, "--recording", str(folder / "wrong.csv")) == 2
+    assert "looks like milliradians; valid are rad" in capsys.readouterr().err
     assert not (folder / "track.csv").exists()

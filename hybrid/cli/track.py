@@ -56,14 +56,13 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Track, write and show."""
-    import warnings
     from time import perf_counter_ns
 
     import numpy as np
 
-    from hybrid.errors import HybridWarning
     from hybrid.identification import DynamicModel
     from hybrid.inspect import inspect_recording
+    from hybrid.inspect.doubt import act_on
     from hybrid.online import OnlineIdentifier, Sample
     from hybrid.recording.write import write_columns, writer_of
 
@@ -72,9 +71,10 @@ def run(args: Namespace, screen: Screen) -> None:
     joints = model.robot.joints
     (recording,), files = read_logs(args, screen, joints)
     recording = recording.in_order(joints)
-    for doubt in inspect_recording(recording, model.robot).doubts:
-        # The tracker leaves wrong samples out, and says so.
-        warnings.warn(f"{recording.source}: {doubt.line}", HybridWarning, stacklevel=2)
+    # The tracker leaves wrong rows out, and says so; a wrong column it believes.
+    act_on(
+        inspect_recording(recording, model.robot).doubts, recording.source, rows=False
+    )
     times, q, tau = recording.t, recording.q, recording.tau
     inputs = [args.model, *files]
     check_outputs([args.out, args.json], inputs)

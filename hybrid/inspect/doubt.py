@@ -26,6 +26,7 @@ class Doubt:
         severity: An ``error`` makes a wrong model of the log, a ``warning`` may.
         evidence: How far what was read is off: a factor, a share or a count, as the
             text says; NaN without one.
+        rows: Whether it is about single rows, which may be left out.
     """
 
     channel: str
@@ -34,6 +35,7 @@ class Doubt:
     remedy: str = ""
     severity: Severity = "warning"
     evidence: float = np.nan
+    rows: bool = False
 
     @property
     def line(self) -> str:
@@ -46,12 +48,13 @@ def is_error(doubt: Doubt) -> bool:
     return doubt.severity == "error"
 
 
-def act_on(doubts: Iterable[Doubt], source: str) -> None:
+def act_on(doubts: Iterable[Doubt], source: str, *, rows: bool = True) -> None:
     """Refuse a log if one of its doubts is an error; warn of the others.
 
     Args:
         doubts: What was found, the weightiest first.
         source: Where the log came from, for messages.
+        rows: Whether single rows that are wrong are reason enough to refuse it.
 
     Raises:
         RecordingError: The first error.
@@ -62,6 +65,7 @@ def act_on(doubts: Iterable[Doubt], source: str) -> None:
     doubts = list(doubts)
     place = source or "recording"
     for doubt in filter(is_error, doubts):
-        raise RecordingError(f"{place}: {doubt.line}")
+        if rows or not doubt.rows:
+            raise RecordingError(f"{place}: {doubt.line}")
     for doubt in doubts:
         warnings.warn(f"{place}: {doubt.line}", HybridWarning, stacklevel=3)

@@ -54,7 +54,7 @@ def _glitches(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
             f"{x[row - 1]:.6g} and {x[row + 1]:.6g}, the first of {found.sum()}"
         )
         remedy = "valid are positions as the joint passed them: leave such rows out"
-        yield Doubt("q", (joint,), text, remedy, "error", int(found.sum()))
+        yield Doubt("q", (joint,), text, remedy, "error", int(found.sum()), rows=True)
 
 
 def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
@@ -76,7 +76,7 @@ def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
             f"{x[k + 1]:.6g} within a sample: {what}"
         )
         remedy = "valid are positions as the joint passed them"
-        yield Doubt("q", (joint,), text, remedy, "error", float(size[k]))
+        yield Doubt("q", (joint,), text, remedy, "error", float(size[k]), rows=True)
 
 
 def _largest(size: Array, lags: Iterable[int], *, both: bool) -> Array:
@@ -99,7 +99,7 @@ def _held(recording: Recording) -> Iterator[Doubt]:
         if step >= _HELD and float(np.mean(apart % step == 0)) > _SURE:
             text = f"{name} holds each sample for {step} rows"
             remedy = f"valid is one row for each sample: keep every {step}th"
-            yield Doubt("q", (), text, remedy, "error", step)
+            yield Doubt("q", (), text, remedy, "error", step, rows=True)
             return
 
 
@@ -115,5 +115,5 @@ def _repeated(recording: Recording) -> Iterator[Doubt]:
         if count == _REPEATED and same and moves:
             text = f"from {row_words(k - start)} on the log repeats its first rows"
             remedy = "valid is each motion once: split the log there"
-            yield Doubt("q", (), text, remedy, "error", k - start)
+            yield Doubt("q", (), text, remedy, "error", k - start, rows=True)
             return

@@ -24,6 +24,7 @@ _UNITS = {1e-3: "kN·m", 1e3: "mN·m"}
 _UNIT = 3.0  # factor by which a scale may miss a unit
 _FARTHEST = 5.0  # times the rating: gear or unit missing, not overload
 _GEARS = 500.0  # a higher ratio of a gear is rare
+_CONSTANTS = 30.0  # N·m/A at the joint: more is a rare drive
 
 
 def scales(robot: Robot, state: State) -> Array:
@@ -56,14 +57,16 @@ def doubts_of_scale(
         state: Samples of the log.
     """
     each = scales(robot, state)
-    told = np.log(each[each > 0])
-    if not len(told):
+    told = int(np.sum(each > 0))
+    if not told:
         yield from _above_rating(recording, robot)
         return
-    usual = float(np.exp(np.median(told)))
-    off = max(usual, 1 / usual)
-    # A unit is of all joints: what a tool adds at the wrist leaves the others.
-    if np.all(told * np.sign(np.log(usual)) > np.log(_ODD)):
+    less, more = (each > 0) & (each < 1 / _ODD), each > _ODD
+    # A unit is of all joints. A tool adds a lot to what a wrist holds, and may make up
+    # there for one that is too small; a counterbalance takes from one joint alone.
+    if more.sum() == told or (2 * less.sum() > told and less.sum() >= min(told, 2)):
+        usual = float(np.median(each[less if less.any() else more]))
+        off = max(usual, 1 / usual)
         # Without gravity inertia alone tells, and it goes with the square of time.
         text = (
             f"tau is {usual:.3g} times what the robot file's links ask for"
@@ -71,9 +74,9 @@ def doubts_of_scale(
         )
         remedy = (
             "valid are N·m at the joint: check the unit of torque, the clock, and the "
-            "masses of the file"
+            f"masses of the file{_constants(each)}"
         )
-        severity: Severity = "error" if off > _WRONG and len(told) > 1 else "warning"
+        severity: Severity = "error" if off > _WRONG and told > 1 else "warning"
         yield Doubt("tau", (), text, remedy, severity, usual)
         return
     # A tool adds a lot to what a wrist holds; nothing takes so much away.
@@ -107,6 +110,20 @@ def _unit(scale: float) -> str:
     for factor, unit in _UNITS.items():
         if 1 / _UNIT < scale / factor < _UNIT:
             return f": it looks like {unit}"
+    looks = []
+    if 1 / _CONSTANTS < scale < 1 / _ODD:
+        looks.append("a motor current in A, which UR's ROS driver calls effort")
     if 1 / _GEARS < scale < 1 / _WRONG:
-        return f": it looks like torque of the motor side of a gear 1:{1 / scale:.0f}"
-    return ""
+        looks.append(f"torque of the motor side of a gear 1:{1 / scale:.0f}")
+    return f": it looks like {', or '.join(looks)}" if looks else ""
+
+
+def _constants(each: Array) -> str:
+    """What to type if torques are currents, by the file's links."""
+    if not 1 / _CONSTANTS < np.nanmedian(each) < 1 / _ODD:
+        return ""
+    told = ", ".join(f"{1 / x:.3g}" if x > 0 else "?" for x in each)
+    return (
+        "; a current takes --map FILE.yaml with tau: {unit: A, torque_constant: ...}: "
+        f"the file's links ask for {told} N·m/A at the joints"
+    )

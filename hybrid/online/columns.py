@@ -43,7 +43,8 @@ class InstantColumns:
         self._find_rigid(robot.size)
         self._laws = InstantLaws(_numbered(problem), layout)
         self.tasks: list[Callable[[], None]] = [
-            *(partial(self._fill, k) for k in range(instants)),
+            self._fill_rigid,
+            *(partial(self._fill_laws, k) for k in range(instants)),
             *([self._fill_others] if self._laws.others else []),
         ]
 
@@ -68,11 +69,16 @@ class InstantColumns:
         self._sources = np.ravel_multi_index((rows, columns), (n, 10 * n))
         self._targets = np.concatenate([inertial, layout.payload.ravel()])
 
-    def _fill(self, k: int) -> None:
-        """Rigid body and laws of joints' own states at one instant."""
+    def _fill_rigid(self) -> None:
+        """Rigid body at every instant."""
+        _, *motion = self._states
+        for row, *state in zip(self.rows, *motion, strict=True):
+            row[self._targets] = self._regressor(*state).ravel()[self._sources]
+
+    def _fill_laws(self, k: int) -> None:
+        """Laws of joints' own states at one instant."""
         (t, q, v, a), theta = (x[k] for x in self._states), self._theta
         row, laws = self.rows[k], self._laws
-        row[self._targets] = self._regressor(q, v, a).ravel()[self._sources]
         load = (row[self._inertial] * theta[self._base]) @ self._of_joint
         row[laws.places] = laws(t, q, v, a, load, theta)
 

@@ -80,12 +80,22 @@ class OnlineEstimate:
             H, error = J[joints] * share[:, None], self.error[joints] * share
             self._news = _News(joints, H, error, payload, repeats)
 
-    def foresee(self) -> None:
-        """Expected size of errors from uncertain unknowns; 1 if all are known."""
-        if self._news is not None:
-            self._seen = self.filter.seen(self._news.H)
+    def foresee(self, t: float) -> None:
+        """Compute how large errors may be by what is not known, for the detector too.
+
+        Args:
+            t: Time, [s]; before and after a change are not to mix.
+        """
+        if t < self._learn_from:
+            self._news = None
+        news = self._news
+        if news is not None:
+            self._seen = self.filter.seen(news.H)
             square = np.einsum("ij,ij->i", self._seen, self._seen)
             self._spread = np.sqrt(1.0 + square)
+            # At once a row counts in full; what repeats itself counts less in the sums.
+            one = np.sqrt(news.repeats) / self._spread
+            self._detector.hear(news.payload * one[:, None], news.error * one)
 
     def look(self, t: float) -> float | None:
         """Look for a payload grasped or dropped.
@@ -99,15 +109,9 @@ class OnlineEstimate:
         Returns:
             Statistic of the change, if one is noticed.
         """
-        if t < self._learn_from:
-            self._news = None
-        news = self._news
-        if news is None:
+        if self._news is None:
             return None
-        # At once a row counts in full; what repeats itself counts less in the sums.
-        one = np.sqrt(news.repeats) / self._spread
-        payload, error = news.payload * one[:, None], news.error * one
-        change = self._detector.update(t, payload, error, news.repeats)
+        change = self._detector.noticed(t, self._news.repeats)
         if change is not None:
             self.before = self.filter.mean.copy(), self.filter.covariance
             self.filter.widen(self.payload)
@@ -117,7 +121,7 @@ class OnlineEstimate:
     @property
     def tasks(self) -> tuple[Callable[[], None], ...]:
         """What takes the row in, unless it told of a change; in order."""
-        return self._weigh, self._learn, self._bound, self._hear
+        return self._weigh, self._learn, self._bound, self._settle
 
     def _weigh(self) -> None:
         if self._news is not None:
@@ -133,7 +137,7 @@ class OnlineEstimate:
         if self._news is not None:
             self.filter.keep_within(*self.bounds)
 
-    def _hear(self) -> None:
+    def _settle(self) -> None:
         if self._news is not None:
             news, std = self._news, self.noise.std[self._news.joints]
             error = news.error * np.sqrt(news.repeats) * std / self._spread

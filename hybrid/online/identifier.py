@@ -276,7 +276,7 @@ class OnlineIdentifier:
         tasks = [
             *self._pipeline.tasks,
             self._judge,
-            estimate.foresee,
+            self._foresee,
             self._look,
             *estimate.tasks,
         ]
@@ -286,6 +286,9 @@ class OnlineIdentifier:
 
     def _judge(self) -> None:
         self._estimate.judge(self._pipeline.row, self._layout)
+
+    def _foresee(self) -> None:
+        self._estimate.foresee(self._pipeline.time)
 
     def _look(self) -> None:
         found = self._estimate.look(self._pipeline.time)

@@ -76,22 +76,28 @@ class PayloadChange:
         self._sums = np.zeros((len(memories), PAYLOAD, PAYLOAD + 1))
         self._quiet_until: float | None = None
 
-    def update(self, t: float, J: Array, error: Array, repeats: float) -> float | None:
+    def hear(self, J: Array, error: Array) -> None:
         """Take in one sample.
 
         Args:
-            t: Time, [s].
             J: Torque per unit of the last link's mass and first moments, over its
                 standard deviation, shape (m, 4).
             error: Torque less its prediction over that, shape (m,).
+        """
+        self._sums *= self._fade[:, None, None]
+        self._sums[:, :, :PAYLOAD] += J.T @ J
+        self._sums[:, :, PAYLOAD] += J.T @ error
+
+    def noticed(self, t: float, repeats: float) -> float | None:
+        """Judge what was heard.
+
+        Args:
+            t: Time, [s].
             repeats: Successive errors that tell as much as one independent one.
 
         Returns:
             The statistic of a change, when one is noticed.
         """
-        self._sums *= self._fade[:, None, None]
-        self._sums[:, :, :PAYLOAD] += J.T @ J
-        self._sums[:, :, PAYLOAD] += J.T @ error
         if self._quiet_until is None:
             self._quiet_until = t + _LEARNING
         largest = max(map(self._statistic, self._sums, self._fade, repeat(repeats)))

@@ -81,18 +81,13 @@ class Pipeline:
             self._left = derive.left(self._powers, self._q, self._fitted)
             self._states = derive.states(self._fitted)
 
-        def trust() -> None:
+        def spread() -> None:
             # Of a joint that stands one step of the encoder is all there is.
             stands = np.abs(self._states[1]) <= self._standing
             here = (derive.is_spread(self._left) | stands).all(axis=1)
-            # A wrong sample at its very end bends a window and leaves no trace in it,
-            # but in the one beside.
-            spread = np.append(self._spread[-1], here)
-            self._trusted &= spread[1:] & spread[:-1]
-            self._trusted[:-1] &= spread[2:]
-            self._spread = spread
+            self._spread = np.append(self._spread[-1], here)
 
-        return [windows, moments, fit, left, trust]
+        return [windows, moments, fit, left, spread]
 
     def _find_states(self) -> None:
         margin, n = self._derive.margin if self._derive else 0, len(self._standing)
@@ -103,6 +98,10 @@ class Pipeline:
             q, v, a = signals[:, :n], signals[:, 2 * n : 3 * n], signals[:, 3 * n :]
             self._moving = np.abs(v) > self._standing
         else:
+            # A wrong sample at its very end bends a window and leaves no trace in it,
+            # but in the one beside.
+            self._trusted &= self._spread[1:] & self._spread[:-1]
+            self._trusted[:-1] &= self._spread[2:]
             q, v, a = self._states
             self._moving = (np.abs(v) > self._standing) & self._trusted[:, None]
         self._columns.begin((t, q, v, a), self._theta)

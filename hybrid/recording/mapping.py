@@ -99,7 +99,10 @@ class Mapping:
         )
 
 
-def read_mapping(given: str | Path | MappingType[str, Any] | Mapping | None) -> Mapping:
+Map = str | Path | MappingType[str, Any] | Mapping | None
+
+
+def read_mapping(given: Map) -> Mapping:
     """The map of a YAML file, a dict, or the name of a preset.
 
     Args:
@@ -236,6 +239,16 @@ PRESETS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         ("duration", r"(.*\W)?tau_J\[0\]"),
         {"time": {"column": "duration", "unit": "ms"}},
     ),
+    "libfranka_log": (
+        ("time", r"state\.tau_J\[0\]"),
+        {
+            "time": {"column": "time", "unit": "ms"},
+            "q": "state.q[{}]",
+            "v": "state.dq[{}]",
+            "command": "state.q_d[{}]",
+            "tau": "state.tau_J[{}]",
+        },
+    ),
     "lerobot": (
         ("timestamp", r"observation\.state.*", "action.*"),
         {
@@ -246,5 +259,7 @@ PRESETS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     ),
     "joint_state": ((), {"q": {"unit": "rad"}, "v": {"unit": "rad/s"},
                          "tau": {"unit": "N*m"}}),
+    "ur_driver": ((), {"q": {"unit": "rad"}, "v": {"unit": "rad/s"},
+                       "tau": {"unit": "A"}}),
     "plotjuggler": (("__time",), {"time": {"column": "__time", "unit": "s"}}),
 }  # fmt: skip

@@ -5,28 +5,17 @@ from __future__ import annotations
 import glob
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from collections.abc import Mapping as MappingType
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hybrid.arrays import Array
 from hybrid.errors import HybridWarning, RecordingError
-from hybrid.recording.decide import Decision, decide, decide_command
 from hybrid.recording.formats import FOLDERS, READERS, STREAMED, kind_of
 from hybrid.recording.formats.frame import table_of_frame
 from hybrid.recording.formats.ros import read_ros
-from hybrid.recording.mapping import Mapping, read_mapping
-from hybrid.recording.reading import Used
+from hybrid.recording.mapping import Map, read_mapping
 from hybrid.recording.recording import Recording
-from hybrid.recording.streams import main_stream
+from hybrid.recording.streams import recording_of
 from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
-from hybrid.recording.units import seconds
-
-Map = str | Path | MappingType[str, Any] | Mapping | None
 
 
 def read(
@@ -135,107 +124,6 @@ def recording_from_table(
     """
     tables = (table_of_frame(table),)
     return recording_of(tables, joints=joints, map=map, torque=torque)
-
-
-def recording_of(
-    tables: tuple[LogTable, ...],
-    *,
-    joints: tuple[str, ...] | None = None,
-    map: Map = None,
-    torque: bool = True,
-) -> Recording:
-    """Build the recording of a log's tables.
-
-    Args:
-        tables: The log's streams, each on its own clock.
-        joints: As in :func:`read`.
-        map: As in :func:`read`.
-        torque: As in :func:`read`.
-
-    Raises:
-        RecordingError: The samples are not a valid recording.
-    """
-    mapping = read_mapping(map)
-    tables = tuple(x for x in tables if x.name == mapping.topic) or tables
-    if len(tables) == 1:
-        decision = decide(tables[0], joints=joints, mapping=mapping, torque=torque)
-        return _recording(tables[0], decision, torque)
-
-    def decided(table: LogTable, quiet: bool) -> Decision:
-        return decide(table, joints=joints, mapping=mapping, torque=torque, quiet=quiet)
-
-    def commanded(table: LogTable, joints: tuple[str, ...]) -> Decision | None:
-        return decide_command(table, joints, mapping)
-
-    def built(table: LogTable, decision: Decision) -> Recording:
-        return _recording(table, decision, torque)
-
-    return main_stream(tables, decided, built, commanded)
-
-
-def _recording(table: LogTable, decision: Decision, torque: bool) -> Recording:
-    reading, time = decision.reading, decision.time
-    wanted = (u.index for u in reading.columns if u.index >= 0)
-    columns = table.load(tuple(dict.fromkeys(wanted)))
-    if time.index < 0:  # no clock, but a rate
-        rows = len(next(iter(columns.values())))
-        t, unit = np.arange(rows, dtype=np.float64) * time.factor, "s"
-    else:
-        _check_numbers(columns[time.index], time, table)
-        t, unit = seconds(columns[time.index], time.unit)
-    time = replace(time, unit=unit, stated=time.stated or unit != "s")
-    used, notes, channels = [time], list(reading.notes), {}
-    for channel, group in decision.channels.items():
-        x = _channel(table, columns, group, t.shape)
-        # How ROS says that something was not measured.
-        if channel != "q" and x.size and np.isnan(x).all():
-            notes.append(f"{channel} holds no number")
-            continue
-        channels[channel] = x
-        used += group
-    if torque and "tau" not in channels:
-        raise RecordingError(f"{table.place}: no torques: tau holds no number")
-    reading = replace(reading, columns=tuple(used), notes=tuple(notes))
-    return Recording(
-        t=t,
-        joints=decision.joints,
-        source=table.source,
-        reading=reading,
-        **channels,  # type: ignore[arg-type]
-    )
-
-
-def _channel(
-    table: LogTable,
-    columns: dict[int, NDArray[Any]],
-    used: tuple[Used, ...],
-    shape: tuple[int, ...],
-) -> Array:
-    """Samples of a channel in SI, shape (N, n)."""
-    values = np.empty((*shape, len(used)))
-    for k, u in enumerate(used):
-        x = columns[u.index]
-        _check_numbers(x, u, table)
-        if x.shape != shape:
-            raise RecordingError(
-                f"{table.place}: {u.channel}{k + 1} ({u.joint}) has {len(x)} rows; "
-                f"valid are {shape[0]}, as many as there are times"
-            )
-        values[:, k] = x
-        if u.factor != 1.0:
-            values[:, k] *= u.factor
-        if u.offset:
-            values[:, k] += u.offset
-    return values
-
-
-def _check_numbers(x: NDArray[Any], used: Used, table: LogTable) -> None:
-    kinds = "fiuM" if used.channel == "t" else "fiu"
-    if x.ndim != 1 or x.dtype.kind not in kinds:
-        raise RecordingError(
-            f"{table.place}: {used.label} has shape {x.shape} and type {x.dtype}; "
-            "valid are numbers, (N,) or (N, n)"
-        )
 
 
 def _opened(path: Path) -> Path:

@@ -6,54 +6,64 @@ command that it lacks comes from another stream, on the recording's clock.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from hybrid.errors import RecordingError
-from hybrid.recording.decide import Decision
+from hybrid.recording.build import built
+from hybrid.recording.decide import Decision, decide, decide_command
+from hybrid.recording.mapping import Map, Mapping, read_mapping
 from hybrid.recording.recording import Recording
 from hybrid.recording.table import LogTable
 from hybrid.recording.units import seconds
 
 
-def main_stream(
+def recording_of(
     tables: tuple[LogTable, ...],
-    decided: Callable[[LogTable, bool], Decision],
-    build: Callable[[LogTable, Decision], Recording],
-    commanded: Callable[[LogTable, tuple[str, ...]], Decision | None],
+    *,
+    joints: tuple[str, ...] | None = None,
+    map: Map = None,
+    torque: bool = True,
 ) -> Recording:
-    """Find the stream with the joints, and build its recording.
+    """Build the recording of a log's tables.
 
     Args:
-        tables: Streams of one log.
-        decided: Decides on a table, with or without warnings.
-        build: Builds the recording of a decision.
-        commanded: Decides on the commands of joints in a table; None if it has none.
+        tables: The log's streams, each on its own clock.
+        joints: As in :func:`read`.
+        map: As in :func:`read`.
+        torque: As in :func:`read`.
 
     Raises:
-        RecordingError: No stream has the joints, or several have them alike.
+        RecordingError: No stream has the joints, several have them alike, or the
+            samples are not a valid recording.
     """
-    first = _best(tables, decided)
-    recording = build(first, decided(first, False))
+    said = read_mapping(map)
+    tables = tuple(x for x in tables if x.name == said.topic) or tables
+    first = _best(tables, joints, said, torque) if len(tables) > 1 else tables[0]
+    decision = decide(first, joints=joints, mapping=said, torque=torque)
+    recording = built(first, decision, torque=torque)
     if recording.command is None:
-        for table in tables:
-            decision = commanded(table, recording.joints)
-            if table is not first and decision is not None:
-                return _with_command(recording, first, table, decision)
+        for table in (x for x in tables if x is not first):
+            if commanded := decide_command(table, recording.joints, said):
+                return _with_command(recording, first, table, commanded)
     return recording
 
 
 def _best(
-    tables: tuple[LogTable, ...], decided: Callable[[LogTable, bool], Decision]
+    tables: tuple[LogTable, ...],
+    joints: tuple[str, ...] | None,
+    mapping: Mapping,
+    torque: bool,
 ) -> LogTable:
     """The stream with most channels: torques before all, then joint states."""
     good: list[tuple[tuple[bool, bool, int], LogTable]] = []
     bad = []
     for table in tables:
         try:
-            channels = decided(table, True).channels
+            channels = decide(
+                table, joints=joints, mapping=mapping, torque=torque, quiet=True
+            ).channels
         except RecordingError as error:
             bad.append(str(error))
             continue
@@ -81,8 +91,10 @@ def _with_command(
     arm is taken to stay at it.
     """
     used = decision.channels["command"]
-    columns = table.load((decision.time.index, *(u.index for u in used)))
-    first = main.load((0,))[0][0]
+    wanted = (decision.time.index, *(u.index for u in used))
+    blocks = table.load(wanted)
+    columns = {k: np.concatenate([block[k] for block in blocks]) for k in wanted}
+    first = main.load((0,))[0][0][0]
     # Both clocks are nanoseconds of the same epoch.
     at = seconds(columns[decision.time.index] - first, "ns")[0] + recording.t[0]
     reading = recording.reading

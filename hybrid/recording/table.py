@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +20,7 @@ MOST_COLUMNS = 20_000  # of a table: more are no log of an arm
 _NAME = re.compile(r"(.*[./]|)(?:joint_)?names?[_.]?\[?(\d+)\]?")
 _STATE = re.compile(r"(.*[./]|)(position|velocity|effort)s?[_.]?\[?(\d+)\]?")
 
-Load = Callable[[tuple[int, ...]], dict[int, NDArray[Any]]]
+Load = Callable[[tuple[int, ...]], list[dict[int, NDArray[Any]]]]
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,9 @@ class LogTable:
     Attributes:
         source: File or folder that it comes from.
         labels: Label of each column, as the file has it.
-        load: Gives the samples of columns by their indices, each of shape (N,).
+        load: Gives the samples of columns by their indices, in blocks of rows, one
+            after the other: index -> shape (N,). A stream gives its blocks away, so
+            that a log is never held twice: the numbers can be had once.
         units: Unit that the file states for each column apart from its label; empty
             strings where it states none, or no strings at all.
         joints: Joint names of the file, for columns that are only numbered.
@@ -74,7 +77,7 @@ def table_of_arrays(
     """
     values = list(columns.values())
     return LogTable(
-        source, tuple(columns), lambda used: {k: values[k] for k in used}, **more
+        source, tuple(columns), lambda used: [{k: values[k] for k in used}], **more
     )
 
 
@@ -117,6 +120,28 @@ def labels_of(recording: Recording) -> dict[str, NDArray[np.float64]]:
         for k, joint in enumerate(recording.joints):
             columns[f"{channel}{k + 1}" if numbered else f"{channel}_{joint}"] = x[:, k]
     return columns
+
+
+@contextmanager
+def whole(source: object, kind: str) -> Iterator[None]:
+    """Turn whatever a library raises of a damaged file into one line.
+
+    Args:
+        source: File for the message.
+        kind: What it should be.
+
+    Raises:
+        RecordingError: The block raised an error; those of this package stay as is.
+    """
+    try:
+        yield
+    except RecordingError:
+        raise
+    except Exception as error:  # a damaged file ends in any error of any library
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise RecordingError(
+            f"{source}: not a whole {kind} (truncated?): {reason}"
+        ) from error
 
 
 class NoJointsError(RecordingError):

@@ -9,7 +9,7 @@ by the words beside the quantity.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hybrid.recording.units import fits
 
@@ -38,7 +38,9 @@ _OTHER = set(
     "raw std min max limit eef ee tcp cos sin cartesian pose quat dtau dtauj".split()
 )
 LONGEST = 300  # characters of a label; more are no words
+_QUALIFIES = ("commanded", "measured", "other")  # kinds of words
 _MOTOR = ("motor", "rotor")
+_TAU = ("tau", "dtau")
 _TOKEN = re.compile(r"\d+|(?:[^\W\d_](?!(?<=[a-z]{2})(?=[A-Z])))*[^\W\d_]")
 _UNIT = re.compile(r"\s*[\[(]([^\[\]()]+)[\])]$")
 _SUFFIX = re.compile(
@@ -118,13 +120,9 @@ def meaning(label: str, joints: tuple[str, ...] = ()) -> Meaning:
     for text, unit in ((label.strip(), ""), split_unit(label)):
         named = _named(text, joints)
         if named is not None:
-            return _with(named, unit)
+            return replace(named, unit=unit)
     text, unit = split_unit(label)
-    return _with(_meant(text), unit)
-
-
-def _with(found: Meaning, unit: str) -> Meaning:
-    return Meaning(**(vars(found) | {"unit": unit}))
+    return replace(_meant(text), unit=unit)
 
 
 def _named(text: str, joints: tuple[str, ...]) -> Meaning | None:
@@ -148,7 +146,7 @@ def _named(text: str, joints: tuple[str, ...]) -> Meaning | None:
             space = before if names else ""
             if names and any(w.kind == "quantity" for w in _words(before)):
                 continue
-            return Meaning(channel, joint, None, _bare(space), why="")
+            return Meaning(channel, joint, None, space.strip(_SEPARATORS), why="")
         if why:
             return Meaning(why=why)
     return None
@@ -162,11 +160,9 @@ def _meant(text: str) -> Meaning:
     phrase = words[first:last]
     after = text[phrase[-1].end :].strip(" _./:-")
     before = text[: phrase[0].start].strip(" _./:-")
-    trailing = [w for w in _words(after) if w.kind != "name"]
-    if trailing and _words(after)[-1].kind in ("commanded", "measured", "other"):
-        tail = _words(after)
-        while tail and tail[-1].kind in ("commanded", "measured", "other"):
-            phrase = [*phrase, tail.pop()]
+    tail = _words(after)
+    while tail and tail[-1].kind in _QUALIFIES:
+        phrase.append(tail.pop())
         after = after[: tail[-1].end].strip(" _./:-") if tail else ""
     path, before = _qualified(before)
     channel, why = _channel_of([*path, *phrase])
@@ -176,8 +172,6 @@ def _meant(text: str) -> Meaning:
         if before.lower().endswith(_MOTOR) and channel in ("q", "v", "tau"):
             return Meaning(why="of the motor; a map with its gear_ratio says so")
         return Meaning(channel, after, int(match.group(1)), before, why="")
-    if after and not before:
-        return Meaning(channel, _unbracketed(after), None, why="")
     if after:
         return Meaning(channel, _unbracketed(after), None, before, why="")
     space, _, joint = before.rpartition("/")
@@ -191,7 +185,7 @@ def _qualified(before: str) -> tuple[list[_Word], str]:
     found, rest = [], before
     for part in re.split(r"[/.]", before):
         words = _words(part)
-        if words and all(w.kind in ("commanded", "measured", "other") for w in words):
+        if words and all(w.kind in _QUALIFIES for w in words):
             found += words
             rest = re.sub(rf"(^|[/.]){re.escape(part)}(?=$|[/.])", "", rest, count=1)
     return found, rest.strip("/.")
@@ -238,7 +232,7 @@ def _words(text: str) -> list[_Word]:
     for match in _TOKEN.finditer(text):
         token, start, end = match.group().lower(), match.start(), match.end()
         if token == "j" and found and text[found[-1].start : found[-1].end] in _TAU:
-            found[-1] = _Word(found[-1].kind, found[-1].channel, found[-1].start, end)
+            found[-1] = replace(found[-1], end=end)
             continue
         kind, channel = "name", ""
         if token.isdigit():
@@ -253,13 +247,6 @@ def _words(text: str) -> list[_Word]:
             kind = "commanded"
         found.append(_Word(kind, channel, start, end))
     return found
-
-
-_TAU = ("tau", "dtau")
-
-
-def _bare(text: str) -> str:
-    return text.strip(_SEPARATORS)
 
 
 def _unbracketed(text: str) -> str:

@@ -36,7 +36,9 @@ def write(recording: Recording, path: str | Path) -> None:
     try:
         write_columns(path, columns)
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error}") from error
+        raise RecordingError(
+            f"{path}: cannot be written: {error.strerror or error}"
+        ) from error
 
 
 def write_columns(path: str | Path, columns: Columns) -> None:

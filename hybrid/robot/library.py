@@ -89,10 +89,18 @@ def _cached(name: str, repository: str) -> Path:
             f"{_DESCRIPTIONS} pull {name}` once"
         )
     module = import_module(f"{_DESCRIPTIONS}.{name}")
-    for kind in ("MJCF_PATH", "URDF_PATH", "XACRO_PATH"):
+    for kind in ("MJCF_PATH", "URDF_PATH"):
         if hasattr(module, kind):
             return Path(getattr(module, kind))
-    raise RobotError(f"{name}: {_DESCRIPTIONS} has no file of it")
+    try:  # of a xacro file and what it is to be given, such as ur_type
+        return Path(import_module(f"{_DESCRIPTIONS}._xacro").get_urdf_path(module))
+    except ModuleNotFoundError as error:
+        raise RobotError(
+            f"{name}: a xacro file; install xacrodoc to expand it: pip install xacrodoc"
+        ) from error
+    except Exception as error:  # a template ends in any error of xacro
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise RobotError(f"{name}: xacro cannot expand it ({reason})") from error
 
 
 def _has(folder: Path, commit: str) -> bool:

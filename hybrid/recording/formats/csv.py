@@ -54,7 +54,7 @@ def read_csv(path: Path) -> list[tuple[LogTable]]:
 
 def _read_columns(
     path: Path, dialect: _Dialect, used: tuple[int, ...]
-) -> dict[int, NDArray[Any]]:
+) -> list[dict[int, NDArray[Any]]]:
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
@@ -77,7 +77,11 @@ def _read_columns(
         raise _explained(path, dialect, used, error) from error
     if table.num_rows == 0:
         raise RecordingError(f"{path}: no rows below the column names")
-    return {k: table.column(str(k)).to_numpy() for k in used}
+    return [{k: table.column(str(k)).to_numpy() for k in used}]
+
+
+def _opener(path: Path) -> Any:
+    return gzip.open if path.suffix.lower() == ".gz" else open
 
 
 def _inflated(path: Path) -> Any:
@@ -131,8 +135,7 @@ def _dialect_of(path: Path) -> _Dialect:
 
 def _first_lines(path: Path) -> tuple[str, str]:
     try:
-        opened = gzip.open if path.suffix.lower() == ".gz" else open
-        with opened(path, "rb") as file:
+        with _opener(path)(path, "rb") as file:
             header, first = (file.readline(1 << 20) for _ in range(2))
     except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or error
@@ -177,8 +180,9 @@ def _explained(
 
 
 def _cells(path: Path, dialect: _Dialect) -> Iterator[list[str]]:
-    opened = gzip.open if path.suffix.lower() == ".gz" else open
-    with opened(path, "rt", encoding="utf-8-sig", errors="replace", newline="") as file:
+    with _opener(path)(
+        path, "rt", encoding="utf-8-sig", errors="replace", newline=""
+    ) as file:
         reader = csv.reader(file, delimiter=dialect.delimiter)
         try:
             next(reader)

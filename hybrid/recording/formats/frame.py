@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.npz import table_of_named
-from hybrid.recording.formats.parquet import column_of, spread_columns
+from hybrid.recording.formats.parquet import loaded, spread_columns
 from hybrid.recording.table import LogTable
 
 
@@ -46,11 +45,8 @@ def table_of_frame(frame: Any) -> LogTable:
         ) from error
     rows = table.slice(0, 1).combine_chunks().to_batches()
     spread = spread_columns(table.schema, rows[0] if rows else None)
-
-    def load(used: tuple[int, ...]) -> dict[int, NDArray[Any]]:
-        return {k: column_of(table, spread[k], "table") for k in used}
-
     labels = tuple(label for label, _, _ in spread)
+    load = loaded(table, spread, "table")
     return LogTable("table", labels, load, kind=type(frame).__module__.split(".")[0])
 
 

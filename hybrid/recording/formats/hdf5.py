@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.hdf5_heap import check_heaps
 from hybrid.recording.formats.npz import table_of_named
-from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
+from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError, whole
 from hybrid.recording.words import is_time, meaning, split_unit
 
 _MOST = 20_000  # groups and arrays in a file
@@ -67,17 +67,10 @@ def arrays_of(path: Path) -> tuple[dict[str, NDArray[Any]], float]:
         raise RecordingError(
             f"{path}: HDF5 is read by h5py; install it: pip install 'hybrid-arm[hdf5]'"
         ) from error
-    try:
+    with whole(path, "HDF5 file"):
         check_heaps(path)
         with h5py.File(path, "r") as file:
             return _arrays(file, str(path)), _rate(file)
-    except RecordingError:
-        raise
-    except Exception as error:  # a damaged file ends in any error of the library
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise RecordingError(
-            f"{path}: not a whole HDF5 file (truncated?): {reason}"
-        ) from error
 
 
 def _natural(item: tuple[str, Any]) -> tuple[str, int]:

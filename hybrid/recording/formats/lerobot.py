@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.files import read_json
-from hybrid.recording.formats.parquet import column_of, damaged, spread_columns
-from hybrid.recording.table import LARGEST_FILE, LogTable
+from hybrid.recording.formats.parquet import column_of, loaded, spread_columns
+from hybrid.recording.table import LARGEST_FILE, LogTable, whole
 
 VERSIONS = ("v2.0", "v2.1", "v3.0")
 _MOST_FILES = 100_000
@@ -70,13 +69,10 @@ def _episodes(
         rows = np.flatnonzero(index == episode)
         part = table.take(rows) if np.ptp(rows) >= len(rows) else table.slice(
             rows[0], len(rows))  # fmt: skip
-
-        def load(used: tuple[int, ...], part: Any = part) -> dict[int, NDArray[Any]]:
-            return {k: column_of(part, spread[k], str(file)) for k in used}
-
         yield (
-            LogTable(str(file), labels, load, kind="LeRobot", name=f"episode {episode}",
-                  preset="lerobot", home=home),
+            LogTable(str(file), labels, loaded(part, spread, str(file)),
+                     kind="LeRobot", name=f"episode {episode}", preset="lerobot",
+                     home=home),
         )  # fmt: skip
 
 
@@ -85,24 +81,18 @@ def _loaded(file: Path) -> Any:
     import pyarrow as pa
     from pyarrow import parquet
 
-    try:
-        with parquet.ParquetFile(file) as content:
-            schema = content.schema_arrow
-            names = [
-                f.name for f in schema
-                if f.name in ("timestamp", "episode_index")
-                or f.name.startswith(("observation", "action"))
-                and "image" not in f.name and not pa.types.is_struct(f.type)
-            ]  # fmt: skip
-            size = sum(
-                content.metadata.row_group(k).total_byte_size
-                for k in range(content.metadata.num_row_groups)
-            )
-            if size > LARGEST_FILE:
-                raise RecordingError(f"{file}: unpacks to {size:.3g} bytes")
-            return content.read(columns=names)
-    except (pa.ArrowException, OSError, MemoryError) as error:
-        raise damaged(str(file), error) from error
+    with whole(file, "Parquet file"), parquet.ParquetFile(file) as content:
+        names = [
+            f.name for f in content.schema_arrow
+            if f.name in ("timestamp", "episode_index")
+            or f.name.startswith(("observation", "action"))
+            and "image" not in f.name and not pa.types.is_struct(f.type)
+        ]  # fmt: skip
+        groups = range(content.metadata.num_row_groups)
+        size = sum(content.metadata.row_group(k).total_byte_size for k in groups)
+        if size > LARGEST_FILE:
+            raise RecordingError(f"{file}: unpacks to {size:.3g} bytes")
+        return content.read(columns=names)
 
 
 def _label(label: str, features: dict[str, Any]) -> str:

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.errors import RecordingError
 from hybrid.recording.formats.mat_elements import check_elements
 from hybrid.recording.formats.npz import table_of_named
-from hybrid.recording.table import LogTable
+from hybrid.recording.table import LogTable, whole
 from hybrid.recording.words import is_time, split_unit
 
 
@@ -27,15 +26,8 @@ def read_mat(path: Path) -> list[tuple[LogTable]]:
     """
     with path.open("rb") as file:
         head = file.read(128)
-    try:
+    with whole(path, "MATLAB file"):
         arrays = _new(path) if head[:10] == b"MATLAB 7.3" else _old(path)
-    except RecordingError:
-        raise
-    except Exception as error:  # a damaged file ends in any error of the library
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
-        raise RecordingError(
-            f"{path}: not a whole MATLAB file (truncated?): {reason}"
-        ) from error
     joints = None
     for key in ("joints", "joint_names"):
         if key in arrays and arrays[key].dtype.kind == "U":

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import struct
 import zipfile
-import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -14,23 +13,16 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.names import printable
-from hybrid.recording.table import LARGEST_FILE, LogTable, table_of_arrays
+from hybrid.recording.table import (
+    LARGEST_FILE,
+    MOST_COLUMNS,
+    LogTable,
+    table_of_arrays,
+    whole,
+)
 from hybrid.recording.words import is_time, meaning, split_unit
 
-_DAMAGE = (
-    OSError,
-    ValueError,
-    EOFError,
-    KeyError,
-    NotImplementedError,  # an unknown compression
-    RuntimeError,  # encrypted
-    SyntaxError,  # a header that is none
-    MemoryError,
-    OverflowError,
-    struct.error,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+_KIND = "NPZ file of plain arrays"
 
 
 def read_npz(path: Path) -> list[tuple[LogTable]]:
@@ -42,11 +34,24 @@ def read_npz(path: Path) -> list[tuple[LogTable]]:
     Raises:
         RecordingError: The file is damaged, or an array has more than two dimensions.
     """
-    source = str(path)
-    arrays = _arrays(path)
-    names = arrays.pop("joints", None)
-    joints = None if names is None else tuple(map(str, np.atleast_1d(names)))
-    return [(table_of_named(arrays, joints, source, "NPZ"),)]
+    shapes, joints = _shapes(path), None
+    if shapes.pop("joints", None) is not None:
+        joints = tuple(map(str, np.atleast_1d(_array(path, "joints"))))
+
+    def table_of(arrays: dict[str, NDArray[Any]]) -> LogTable:
+        return table_of_named(arrays, joints, str(path), "NPZ")
+
+    def load(used: tuple[int, ...]) -> list[dict[int, NDArray[Any]]]:
+        labels = {table.labels[k] for k in used}
+        arrays = {
+            name: x if labels.isdisjoint(table_of({name: x}).labels)
+            else _array(path, name)
+            for name, x in shapes.items()
+        }  # fmt: skip
+        return table_of(arrays).load(used)
+
+    table = table_of(shapes)
+    return [(replace(table, load=load),)]
 
 
 def table_of_named(
@@ -83,6 +88,11 @@ def _split(
     label: str, values: NDArray[Any], joints: tuple[str, ...] | None, source: str
 ) -> dict[str, NDArray[Any]]:
     """The columns of an array (N, n) under the labels they would have in a table."""
+    if values.shape[1] > MOST_COLUMNS:  # an array without rows may state any number
+        raise RecordingError(
+            f"{source}: {printable(label)} has {values.shape[1]} columns; valid are up "
+            f"to {MOST_COLUMNS}"
+        )
     word, unit = split_unit(label)
     unit = f" [{unit}]" if unit else ""
     if joints is None:
@@ -110,23 +120,25 @@ def _check_numbers(
         )
 
 
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            _check_sizes(archive, path)
-            # No pickle: it runs code. All members are read, to find damage here.
-            return {
-                info.filename.removesuffix(".npy"): _member(archive, info, path)
-                for info in archive.infolist()
-            }
-    except _DAMAGE as error:
-        if _is_single_array(path):
-            reason = "a single array; valid is an .npz archive with t, q and tau"
-            raise RecordingError(f"{path}: {reason}") from error
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise RecordingError(
-            f"{path}: not a whole NPZ file of plain arrays (truncated?): {reason}"
-        ) from error
+def _shapes(path: Path) -> dict[str, NDArray[Any]]:
+    """Every array by its shape and type alone: zeros that take no memory."""
+    with path.open("rb") as file:
+        if file.read(6) == b"\x93NUMPY":
+            raise RecordingError(
+                f"{path}: a single array; valid is an .npz archive with t, q and tau"
+            )
+    with whole(path, _KIND), zipfile.ZipFile(path) as archive:
+        _check_sizes(archive, path)
+        return {
+            info.filename.removesuffix(".npy"): _shape(archive, info, path)
+            for info in archive.infolist()
+        }
+
+
+def _array(path: Path, name: str) -> NDArray[Any]:
+    # No pickle: it runs code.
+    with whole(path, _KIND), np.load(path, allow_pickle=False) as archive:
+        return np.asarray(archive[name])
 
 
 def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
@@ -139,29 +151,20 @@ def _check_sizes(archive: zipfile.ZipFile, path: Path) -> None:
         )
 
 
-def _member(
-    archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path
-) -> NDArray[Any]:
-    """Read one array; its header must not claim more than the archive holds."""
+def _shape(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> NDArray[Any]:
+    """An array as its header has it, which must not claim more than there is."""
     with archive.open(info) as file:
         version = np.lib.format.read_magic(file)
         shape, _, dtype = _header(version, file)
-        if dtype.hasobject or math.prod(shape) * dtype.itemsize > info.file_size:
-            raise RecordingError(
-                f"{path}: not a whole NPZ file of plain arrays (truncated?): "
-                f"{info.filename} has shape {shape} of type {dtype} in "
-                f"{info.file_size} bytes"
-            )
-    with archive.open(info) as file:
-        return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize > info.file_size:
+        raise RecordingError(
+            f"{path}: not a whole {_KIND} (truncated?): {info.filename} has shape "
+            f"{shape} of type {dtype} in {info.file_size} bytes"
+        )
+    return np.broadcast_to(np.zeros((), dtype), shape)
 
 
 def _header(version: tuple[int, int], file: IO[bytes]) -> tuple[Any, bool, Any]:
     if version == (1, 0):
         return np.lib.format.read_array_header_1_0(file)
     return np.lib.format.read_array_header_2_0(file)
-
-
-def _is_single_array(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(6) == b"\x93NUMPY"

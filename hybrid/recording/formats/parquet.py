@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,13 @@ from hybrid.errors import RecordingError
 from hybrid.recording.table import (
     LARGEST_FILE,
     MOST_COLUMNS,
+    Load,
     LogTable,
     named_labels,
+    whole,
 )
+
+Spread = tuple[str, str, int | None]  # label, field, place in its list
 
 
 def read_parquet(path: Path) -> list[tuple[LogTable]]:
@@ -26,21 +31,17 @@ def read_parquet(path: Path) -> list[tuple[LogTable]]:
     Raises:
         RecordingError: The file is damaged; a column that is loaded is not of numbers.
     """
-    import pyarrow as pa
     from pyarrow import parquet
 
     source = str(path)
-    try:
-        with parquet.ParquetFile(path) as file:
-            schema, rows = file.schema_arrow, file.metadata.num_rows
-            lists = _lists(schema) if rows and len(schema) <= MOST_COLUMNS else []
-            first = next(file.iter_batches(1, columns=lists), None) if lists else None
-    except (pa.ArrowException, OSError, UnicodeDecodeError, MemoryError) as error:
-        raise damaged(source, error) from error
+    with whole(path, "Parquet file"), parquet.ParquetFile(path) as file:
+        schema, rows = file.schema_arrow, file.metadata.num_rows
+        lists = _lists(schema) if rows and len(schema) <= MOST_COLUMNS else []
+        first = next(file.iter_batches(1, columns=lists), None) if lists else None
     spread = spread_columns(schema, first)
     labels = tuple(label for label, _, _ in spread)
 
-    def load(used: tuple[int, ...]) -> dict[int, NDArray[Any]]:
+    def load(used: tuple[int, ...]) -> list[dict[int, NDArray[Any]]]:
         size = 8 * rows * len(used)
         if size > LARGEST_FILE:
             raise RecordingError(
@@ -48,20 +49,22 @@ def read_parquet(path: Path) -> list[tuple[LogTable]]:
                 f"valid are {LARGEST_FILE:.3g} or less"
             )
         names = list(dict.fromkeys(spread[k][1] for k in used))
-        try:
-            with parquet.ParquetFile(path) as file:
-                table = file.read(columns=names)
-        except (pa.ArrowException, OSError, MemoryError) as error:
-            raise damaged(source, error) from error
-        return {k: column_of(table, spread[k], source) for k in used}
+        with whole(path, "Parquet file"), parquet.ParquetFile(path) as file:
+            table = file.read(columns=names)
+        return loaded(table, spread, source)(used)
 
     return [(LogTable(source, labels, load, kind="Parquet"),)]
 
 
-def damaged(source: str, error: Exception) -> RecordingError:
-    """One line for a file that cannot be read through."""
-    reason = (str(error).splitlines() or [type(error).__name__])[0]
-    return RecordingError(f"{source}: not a whole Parquet file (truncated?): {reason}")
+def loaded(table: Any, spread: Sequence[Spread], source: str) -> Load:
+    """The columns of an Arrow table at hand, by their indices in ``spread``.
+
+    Args:
+        table: Arrow table.
+        spread: Its columns with those in lists, as :func:`spread_columns` has them.
+        source: File for messages.
+    """
+    return lambda used: [{k: column_of(table, spread[k], source) for k in used}]
 
 
 def _lists(schema: Any) -> list[str]:
@@ -78,7 +81,7 @@ def _is_list(kind: Any) -> bool:
     )  # fmt: skip
 
 
-def spread_columns(schema: Any, first: Any) -> list[tuple[str, str, int | None]]:
+def spread_columns(schema: Any, first: Any) -> list[Spread]:
     """Label, field and place in its list of every column; lists are spread out.
 
     Args:
@@ -86,7 +89,7 @@ def spread_columns(schema: Any, first: Any) -> list[tuple[str, str, int | None]]
         first: Batch of the first row of the lists, whose lengths count; None if there
             are no rows.
     """
-    spread: list[tuple[str, str, int | None]] = []
+    spread: list[Spread] = []
     texts: dict[str, str] = {}
     for f in schema:
         values = first.column(f.name)[0].as_py() if first and _is_list(f.type) else None
@@ -109,9 +112,7 @@ def _is_date(kind: Any) -> bool:
     return bool(pa.types.is_timestamp(kind))
 
 
-def column_of(
-    table: Any, column: tuple[str, str, int | None], source: str
-) -> NDArray[Any]:
+def column_of(table: Any, column: Spread, source: str) -> NDArray[Any]:
     """Samples of one column, spread from its list if it is one.
 
     Args:
@@ -127,7 +128,7 @@ def column_of(
 
     label, name, place = column
     values = table.column(name)
-    try:
+    with whole(source, "Parquet file"):
         if place is not None:
             lengths = compute.list_value_length(values)
             longest = compute.min_max(lengths).as_py()
@@ -138,12 +139,10 @@ def column_of(
         if pa.types.is_timestamp(kind) or pa.types.is_date(kind):
             return np.asarray(values.cast(pa.timestamp("ns")).to_numpy())
         if pa.types.is_duration(kind):
-            whole = values.cast(pa.duration("ns")).cast(pa.int64()).to_numpy()
-            return np.asarray(whole / 1e9)
+            count = values.cast(pa.duration("ns")).cast(pa.int64()).to_numpy()
+            return np.asarray(count / 1e9)
         if pa.types.is_decimal(kind):
             values, kind = values.cast(pa.float64()), pa.float64()
-    except pa.ArrowException as error:
-        raise damaged(source, error) from error
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
         raise RecordingError(
             f"{source}: column {label!r} holds {kind}; valid are numbers"

@@ -15,7 +15,7 @@ from typing import Any
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.names import printable
 from hybrid.recording.formats.topic import Topic
-from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
+from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError, whole
 
 _LARGEST_DEFINITION = 200_000  # bytes of text
 _MOST_TOPICS = 10_000
@@ -52,19 +52,12 @@ def read_ros(
     """
     ros2 = path.suffix.lower() != ".bag"
     opened = _reader(path, ros2)
-    try:
+    with whole(path, "bag"):
         _check_chunks(path)
         with opened(path) as reader:
             topics = _topics(reader.connections, ros2, str(path))
             held = _held(reader.connections)
             _fill(reader, topics, tell)
-    except RecordingError:
-        raise
-    except Exception as error:  # a damaged bag ends in any error of four libraries
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise RecordingError(
-            f"{path}: not a whole bag (truncated?): {reason[:200]}"
-        ) from error
     tables = tuple(table for topic in topics.values() for table in topic.tables())
     if all(table.kind.endswith("JointTrajectory)") for table in tables):
         raise NoJointsError(

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.names import printable
 from hybrid.recording.formats.cdr import LayoutError, MessageLayout, Path, layout_of
-from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, LogTable
+from hybrid.recording.formats.stream import Stream
+from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, Load, LogTable
 
 BATCH = 4096  # messages decoded at once
 _MOST_BYTES = 16 << 20  # of messages held before they are decoded
@@ -21,16 +21,6 @@ _MOST_LAYOUTS = 200  # of a topic: more are no stream of one arm
 _CONTAINERS = ("interface_values", "values")  # of control_msgs/DynamicJointState
 _STAMP: Path = ("header", "stamp", "sec")
 _NANO: Path = ("header", "stamp", "nanosec")
-
-
-@dataclass
-class _Stream:
-    """Messages with the same columns."""
-
-    labels: tuple[str, ...]
-    stamps: list[NDArray[np.int64]] = field(default_factory=list)
-    times: list[NDArray[np.int64]] = field(default_factory=list)
-    values: list[Array] = field(default_factory=list)
 
 
 class Topic:
@@ -52,7 +42,7 @@ class Topic:
         self._raw: list[bytes] = []
         self._stamps: list[int] = []
         self._held = self._size = 0
-        self._streams: dict[tuple[str, ...], _Stream] = {}
+        self._streams: dict[tuple[str, ...], Stream] = {}
         self._layouts: dict[int, list[tuple[MessageLayout, dict[str, Path]]]] = {}
         self._plans: list[tuple[int, MessageLayout, bytes]] = []
 
@@ -88,23 +78,11 @@ class Topic:
         if self._plans:
             yield self._planned()
         for stream in self._streams.values():
-            stamps, times = np.concatenate(stream.stamps), np.concatenate(stream.times)
-            headed = bool((np.diff(stamps) > 0).all())
+            clock, headed = stream.clock()
             note = "" if headed else "time is the recorder's, not the headers'"
-            values = np.concatenate(stream.values)
-            clock = stamps if headed else times
-            yield self._table(stream.labels, clock, values, note)
+            yield self._table(stream.labels, partial(stream.given, clock=clock), note)
 
-    def _table(
-        self,
-        labels: tuple[str, ...],
-        clock: NDArray[np.int64],
-        values: Array,
-        note: str = "",
-    ) -> LogTable:
-        def load(used: tuple[int, ...]) -> dict[int, NDArray[Any]]:
-            return {k: clock if k == 0 else values[:, k - 1] for k in used}
-
+    def _table(self, labels: tuple[str, ...], load: Load, note: str = "") -> LogTable:
         names = (f"{self.name}/__time", *labels)
         units = ("ns", *("" for _ in labels))
         preset = "joint_state" if self.kind.endswith("/JointState") else ""
@@ -171,19 +149,15 @@ class Topic:
             ]
             return
         labels = tuple(columns)
-        stream = self._streams.setdefault(labels, _Stream(labels))
-        values = np.empty((len(times), len(labels)))
-        for k, path in enumerate(columns.values()):
-            values[:, k] = layout.values(messages, path)
-        self._size += values.nbytes
+        stream = self._streams.setdefault(labels, Stream(labels))
+        self._size += 8 * len(labels) * len(times)
         if self._size > LARGEST_FILE:
             raise RecordingError(
                 f"{self.source}: {self.name}: more than {LARGEST_FILE:.3g} bytes of "
                 "numbers; valid are logs of as many or less"
             )
-        stream.stamps.append(stamps)
-        stream.times.append(times)
-        stream.values.append(values)
+        values = [layout.values(messages, path) for path in columns.values()]
+        stream.add(stamps, times, values)
 
     def _planned(self) -> LogTable:
         """Points of trajectories as a command; a new one takes over from the last."""
@@ -214,7 +188,8 @@ class Topic:
                     rows.append([float(x) for x in row])
         labels = tuple(f"{self.name}/command/positions/{joint}" for joint in joints)
         values = np.array(rows, dtype=float).reshape(len(clock), len(joints))
-        return self._table(labels, np.array(clock, dtype=np.int64), values)
+        columns = [np.array(clock, dtype=np.int64), *values.T]
+        return self._table(labels, lambda used: [{k: columns[k] for k in used}])
 
 
 def _words(

@@ -1,0 +1,95 @@
+"""A large bag: it is held once, in any number of blocks, and images stay packed."""
+
+import weakref
+
+import numpy as np
+import pytest
+from logs import ARM, START, Messages, bag, states, truth
+from rosbags.rosbag2 import StoragePlugin
+
+from hybrid.recording import build, read
+from hybrid.recording.formats import stream
+from hybrid.recording.formats.stream import Stream
+from hybrid.recording.streams import recording_of
+from hybrid.recording.table import LogTable
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    """Blocks so small that a short log needs many."""
+    monkeypatch.setattr(stream, "FIRST", 7)
+    monkeypatch.setattr(stream, "_LARGEST", 900)
+
+
+def filled(rows: int, step: int) -> tuple[Stream, np.ndarray]:
+    """A stream of positions and torques of six joints, taken step by step."""
+    labels = tuple(f"{word}{k}" for word in ("q", "tau") for k in range(1, 7))
+    made, x = Stream(labels), np.arange(rows)
+    for k in range(0, rows, step):
+        part = x[k : k + step]
+        values = [part + 0.01 * column for column in range(12)]
+        made.add(10**9 * part, part, values)
+    return made, x
+
+
+def table_of(made: Stream) -> LogTable:
+    clock, headed = made.clock()
+    assert headed
+    units = ("ns", *[""] * 12)
+    return LogTable(
+        "bag", ("time", *made.labels), lambda used: made.given(used, clock), units
+    )
+
+
+@pytest.mark.parametrize(("rows", "step"), [(1, 1), (7, 7), (8, 3), (500, 64)])
+def test_rows_come_back_in_order_whatever_the_blocks(small_blocks, rows, step):
+    made, x = filled(rows, step)
+    clock, _ = made.clock()
+    blocks = made.given((0, 1, 12), clock)
+    for place, offset in ((1, 0.0), (12, 0.11)):
+        column = np.concatenate([block[place] for block in blocks])
+        assert np.array_equal(column, x + offset)
+    assert np.array_equal(np.concatenate([b[0] for b in blocks]), 10**9 * x)
+    assert rows < 500 or len(blocks) > 3
+
+
+def test_a_block_is_dropped_as_soon_as_its_rows_are_in_the_recording(
+    small_blocks, monkeypatch
+):
+    made, x = filled(500, 64)
+    blocks = [weakref.ref(block) for block in made._blocks]
+    alive, fill = [], build._fill
+
+    def spied(*args):
+        alive.append(sum(block() is not None for block in blocks))
+        fill(*args)
+
+    monkeypatch.setattr(build, "_fill", spied)
+    recording = recording_of((table_of(made),))
+    assert np.allclose(recording.tau[:, 5], x + 0.11)
+    assert alive == [k for k in range(len(blocks), 0, -1) for _ in ("q", "tau")]
+
+
+def test_chunks_of_images_alone_are_never_unpacked(tmp_path):
+    messages = Messages()
+    picture = messages.types["sensor_msgs/msg/CompressedImage"]
+    noise = np.random.default_rng(0).integers(0, 255, 1_200_000).astype(np.uint8)
+    late = START + 10**12
+    images = [
+        ("/camera", late + k, picture(messages.header(late + k), "jpeg", noise))
+        for k in range(2)
+    ]
+    path = bag(
+        tmp_path / "bag", states(messages) + images, messages, StoragePlugin.MCAP, True
+    )
+    (file,) = path.glob("*.mcap")
+    data, at, chunks = bytearray(file.read_bytes()), 8, []
+    while at + 9 < len(data):
+        length = int.from_bytes(data[at + 1 : at + 9], "little")
+        chunks += [(at, length)] if data[at] == 6 else []
+        at += 9 + length
+    start, length = chunks[-1]  # one image; the one before it ends the joint states
+    assert len(chunks) == 2
+    data[start + 1000 : start + length] = bytes(length - 1000)
+    (tmp_path / "log.mcap").write_bytes(data)
+    assert np.allclose(read(tmp_path / "log.mcap", joints=ARM).q, truth().q)
