@@ -6,6 +6,12 @@ with command c, delay d and bristles (LuGre) for the friction f:
 
     ż = q̇ − σ |q̇| z / g(q̇),   f = σ z + σ₁ ż,   g = F_c + (F_s − F_c) e^−(q̇/v_s)²
 
+The servo ignores errors within a dead band; its goal moves by no more than a rad in the
+time of the pace; stops are at ``lower`` and ``upper``; a spring holds the joint; the
+link's mass is a multiple of the file's, and the axis may point the other way. Backlash
+between a stiff motor and an encoder on the link shows as a dead band: motion does not
+tell them apart.
+
 Sources: Canudas de Wit et al. 1995, doi 10.1109/9.376053 (friction).
 """
 
@@ -21,6 +27,7 @@ from hybrid.robot import Robot
 
 _FAR = 20.0  # logarithm of a number in SI units that no servo has
 PRESLIDING = 1e-3  # rad: how far bristles bend before a joint breaks loose, mostly
+_FREE = 100.0  # rad: where the stops of a joint without stops are
 _LITTLE = 1e-4  # of a torque: what stands for none where a logarithm is fitted
 
 
@@ -37,6 +44,7 @@ class DriveQuantity:
         per: ``torque`` for multiples of the stall torque; else plain SI.
         positive: Whether the number is above zero, and its logarithm is fitted.
         least: Smallest value of a number that is not.
+        shared: Whether it moves other joints as much as its own.
     """
 
     name: str
@@ -46,6 +54,7 @@ class DriveQuantity:
     per: str = ""
     positive: bool = True
     least: float = -np.inf
+    shared: bool = False
 
 
 QUANTITIES = (
@@ -60,6 +69,13 @@ QUANTITIES = (
     DriveQuantity("offset", "N·m", "torque_offset", 0.05, "torque", False),
     DriveQuantity("zero", "rad", "encoder_offset", 0.05, "", False),
     DriveQuantity("delay", "s", "command_latency", 0.03, "", False, 0.0),
+    DriveQuantity("spring", "N·m/rad", "spring", 0.3, "torque", False, 0.0),
+    DriveQuantity("dead_band", "rad", "deadzone", 0.02, "", False, 0.0),
+    DriveQuantity("pace", "s/rad", "goal_speed", 1.0, "", False, 0.0),
+    DriveQuantity("lower", "rad", "contact", 0.5, "", False),
+    DriveQuantity("upper", "rad", "contact", 0.5, "", False),
+    DriveQuantity("mass", "", "payload", 0.3, shared=True),
+    DriveQuantity("sign", "", "sign", 1.0, "", False, -1.0),
 )
 NAMES = tuple(x.name for x in QUANTITIES)
 PLAIN = ("stiffness", "damping", "coulomb", "armature", "offset", "delay")
@@ -132,6 +148,10 @@ class Drive:
             "bristle": friction / PRESLIDING,
             "armature": np.maximum(robot.chain.armature, 1e-4 * stall),
             "stall": stall,
+            "lower": np.where(np.isfinite(robot.q_min), robot.q_min, -_FREE),
+            "upper": np.where(np.isfinite(robot.q_max), robot.q_max, _FREE),
+            "mass": np.ones(n),
+            "sign": np.ones(n),
         }
         values = [known.get(name, np.zeros(n)) for name in NAMES]
         return cls(np.array(values), stall)
