@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 from outputs import command_line
 
-from hybrid.effects import Backlash
+from hybrid.effects.backlash import Backlash
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.recording import Recording
@@ -107,7 +107,7 @@ class Arm:
             case "armature":
                 model.dof_armature[d] *= 3.0
             case "saturation":
-                model.actuator_forcerange[j] = np.array([-0.25, 0.25]) * stall
+                model.actuator_forcerange[j] = np.array([-0.05, 0.05]) * stall
             case "torque_offset":
                 model.jnt_stiffness[d], model.qpos_spring[d] = 1e-6, 0.06e6 * stall
             case "command_latency":
@@ -140,27 +140,32 @@ class Arm:
         ways[j] = -1.0 if self.fault == "sign" else 1.0
         data.qpos[self.own], goal = (command[0] + self.zero) * ways, command[0].copy()
         goal, out = goal + self.zero, []
+        parts = round((t[1] - t[0]) / STEP)
+        fine = np.arange(len(t) * parts) * STEP
+        asked = self.zero + np.stack(
+            [
+                np.interp(fine - d, t, c)
+                for d, c in zip(self.late, command.T, strict=True)
+            ],
+            axis=1,
+        )
+        most = np.full(len(goal), np.inf)
+        most[j] = self.fastest * STEP
         play = self.own[j] + 1 if self.fault == "backlash" else None
         for k in range(len(t)):
             gap = data.qpos[play] if play else 0.0
             out.append(data.qpos[self.own] * ways - self.zero)
             out[-1][j] += gap
-            for i in range(round((t[1] - t[0]) / STEP)):
-                now = t[k] + i * STEP - self.late
-                asked = np.array(
-                    [np.interp(x, t, c) for x, c in zip(now, command.T, strict=True)]
-                )
-                most = np.full(len(goal), np.inf)
-                most[j] = self.fastest * STEP
-                goal = goal + np.clip(asked + self.zero - goal, -most, most)
+            for ask in asked[k * parts : (k + 1) * parts]:
+                goal = goal + np.clip(ask - goal, -most, most)
                 data.ctrl[:] = goal * ways
-                q, gap = data.qpos[self.own[j]], data.qpos[play] if play else 0.0
+                at = self.own[j]
+                q, gap = data.qpos[at], data.qpos[play] if play else 0.0
                 off = np.clip(data.ctrl[j] - q, -self.dead, self.dead)
                 data.ctrl[j] -= off + gap
-                speed = data.qvel[self.own[j]]
-                model.dof_frictionloss[self.own[j]] = self.plain[
-                    self.own[j]
-                ] + self.falling * np.exp(-((speed / 0.05) ** 2))
+                if self.falling:
+                    more = self.falling * np.exp(-((data.qvel[at] / 0.05) ** 2))
+                    model.dof_frictionloss[at] = self.plain[at] + more
                 mujoco.mj_step(model, data)
         return np.array(out)
 
