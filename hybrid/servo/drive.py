@@ -17,12 +17,14 @@ Sources: Canudas de Wit et al. 1995, doi 10.1109/9.376053 (friction).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.errors import RobotError
 from hybrid.robot import Robot
 
 _FAR = 20.0  # logarithm of a number in SI units that no servo has
@@ -155,6 +157,39 @@ class Drive:
         }
         values = [known.get(name, np.zeros(n)) for name in NAMES]
         return cls(np.array(values), stall)
+
+
+def known_masses(robot: Robot, known: Mapping[str, float]) -> Array:
+    """Masses of links over those of the file, shape (n,).
+
+    A link whose mass is known has it; all others are off by as much, the geometric mean
+    if several are known.
+
+    Args:
+        robot: The arm.
+        known: Mass of the link that a joint moves, by the joint's name, [kg].
+
+    Raises:
+        RobotError: No joint has the name, or its link has no mass in the file.
+    """
+    ratio = np.full(robot.size, np.nan)
+    for name, mass in known.items():
+        if name not in robot.joints:
+            raise RobotError(
+                f"known mass: the arm has no joint {name!r}; valid are "
+                + ", ".join(robot.joints)
+            )
+        j = robot.joints.index(name)
+        file = float(robot.chain.inertial[j, 0])
+        if not (np.isfinite(mass) and mass > 0 and file > 0):
+            raise RobotError(
+                f"known mass: {mass:g} kg behind {name!r}, where the file has "
+                f"{file:g}; valid are masses above 0 of links that have one"
+            )
+        ratio[j] = mass / file
+    told = np.isfinite(ratio)
+    usual = np.exp(np.log(ratio[told]).mean()) if told.any() else 1.0
+    return np.where(told, ratio, usual)
 
 
 def _usual(robot: Robot) -> Array:

@@ -7,11 +7,13 @@ Laplace approximation
 
 with J of :mod:`hybrid.servo.fit`, prior deviations S, curvature H of the data, and the
 odds c of one cause among some hundred places. Laws are never exact: numbers that do not
-differ are the file's but for 3 % of S, and are integrated out. J is a sum over joints, and a servo moves
-its own joint before others, so that joints search side by side: the numbers that promise
-most by a secant of the replays are fitted, and the best stays. A search starts at the
-file and, where everything may be wrong, at a plain fit; at the end every number goes back
-to the file's, others making up for it, and stays there if the evidence grows.
+differ are the file's but for 3 % of S, and are integrated out.
+
+J is a sum over joints, and a servo moves its own joint before others, so that joints
+search side by side: the numbers that promise most by a secant of the replays are fitted,
+and the best stays. A search starts at the file and, where everything may be wrong, at a
+plain fit; at the end every number goes back to the file's, others making up for it, and
+stays there if the evidence grows.
 """
 
 from __future__ import annotations
@@ -194,7 +196,7 @@ class Search:
     def _mixed(
         self, now: Explanation, tried: list[Explanation], which: Array, noise: Noise
     ) -> Explanation | None:
-        """Each joint as in one trial, or as it is (−1); the best alone if that fails."""
+        """Each joint as in one trial or as it is (−1); if that fails, the best alone."""
         least = self.evidence(now, noise).sum()
         best = int(np.argmax(which >= 0))
         alone = np.where(np.arange(len(which)) == best, which, -1)
@@ -317,7 +319,7 @@ class Search:
     def _without_one(
         self, now: Explanation, noise: Noise
     ) -> dict[tuple[int, int], Explanation]:
-        """Each number back, the others making up for it: x' = x − C_i (x_i − f_i)/C_ii."""
+        """Each number back, others making up for it: x' = x − C_i (x_i − f_i)/C_ii."""
         problem, found = self.problem, now.found
         places = [tuple(p) for p in np.argwhere(found.free).tolist()]
         prior, out = problem.prior.coordinates, {}

@@ -2,12 +2,11 @@
 
     w = 1 / (σ² τ_e + (0.03 u)² τ_u + (1 ms · q̇)² τ_q̇)
 
-σ is the usual error of the best replays known, at least the resolution of the encoder, u
-the usual pull of the servo (command less position, a torque over its stiffness), of which
-known laws leave about 3 % as they are never exact, and clocks are known to a millisecond;
-all last: τ samples count as one, the
-integrated autocorrelation. ρ is Cauchy's, so that a joint that runs against something
-does not pull the rest.
+σ is the usual error of the best replays known, at least the resolution of the encoder. u
+is the usual pull of the servo (command less position, a torque over its stiffness); known
+laws are never exact and leave about 3 % of it, and clocks are known to a millisecond. All
+last: τ samples count as one, the integrated autocorrelation. ρ is Cauchy's, so that a
+joint that runs against something does not pull the rest.
 """
 
 from __future__ import annotations
@@ -74,9 +73,7 @@ class Noise:
     def cost(self, errors: Array) -> Array:
         """Negative log likelihood but for a constant, of each joint, shape (n,)."""
         z = (errors / self.far) ** 2
-        return np.asarray(
-            0.5 * self.weight * self.far**2 * np.log1p(z).sum(axis=0)
-        )
+        return np.asarray(0.5 * self.weight * self.far**2 * np.log1p(z).sum(axis=0))
 
     def weights(self, errors: Array) -> Array:
         """Weight of every error, shape (M, n), [1/rad²]."""

@@ -6,7 +6,7 @@ file is wrong with probability 1/(1 + e^−l), where l is the evidence lost with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive
+from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
 from hybrid.servo.explain import Explanation, Search
 from hybrid.servo.finding import ServoFinding
 from hybrid.servo.fit import Estimate, Problem
@@ -58,6 +58,8 @@ class ServoFit(Shown):
         seconds: Unseen motion that was replayed, [s].
         unseen: Where it is from.
         resting: Joints that no log moves; their numbers are the file's.
+        scale: Joints whose links have a known mass, on which all torques rest; none if
+            they rest on the file's masses.
         notes: What these logs cannot tell.
     """
 
@@ -73,6 +75,7 @@ class ServoFit(Shown):
     seconds: float
     unseen: tuple[str, ...]
     resting: tuple[str, ...]
+    scale: tuple[str, ...]
     notes: tuple[str, ...]
 
     @property
@@ -160,6 +163,7 @@ class ServoFit(Shown):
             "seconds": self.seconds,
             "unseen": [Path(x).name for x in self.unseen],
             "resting": list(self.resting),
+            "scale": list(self.scale) or "masses of the file",
             "notes": list(self.notes),
         }
 
@@ -169,6 +173,7 @@ def fit_servo(
     robot: Robot,
     recordings: Sequence[Recording],
     *,
+    known_mass: Mapping[str, float] | None = None,
     without: Sequence[tuple[int, int]] = (),
     progress: Callable[[str], None] = lambda _: None,
 ) -> ServoFit:
@@ -180,28 +185,36 @@ def fit_servo(
     Args:
         robot: The arm; its servos are where the prior is.
         recordings: Logs with command; torque is not used.
+        known_mass: Mass of the link that a joint moves, by the joint's name, [kg]. It
+            sets the scale of all torques: without one that is the file's masses.
         without: Numbers known to be right: index of the quantity, and of the joint.
         progress: Is told what is done.
 
     Raises:
         RecordingError: A log has no command, or no joint moves.
+        RobotError: A mass is known of a link that is not there.
     """
+    known = known_mass or {}
+    masses = known_masses(robot, known)
+    struck = [*without, *((NAMES.index("mass"), robot.joints.index(x)) for x in known)]
     logs = stretches_of([x.in_order(robot.joints) for x in recordings])
     learn, unseen = _split(logs)
     rests = _resting(learn)
     if len(rests) == robot.size:
         raise RecordingError("no joint moves; valid are logs of a moving arm")
-    prior, floor = Drive.declared(robot), resolution(logs)
+    prior, floor = Drive.declared(robot).at(mass=masses), resolution(logs)
     moving = ~np.isin(np.arange(robot.size), rests)
     parts = chosen(learn, _SECONDS, _EACH)
-    start = best_start(ServoSimulator(robot), parts, first_guess(robot, learn), prior)
+    start = best_start(
+        ServoSimulator(robot), parts, first_guess(robot, learn, prior), prior
+    )
     start = Drive(np.where(moving, start.values, prior.values), prior.stall)
     problem = Problem(converged(robot, parts, start, floor), parts, prior)
     progress("servos: plain fit")
     simple = moving & np.isin(NAMES, PLAIN)[:, None]
     plain = problem.fitted(problem.at(start.coordinates, simple), None, _TURNS)
     noise = Noise.of(plain.errors, problem.pulled, parts)
-    search = Search(problem, noise, moving, without, hint=plain.x, progress=progress)
+    search = Search(problem, noise, moving, struck, hint=plain.x, progress=progress)
     best = _best(search, plain, simple)
     found = problem.prior.moved(best.found.x)
     simulator = problem.simulator
@@ -223,7 +236,8 @@ def fit_servo(
         seconds=sum(x.duration for x in unseen),
         unseen=tuple(x.source for x in unseen),
         resting=tuple(robot.joints[j] for j in rests),
-        notes=_notes(robot, rests),
+        scale=tuple(known),
+        notes=_notes(robot, rests, known),
     )
 
 
@@ -299,9 +313,14 @@ def _with(x: Array, file: Array, k: int, j: int) -> Array:
     return changed
 
 
-def _notes(robot: Robot, rests: Sequence[int]) -> tuple[str, ...]:
+def _notes(
+    robot: Robot, rests: Sequence[int], known: Mapping[str, float]
+) -> tuple[str, ...]:
+    masses = ", ".join(f"{x:g} kg behind {name}" for name, x in known.items())
     notes = [
-        "without torque, every torque here rests on the masses of the file: if these "
+        f"torques are to the scale of a known mass: {masses}"
+        if known
+        else "without torque, every torque here rests on the masses of the file: if these "
         "are off by a factor, so are stiffness, damping, friction and rotors"
     ]
     if not robot.chain.inertial[:, 0].any() or not robot.chain.gravity.any():

@@ -151,7 +151,13 @@ def _rolled(models: list[Any], states: Array, control: Array, dead: Array) -> Ar
                 off = control[zoned, k] - state[:, 1 : 1 + n]
                 goal = control[zoned, k] - np.clip(off, -most, most)
                 roll.rollout(
-                    own, data, state, goal[:, None], nstep=1, state=after, skip_checks=True
+                    own,
+                    data,
+                    state,
+                    goal[:, None],
+                    nstep=1,
+                    state=after,
+                    skip_checks=True,
                 )
                 state = out[zoned, k] = after[:, 0].copy()
     return out

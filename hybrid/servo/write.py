@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,10 @@ from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot import Robot
 from hybrid.robot.build import spec_text
+from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, element
 from hybrid.robot.edit.drives import actuator_tags
-from hybrid.robot.edit.mjcf import joint_tag, turn_unit
+from hybrid.robot.edit.mjcf import edit_mjcf, joint_tag, turn_unit
 from hybrid.servo.drive import Drive
 from hybrid.servo.simulator import (
     CONSTANT,
@@ -22,6 +24,7 @@ from hybrid.servo.simulator import (
     file_step,
     servo_spec,
     springs,
+    stops,
 )
 
 _KEPT = ("name", "joint", "jointinparent", "ctrlrange", "ctrllimited", "group")
@@ -31,7 +34,8 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
     """Write the robot's MJCF file again with other servos; of a URDF, an MJCF skeleton.
 
     The attributes of the joints and their actuators change, every other byte stays. The
-    delay is a number of steps of the file's own clock, rounded up to hold it.
+    delay is a number of steps of the file's own clock, rounded up to hold it. MJCF has no
+    place for a dead band or for a goal's speed.
 
     Args:
         robot: An arm read from a file.
@@ -43,6 +47,10 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
     """
     own = Path(robot.path).suffix.lower() != ".urdf"
     document = Document.load(robot.path) if own else _skeleton(robot)
+    if (drive["mass"] != 1.0).any():
+        inertial = robot.chain.inertial * drive["mass"][:, None]
+        chain = replace(robot.chain, inertial=inertial)
+        edit_mjcf(document, Edit(replace(robot, chain=chain)), robot)
     _set_servos(document, robot, drive)
     with atomic_path(path) as temporary:
         temporary.write_bytes(document.written())
@@ -50,7 +58,9 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
 
 def _skeleton(robot: Robot) -> Document:
     """Links, joints and servos of an arm as MJCF, without shapes."""
-    spec = servo_spec(robot, np.zeros(robot.size))
+    spec = servo_spec(robot)
+    for name, ends in zip(robot.joints, stops(Drive.declared(robot)), strict=True):
+        spec.joint(name).range = ends
     spec.option.timestep = file_step(robot)
     spec.compile()
     return Document(spec_text(spec).encode(), robot.path)
@@ -60,6 +70,8 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
     """Change the attributes of joints and actuators."""
     step = file_step(robot)
     stiffness, relaxed = springs(robot, drive)
+    limits, file = stops(drive), Drive.declared(robot)
+    declared = np.stack([file["lower"], file["upper"]])
     for j, name in enumerate(robot.joints):
         joint = joint_tag(document, name)
         turn = turn_unit(document, not robot.chain.revolute[j])
@@ -74,6 +86,11 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             "springref": relaxed[j] * turn,
             "ref": reference - drive["zero"][j] * turn,
         }
+        if drive["sign"][j] < 0:
+            given["axis"] = -robot.chain.axis[j]
+        ends = np.array([drive["lower"][j], drive["upper"][j]])
+        if drive["sign"][j] < 0 or (ends != declared[:, j]).any():
+            given |= {"range": limits[j] * turn, "limited": "true"}
         document.set(joint, given)
         motor = actuator_attributes(drive, j, step)
         own = actuator_tags(document, name)
