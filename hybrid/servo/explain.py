@@ -10,10 +10,10 @@ odds c of one cause among some hundred places. Laws are never exact: numbers tha
 differ are the file's but for 3 % of S, and are integrated out.
 
 J is a sum over joints, and a servo moves its own joint before others, so that joints
-search side by side: the numbers that promise most by a secant of the replays are fitted,
-and the best stays. A search starts at the file and, where everything may be wrong, at a
-plain fit; at the end every number goes back to the file's, others making up for it, and
-stays there if the evidence grows.
+search side by side: the numbers that promise most by a secant of the replays are
+fitted, and the best stays. A search starts at the file and, where everything may be
+wrong, at a plain fit; at the end every number goes back to the file's, others making up
+for it, and stays there if the evidence grows.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ class Search:
     def _mixed(
         self, now: Explanation, tried: list[Explanation], which: Array, noise: Noise
     ) -> Explanation | None:
-        """Each joint as in one trial or as it is (−1); if that fails, the best alone."""
+        """Each joint as in one trial or as it is (−1), or only the best joint."""
         least = self.evidence(now, noise).sum()
         best = int(np.argmax(which >= 0))
         alone = np.where(np.arange(len(which)) == best, which, -1)

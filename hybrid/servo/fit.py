@@ -5,8 +5,8 @@
 e is what a replay misses of the measured position, w and ρ are of
 :class:`hybrid.servo.noise.Noise`. A servo moves its own joint before others: numbers of
 one kind are changed at all joints at once, and each joint shows its own slope; masses,
-which move all joints, are changed one by one. J is a sum over joints: each takes the step
-that suits it. The last slopes, which the covariance needs, are made one by one.
+which move all joints, are changed one by one. J is a sum over joints: each takes the
+step that suits it. The last slopes, which the covariance needs, are made one by one.
 """
 
 from __future__ import annotations

@@ -2,11 +2,11 @@
 
     w = 1 / (σ² τ_e + (0.03 u)² τ_u + (1 ms · q̇)² τ_q̇)
 
-σ is the usual error of the best replays known, at least the resolution of the encoder. u
-is the usual pull of the servo (command less position, a torque over its stiffness); known
-laws are never exact and leave about 3 % of it, and clocks are known to a millisecond. All
-last: τ samples count as one, the integrated autocorrelation. ρ is Cauchy's, so that a
-joint that runs against something does not pull the rest.
+σ is the usual error of the best replays known, at least the resolution of the encoder.
+u is the usual pull of the servo (command less position, a torque over its stiffness);
+known laws are never exact and leave about 3 % of it, and clocks are known to a
+millisecond. All last: τ samples count as one, the integrated autocorrelation. ρ is
+Cauchy's, so that a joint that runs against something does not pull the rest.
 """
 
 from __future__ import annotations

@@ -320,8 +320,8 @@ def _notes(
     notes = [
         f"torques are to the scale of a known mass: {masses}"
         if known
-        else "without torque, every torque here rests on the masses of the file: if these "
-        "are off by a factor, so are stiffness, damping, friction and rotors"
+        else "without torque, every torque here rests on the masses of the file: if "
+        "these are off by a factor, so are stiffness, damping, friction and rotors"
     ]
     if not robot.chain.inertial[:, 0].any() or not robot.chain.gravity.any():
         notes = ["the file has no weight: only ratios of these numbers are known"]

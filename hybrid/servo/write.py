@@ -34,8 +34,8 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
     """Write the robot's MJCF file again with other servos; of a URDF, an MJCF skeleton.
 
     The attributes of the joints and their actuators change, every other byte stays. The
-    delay is a number of steps of the file's own clock, rounded up to hold it. MJCF has no
-    place for a dead band or for a goal's speed.
+    delay is a number of steps of the file's own clock, rounded up to hold it. MJCF has
+    no place for a dead band or for a goal's speed.
 
     Args:
         robot: An arm read from a file.
