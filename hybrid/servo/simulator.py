@@ -183,7 +183,10 @@ def file_step(robot: Robot) -> float:
 
 def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:
     """Deflections that hold what servo and weight leave, shape (n,), [rad]."""
-    pull = drive["stiffness"] * (first - stretch.q[0])
+    off = first - stretch.q[0]
+    pull = drive["stiffness"] * (
+        off - np.clip(off, -drive["dead_band"], drive["dead_band"])
+    )
     rest = np.clip(pull, -drive["stall"], drive["stall"]) + drive["offset"] - weight
     most = drive["coulomb"] + drive["stiction"]
     sliding = np.sign(stretch.v) * drive["coulomb"]
