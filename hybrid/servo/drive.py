@@ -1,8 +1,9 @@
 """A position servo at every joint, in the numbers that a simulator has for it.
 
-    τ = clip(k (c(t − d) − q), ± τ_s) − b q̇ − f + τ₀
+    τ = clip(k (c(t − d) − q) − b_s q̇, ± τ_s) − (b − b_s) q̇ − f + τ₀
 
-with command c, delay d and bristles (LuGre) for the friction f:
+with command c, delay d, the servo's share b_s of damping b, and bristles (LuGre) for
+the friction f:
 
     ż = q̇ − σ |q̇| z / g(q̇),   f = σ z + σ₁ ż,   g = F_c + (F_s − F_c) e^−(q̇/v_s)²
 

@@ -332,7 +332,8 @@ def install(model: Any, robot: Robot, drive: Drive) -> None:
     model.actuator_dynprm[:, 5] = drive["bristle"]
     model.actuator_dynprm[:, 6] = bristle_damping(drive)
     model.dof_frictionloss[:] = 0.0
-    model.dof_damping[:] = drive["damping"]
+    servo, joint = dampings(robot, drive)
+    model.actuator_gainprm[:, 6], model.dof_damping[:] = servo, joint
     model.dof_armature[:] = drive["armature"]
     model.jnt_stiffness[:], model.qpos_spring[:] = springs(robot, drive)
     model.jnt_range[:] = stops(drive)
@@ -342,6 +343,16 @@ def install(model: Any, robot: Robot, drive: Drive) -> None:
         model.body_mass[1:] *= drive["mass"]
         model.body_inertia[1:] *= drive["mass"][:, None]
         mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def dampings(robot: Robot, drive: Drive) -> tuple[Array, Array]:
+    """Damping of servos and of joints, (n,) each: shares as in the file.
+
+    Motion tells them apart only where a servo is at its limit.
+    """
+    servo = np.nan_to_num(robot.kd)
+    share = servo / np.maximum(servo + robot.damping, 1e-12)
+    return share * drive["damping"], (1 - share) * drive["damping"]
 
 
 def stops(drive: Drive) -> Array:

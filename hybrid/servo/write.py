@@ -21,6 +21,7 @@ from hybrid.servo.drive import Drive
 from hybrid.servo.simulator import (
     CONSTANT,
     bristle_damping,
+    dampings,
     file_step,
     servo_spec,
     springs,
@@ -70,6 +71,7 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
     """Change the attributes of joints and actuators."""
     step = file_step(robot)
     stiffness, relaxed = springs(robot, drive)
+    servo_damping, joint_damping = dampings(robot, drive)
     limits, file = stops(drive), Drive.declared(robot)
     declared = np.stack([file["lower"], file["upper"]])
     for j, name in enumerate(robot.joints):
@@ -79,7 +81,7 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
         # is where the log has zero.
         reference = float(joint.attributes.get("ref", "0"))
         given = {
-            "damping": drive["damping"][j],
+            "damping": joint_damping[j],
             "frictionloss": 0.0,
             "armature": drive["armature"][j],
             "stiffness": stiffness[j],
@@ -92,7 +94,7 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
         if drive["sign"][j] < 0 or (ends != declared[:, j]).any():
             given |= {"range": limits[j] * turn, "limited": "true"}
         document.set(joint, given)
-        motor = actuator_attributes(drive, j, step)
+        motor = actuator_attributes(drive, j, step, servo_damping[j])
         own = actuator_tags(document, name)
         sections = document.find("mujoco", "actuator")
         if own:
@@ -105,15 +107,18 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             raise RobotError(f"{robot.path}: no <actuator> section to put a servo into")
 
 
-def actuator_attributes(drive: Drive, j: int, step: float) -> dict[str, Any]:
+def actuator_attributes(
+    drive: Drive, j: int, step: float, damping: float
+) -> dict[str, Any]:
     """MJCF attributes of one servo: a DC motor behind a position controller.
 
     Args:
         drive: The servos.
         j: Joint.
         step: Step of the simulation, [s].
+        damping: Of the servo, [N·m·s/rad].
     """
-    gain = [1.0, CONSTANT, 0, 0, drive["stiffness"][j], 0, 0]
+    gain = [1.0, CONSTANT, 0, 0, drive["stiffness"][j], 0, damping]
     coulomb, delay = drive["coulomb"][j], float(drive["delay"][j])
     bias = [
         0,
