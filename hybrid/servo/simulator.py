@@ -60,8 +60,11 @@ class ServoSimulator:
         models: list[Any] = []
         states = []
         for drive in drives:
+            own: dict[float, Any] = {}
             for stretch, k in zip(stretches, steps, strict=True):
-                model = self._model(drive, stretch.step / k)
+                model = own.get(step := round(stretch.step / k, 9))
+                if model is None:
+                    model = own[step] = self._model(drive, step)
                 late = np.zeros(n) if drive is None else drive["delay"]
                 pace = np.zeros(n) if drive is None else drive["pace"]
                 command = delayed(slowed(stretch, pace), late, k)
@@ -76,16 +79,17 @@ class ServoSimulator:
         found = _rolled(models, np.array(states), control, dead)
         moved = []
         for i in range(len(drives)):
-            own = []
+            replayed = []
             for s, (stretch, k) in enumerate(zip(stretches, steps, strict=True)):
                 after = found[i * len(stretches) + s, k - 1 :: k, 1 : 1 + n]
-                own.append(np.vstack([stretch.q[:1], after[: len(stretch.q) - 1]]))
-            moved.append(own)
+                rows = after[: len(stretch.q) - 1]
+                replayed.append(np.vstack([stretch.q[:1], rows]))
+            moved.append(replayed)
         return moved
 
     def _model(self, drive: Drive | None, step: float) -> Any:
         turned = b"" if drive is None else np.r_[drive["zero"], drive["sign"]].tobytes()
-        key = round(step, 9), turned
+        key = step, turned
         if key not in self._models:
             if len(self._models) > _MODELS:
                 self._models.clear()
