@@ -158,8 +158,8 @@ def steady(goal: np.ndarray, start: np.ndarray, seconds: float = 3.0) -> Stretch
 
 def test_a_servo_does_nothing_within_its_dead_band(robot):
     down, tipped = np.array([np.pi, 0.0]), np.array([np.pi + 0.08, 0.0])
-    free = replay(robot, steady(tipped, down), coulomb=1e-3, bristle=1.0)
-    dead = replay(robot, steady(tipped, down), coulomb=1e-3, bristle=1.0, dead_band=0.1)
+    free = replay(robot, steady(tipped, down), coulomb=1e-3)
+    dead = replay(robot, steady(tipped, down), coulomb=1e-3, dead_band=0.1)
     assert abs(free[-1, 0] - tipped[0]) < 0.02
     # The softest spring there is, of 1e-6 N·m/rad, pulls at the bristles.
     assert np.abs(dead - down).max() < 1e-6 * np.pi / 1.0
@@ -194,7 +194,7 @@ def test_axes_that_point_the_other_way_mirror_the_arm(robot):
 def test_motion_tells_torques_only_as_multiples_of_masses(robot):
     """Twice the mass and twice every torque move alike."""
     drive, stretch = Drive.declared(robot), stretches_of([log(3, seconds=6.0)])[0]
-    names = ("stiffness", "damping", "coulomb", "bristle", "armature", "stall")
+    names = ("stiffness", "damping", "coulomb", "armature", "stall")
     twice = drive.at(mass=2.0, **{x: 2 * drive[x] for x in names})
     a, b = ServoSimulator(robot).replay([stretch], [drive, twice])
     assert np.abs(a[0] - b[0]).max() < 1e-6

@@ -29,7 +29,7 @@ from hybrid.errors import RobotError
 from hybrid.robot import Robot
 
 _FAR = 20.0  # logarithm of a number in SI units that no servo has
-PRESLIDING = 1e-3  # rad: how far bristles bend before a joint breaks loose, mostly
+_PRESLIDING = 1e-3  # rad: how far bristles bend before a joint breaks loose, mostly
 _FREE = 100.0  # rad: where the stops of a joint without stops are
 _LITTLE = 1e-4  # of a torque: what stands for none where a logarithm is fitted
 
@@ -66,7 +66,7 @@ QUANTITIES = (
     DriveQuantity("coulomb", "N·m", "coulomb", 2.0),
     DriveQuantity("stiction", "N·m", "stribeck", 0.05, "torque", False, 0.0),
     DriveQuantity("stribeck_speed", "rad/s", "stribeck", 1.0),
-    DriveQuantity("bristle", "N·m/rad", "presliding", 2.0),
+    DriveQuantity("presliding", "rad", "presliding", 2.0),
     DriveQuantity("armature", "kg·m²", "armature", 2.0),
     DriveQuantity("stall", "N·m", "saturation", 1.0),
     DriveQuantity("offset", "N·m", "torque_offset", 0.05, "torque", False),
@@ -106,6 +106,11 @@ class Drive:
         for name, x in changed.items():
             values[NAMES.index(name)] = x
         return replace(self, values=values)
+
+    @property
+    def bristle(self) -> Array:
+        """Stiffness σ of a joint before it breaks loose, shape (n,), [N·m/rad]."""
+        return np.asarray(self["coulomb"] / self["presliding"])
 
     @property
     def spread(self) -> Array:
@@ -148,7 +153,7 @@ class Drive:
             "damping": np.maximum(servo + robot.damping, little),
             "coulomb": friction,
             "stribeck_speed": np.full(n, 0.05),
-            "bristle": friction / PRESLIDING,
+            "presliding": np.full(n, _PRESLIDING),
             "armature": np.maximum(robot.chain.armature, 1e-4 * stall),
             "stall": stall,
             "lower": np.where(np.isfinite(robot.q_min), robot.q_min, -_FREE),

@@ -31,7 +31,7 @@ from hybrid.servo.noise import Noise
 
 COST = 5.0  # nats: prior odds of one number, among some hundred, to be wrong
 # Shapes of friction have no number in the file; they are no cause of their own.
-_SHAPES = np.isin(NAMES, ("stribeck_speed", "bristle"))[:, None]
+_SHAPES = np.isin(NAMES, ("stribeck_speed", "presliding"))[:, None]
 _SIGN = NAMES.index("sign")
 _SAME = 0.03  # of the prior deviation: closer numbers are the same
 _RANKS = 2  # numbers of a joint that are fitted in a round, each alone

@@ -195,7 +195,7 @@ def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Arr
     most = drive["coulomb"] + drive["stiction"]
     sliding = np.sign(stretch.v) * drive["coulomb"]
     held = np.clip(rest, -most, most)
-    return np.where(np.abs(stretch.v) > _CREEPS, sliding, held) / drive["bristle"]
+    return np.where(np.abs(stretch.v) > _CREEPS, sliding, held) / drive.bristle
 
 
 def converged(
@@ -333,7 +333,7 @@ def install(model: Any, robot: Robot, drive: Drive) -> None:
     model.actuator_biasprm[:, 3] = drive["coulomb"]
     model.actuator_biasprm[:, 4] = drive["coulomb"] + drive["stiction"]
     model.actuator_biasprm[:, 5] = drive["stribeck_speed"]
-    model.actuator_dynprm[:, 5] = drive["bristle"]
+    model.actuator_dynprm[:, 5] = drive.bristle
     model.actuator_dynprm[:, 6] = bristle_damping(drive)
     model.dof_frictionloss[:] = 0.0
     servo, joint = dampings(robot, drive)
@@ -378,4 +378,4 @@ def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
 
 def bristle_damping(drive: Drive) -> Array:
     """Damping σ₁ with which a rotor on bristles comes to rest, (n,), [N·m·s/rad]."""
-    return np.asarray(np.sqrt(drive["bristle"] * drive["armature"]))
+    return np.asarray(np.sqrt(drive.bristle * drive["armature"]))

@@ -17,7 +17,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.robot import Robot
-from hybrid.servo.drive import PRESLIDING, Drive
+from hybrid.servo.drive import Drive
 from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import Stretch
 from hybrid.signals.filters import butterworth, central_difference
@@ -63,7 +63,6 @@ def first_guess(
         stiffness=stiffness,
         damping=np.maximum(theta[1], _LEAST * stiffness),
         coulomb=friction,
-        bristle=friction / PRESLIDING,
         armature=np.maximum(theta[3], _LEAST * stiffness),
         offset=-theta[4],
     )

@@ -138,7 +138,7 @@ def actuator_attributes(
         "input": "pos",
         "gainprm": [*gain, drive["stall"][j] / CONSTANT],
         "biasprm": bias,
-        "dynprm": [0, 0, 0, 0, 0, drive["bristle"][j], bristle_damping(drive)[j]],
+        "dynprm": [0, 0, 0, 0, 0, drive.bristle[j], bristle_damping(drive)[j]],
     }
     if delay > 0:
         given |= {"delay": delay, "nsample": math.ceil(delay / step) + 1}
