@@ -312,7 +312,9 @@ COUNT = 2 * len(QUANTITIES)
 @given(st.lists(st.floats(0.01, 100.0), min_size=COUNT, max_size=COUNT))
 def test_coordinates_lead_back_to_the_numbers(numbers):
     values = np.array(numbers).reshape(len(QUANTITIES), 2)
-    drive = Drive(values, np.ones(2))
+    least = np.array([[x.least] for x in QUANTITIES])
+    drive = Drive(np.maximum(values, least), np.ones(2))
+    values = drive.values
     assert drive.moved(drive.coordinates).values == pytest.approx(values)
 
 

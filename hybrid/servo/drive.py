@@ -46,7 +46,8 @@ class DriveQuantity:
             in multiples of ``per``.
         per: ``torque`` for multiples of the stall torque; else plain SI.
         positive: Whether the number is above zero, and its logarithm is fitted.
-        least: Smallest value of a number that is not.
+        least: Smallest value. Of presliding it is what a step of the replay resolves:
+            stiffer bristles are unstable.
         shared: Whether it moves other joints as much as its own.
     """
 
@@ -66,7 +67,7 @@ QUANTITIES = (
     DriveQuantity("coulomb", "N·m", "coulomb", 2.0),
     DriveQuantity("stiction", "N·m", "stribeck", 0.05, "torque", False, 0.0),
     DriveQuantity("stribeck_speed", "rad/s", "stribeck", 1.0),
-    DriveQuantity("presliding", "rad", "presliding", 2.0),
+    DriveQuantity("presliding", "rad", "presliding", 2.0, least=3e-4),
     DriveQuantity("armature", "kg·m²", "armature", 2.0),
     DriveQuantity("stall", "N·m", "saturation", 1.0),
     DriveQuantity("offset", "N·m", "torque_offset", 0.05, "torque", False),
@@ -130,7 +131,7 @@ class Drive:
         """Servos at other coordinates."""
         rows = zip(QUANTITIES, coordinates, strict=True)
         values = [
-            np.exp(np.clip(x, -_FAR, _FAR)) if q.positive else np.maximum(x, q.least)
+            np.maximum(np.exp(np.clip(x, -_FAR, _FAR)) if q.positive else x, q.least)
             for q, x in rows
         ]
         return replace(self, values=np.array(values))
