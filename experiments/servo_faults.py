@@ -184,6 +184,9 @@ def outcome(fit, fault: str, j: int, *, withheld: bool) -> str:
     alike = ALIKE.get(fault, set()) | ({fault} if not withheld else set())
     said = {(x.effect, x.joint) for x in fit.findings}
     anywhere = fault == "payload"
+    said |= {(e, x.joint) for x in fit.findings for e in x.equivalents if e in alike}
+    also = {(x.effect, x.joint) for x in fit.findings if alike & {*x.equivalents}}
+    said -= also  # named beside the one that is true
     good = {x for x in said if x[0] in alike and (anywhere or x[1] == joint)}
     named = ", ".join(f"{e} at {x}" for e, x in sorted(said - good))
     if fault == "none":
@@ -192,8 +195,9 @@ def outcome(fit, fault: str, j: int, *, withheld: bool) -> str:
         left = 1000 * fit.after[j]
         unsaid = "abstains" if "no known cause" in fit.sentence else "nothing"
         return f"{unsaid}: {left:.1f} mrad" if shows else "does not show"
-    if good and fit.findings[0].effect in alike:
-        true = any(e == fault for e, _ in good)
+    first = fit.findings[0]
+    if good and alike & {first.effect, *first.equivalents}:
+        true = any(e == fault for e, _ in good) and not also
         text = "right" if true else "in class"
         return text if not named else f"{text}, and {named}"
     unknown = "no known cause" in fit.sentence

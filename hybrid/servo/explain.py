@@ -39,6 +39,7 @@ _TURNS = 4  # Gauss–Newton steps of one of them
 _ROUNDS = 8
 _LARGEST = 1.5  # of a probe's change
 _CLEAR = 0.2  # of the best gain: less may be another joint's doing, and waits
+_EQUAL = 3.0  # nats of likelihood: less is not told by motion
 _CLOSE = 30.0  # nats: a loss by linear algebra below it is looked at again
 
 
@@ -49,12 +50,14 @@ class Explanation:
     Attributes:
         found: Their numbers, and the errors of replays.
         causes: Numbers that differ, shape (len(QUANTITIES), n).
+        equals: Numbers that would do as well in place of one: motion does not tell.
         losses: How much evidence is lost with one of them back, [nats]; not yet known
             where it is not there.
     """
 
     found: Estimate
     causes: NDArray[np.bool_]
+    equals: Mapping[tuple[int, int], tuple[int, ...]] = field(default_factory=dict)
     losses: Mapping[tuple[int, int], float] = field(default_factory=dict)
 
 
@@ -191,7 +194,26 @@ class Search:
             return None
         # Joints move each other a little: the clearest first.
         sure = single > max(0.0, _CLEAR * single.max())
-        return self._mixed(now, tried, np.where(sure, gain.argmax(axis=0), -1), noise)
+        which = np.where(sure, gain.argmax(axis=0), -1)
+        after = self._mixed(now, tried, which, noise)
+        return after and replace(after, equals=self._equals(now, tried, which, noise))
+
+    def _equals(
+        self, now: Explanation, tried: list[Explanation], which: Array, noise: Noise
+    ) -> dict[tuple[int, int], tuple[int, ...]]:
+        """Numbers that were tried beside the ones taken, and fit as well."""
+        out = dict(now.equals)
+        costs = [self.problem.cost(x.found, noise) for x in tried]
+        new = [(x.causes & ~now.causes) & ~SHARED[:, None] for x in tried]
+        for j, i in enumerate(which.tolist()):
+            for k in np.flatnonzero(new[i][:, j]).tolist() if i >= 0 else ():
+                out[k, j] = tuple(
+                    int(other)
+                    for cost, more in zip(costs, new, strict=True)
+                    for other in np.flatnonzero(more[:, j])
+                    if other != k and cost[j] < costs[i][j] + _EQUAL
+                )
+        return out
 
     def _mixed(
         self, now: Explanation, tried: list[Explanation], which: Array, noise: Noise
@@ -309,7 +331,7 @@ class Search:
                 loss = before - float(self.evidence(less, noise).sum())
                 losses[at] = min(losses[at], loss)
                 if loss < 0:
-                    better = less
+                    better = replace(less, equals=now.equals)
                     break
             if better is None:
                 return replace(now, losses=losses)

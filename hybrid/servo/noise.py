@@ -99,4 +99,4 @@ def resolution(stretches: Sequence[Stretch]) -> Array:
     # Not the least: numbers that were rounded differ by less than a step.
     told = [x[x > _SAME] for x in steps]
     tick = [np.quantile(x, 0.1) if len(x) else 0.0 for x in told]
-    return np.array(tick) / np.sqrt(12.0)
+    return np.asarray(np.array(tick) / np.sqrt(12.0))

@@ -7,7 +7,7 @@ file is wrong with probability 1/(1 + e^−l), where l is the evidence lost with
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -251,7 +251,9 @@ def _best(search: Search, plain: Estimate, simple: NDArray[np.bool_]) -> Explana
         far = search.pruned(search.grown(far))
         better = search.evidence(far, noise) > search.evidence(near, noise)
         x = np.where(better, far.found.x, near.found.x)
+        equals = {**far.equals, **near.equals}
         near = search.of(x, np.where(better, far.causes, near.causes))
+        near = replace(near, equals=equals)
         near = search.grown(near)
     return search.pruned(near)
 
@@ -301,6 +303,9 @@ def _findings(
                 value=float(prior.moved(x).values[k, j]),
                 interval=(low, high),
                 probability=float(1.0 / (1.0 + np.exp(-best.losses[k, j]))),
+                equivalents=tuple(
+                    QUANTITIES[i].effect for i in best.equals.get((k, j), ())
+                ),
                 worth=float((error - errors[0])[j]),
             )
         )
