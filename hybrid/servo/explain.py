@@ -379,10 +379,12 @@ def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Ar
             out[each.name] = [spread[k], 0.25 * spread[k], hint[k] - x[k]]
     out["stall"] = [np.log(share * pull / drive["stall"]) for share in (0.8, 0.5)]
     out["pace"] = [share / fastest for share in (1.2, 2.0, 4.0)]
-    low, high = q.min(axis=0), q.max(axis=0)
-    rows = NAMES.index("lower"), NAMES.index("upper")
-    out["lower"] = [np.where(command.min(axis=0) < low, low - x[rows[0]], 0.0)]
-    out["upper"] = [np.where(command.max(axis=0) > high, high - x[rows[1]], 0.0)]
+    # A joint that runs into a stop is there for a while.
+    for name, ends in (("lower", (0.01, 0.05)), ("upper", (0.99, 0.95))):
+        way = 1.0 if name == "upper" else -1.0
+        beyond = (way * command).max(axis=0) > (way * q).max(axis=0)
+        places = [np.quantile(q, end, axis=0) - x[NAMES.index(name)] for end in ends]
+        out[name] = [np.where(beyond, place, 0.0) for place in places]
     out["mass"] = [0.3 * ones, -0.3 * ones]
     out["sign"] = [-2.0 * ones]
     return out
