@@ -98,7 +98,7 @@ class Search:
 
     Args:
         problem: The logs.
-        noise: How errors count.
+        errors: What good replays miss, shape (M, n), [rad].
         moving: Joints that move, shape (n,).
         known: Effects that are no candidates.
         hint: Coordinates that may hold, shape (len(QUANTITIES), n).
@@ -108,20 +108,31 @@ class Search:
     def __init__(
         self,
         problem: Problem,
-        noise: Noise,
+        errors: Array,
         moving: NDArray[np.bool_],
         known: Sequence[tuple[int, int]] = (),
         *,
         hint: Array,
         progress: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self.problem, self.noise, self.hint = problem, noise, hint
+        self.problem, self.hint, self._best = problem, hint, errors
+        self.noise = Noise.of(errors, problem.pulled, problem.stretches)
         self.progress = progress
         self.shapes = _SHAPES & moving
         self.soft = np.isin(NAMES, (*PLAIN, "zero"))[:, None] & moving
         self.allowed = ~_SHAPES & moving
         for k, j in known:
             self.allowed[k, j] = False
+
+    def _learn(self, errors: Sequence[Array]) -> None:
+        """Take noise from the best replay known of each joint."""
+        known = self._best
+        for each in errors:
+            better = (each**2).sum(axis=0) < (self._best**2).sum(axis=0)
+            self._best = np.where(better, each, self._best)
+        if self._best is not known:
+            problem = self.problem
+            self.noise = Noise.of(self._best, problem.pulled, problem.stretches)
 
     def file(self) -> Explanation:
         """Nothing is wrong, but shapes of friction that a file does not state."""
@@ -165,8 +176,8 @@ class Search:
 
     def _wider(self, now: Explanation) -> Explanation | None:
         """With one more number at every joint that gains by it; None if none does."""
+        moves = sorted(self._moves(now), key=lambda x: -x.gain)
         noise = self.noise.reaching(now.found.rms)
-        moves = sorted(self._moves(now, noise), key=lambda x: -x.gain)
         own: dict[int, list[_Move]] = {}
         for move in moves:
             mine = own.setdefault(move.j, [])
@@ -233,11 +244,10 @@ class Search:
                 return mixed
         return None
 
-    def _moves(self, now: Explanation, noise: Noise) -> list[_Move]:
+    def _moves(self, now: Explanation) -> list[_Move]:
         """Numbers that promise a gain, with the place where a fit starts."""
         found, problem = now.found, self.problem
         probes = self._probes(now)
-        base = self._base(found, noise)
         groups: dict[tuple[int, int, int], list[tuple[int, int, float]]] = {}
         for k, j, turn, delta in probes:
             key = (k, turn, j if SHARED[k] else -1)
@@ -249,7 +259,10 @@ class Search:
                 y[k, j] += delta
             points.append(problem.prior.moved(y).coordinates)
         best: dict[tuple[int, int], _Move] = {}
-        for group, after in zip(groups.values(), problem.errors(points), strict=True):
+        tried = problem.errors(points)
+        self._learn([found.errors, *tried])
+        base = self._base(found, self.noise.reaching(found.rms))
+        for group, after in zip(groups.values(), tried, strict=True):
             for k, j, delta in group:
                 move = self._move(found, base, after, (k, j, delta))
                 if move.gain > max(0.0, best[k, j].gain if (k, j) in best else 0.0):

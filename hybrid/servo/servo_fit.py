@@ -22,7 +22,7 @@ from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
 from hybrid.servo.explain import Explanation, Search
 from hybrid.servo.finding import ServoFinding
 from hybrid.servo.fit import Estimate, Problem
-from hybrid.servo.noise import Noise, resolution
+from hybrid.servo.noise import resolution
 from hybrid.servo.replay import ServoReplay
 from hybrid.servo.simulator import ServoSimulator, converged, missed
 from hybrid.servo.start import best_start, first_guess
@@ -213,8 +213,9 @@ def fit_servo(
     progress("servos: plain fit")
     simple = moving & np.isin(NAMES, PLAIN)[:, None]
     plain = problem.fitted(problem.at(start.coordinates, simple), None, _TURNS)
-    noise = Noise.of(plain.errors, problem.pulled, parts)
-    search = Search(problem, noise, moving, struck, hint=plain.x, progress=progress)
+    search = Search(
+        problem, plain.errors, moving, struck, hint=plain.x, progress=progress
+    )
     best = _best(search, plain, simple)
     found = problem.prior.moved(best.found.x)
     simulator = problem.simulator
