@@ -13,14 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hybrid.cli import main
-from hybrid.errors import RecordingError
+from hybrid.errors import RecordingError, RobotError
 from hybrid.recording import Recording, write
 from hybrid.robot import Robot
 from hybrid.servo import Drive, fit_servo
-from hybrid.servo.drive import NAMES, QUANTITIES
-from hybrid.servo.simulator import ServoSimulator, bristles
+from hybrid.servo.drive import NAMES, QUANTITIES, known_masses
+from hybrid.servo.simulator import ServoSimulator, bristles, slowed
 from hybrid.servo.start import first_guess
-from hybrid.servo.stretch import chosen, stretches_of
+from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.servo.write import write_servos
 
 ARM = """<mujoco model="two">
@@ -142,6 +142,85 @@ def test_a_late_command_is_found_with_its_delay(folder):
     assert (fit.after < 0.35 * fit.before).all()
 
 
+def replay(robot, stretch, **changed) -> np.ndarray:
+    """What declared servos with some other numbers make of a stretch, (N, 2)."""
+    drive = Drive.declared(robot).at(**changed)
+    ((q,),) = ServoSimulator(robot, step=0.002).replay([stretch], [drive])
+    return q
+
+
+def steady(goal: np.ndarray, start: np.ndarray, seconds: float = 3.0) -> Stretch:
+    """A command that stays, (2,), [rad], from rest."""
+    count = round(seconds * RATE)
+    command, q = np.tile(goal, (count, 1)), np.tile(start, (count, 1))
+    return Stretch(1 / RATE, command, q, np.zeros(2))
+
+
+def test_a_servo_does_nothing_within_its_dead_band(robot):
+    down, tipped = np.array([np.pi, 0.0]), np.array([np.pi + 0.08, 0.0])
+    free = replay(robot, steady(tipped, down), coulomb=1e-3)
+    dead = replay(robot, steady(tipped, down), coulomb=1e-3, dead_band=0.1)
+    assert abs(free[-1, 0] - tipped[0]) < 0.02
+    # The softest spring there is, of 1e-6 N·m/rad, pulls at the bristles.
+    assert np.abs(dead - down).max() < 1e-6 * np.pi / 1.0
+
+
+def test_a_joint_goes_no_further_than_its_stop(robot):
+    start, goal = np.array([0.5, 0.0]), np.array([1.5, 0.0])
+    q = replay(robot, steady(goal, start), upper=np.array([0.9, 3.0]))
+    assert q[-1, 0] == pytest.approx(0.9, abs=0.02)
+    assert replay(robot, steady(goal, start))[-1, 0] > 1.3
+
+
+def test_a_goal_moves_no_faster_than_its_pace(robot):
+    goal = np.array([0.6, -0.5])
+    slow = slowed(steady(goal, goal - 0.4), np.array([2.0, 0.0]))
+    assert (slow.command[:, 1] == goal[1]).all()
+    jump = replace(slow, command=np.vstack([goal - 0.4, slow.command[1:]]))
+    ramp = slowed(jump, np.array([2.0, 0.0])).command[:, 0]
+    assert np.diff(ramp).max() == pytest.approx(0.5 / RATE)
+    assert ramp[-1] == pytest.approx(goal[0])
+
+
+def test_axes_that_point_the_other_way_mirror_the_arm(robot):
+    """Both axes of the arm are parallel: mirrored, it is itself."""
+    goal, start = np.array([0.6, -0.5]), np.array([0.3, -0.2])
+    plain = replay(robot, steady(goal, start))
+    turned = replay(robot, steady(-goal, -start))
+    assert turned == pytest.approx(-plain, abs=1e-9)
+    assert replay(robot, steady(goal, start), sign=-1.0) == pytest.approx(plain)
+
+
+def test_motion_tells_torques_only_as_multiples_of_masses(robot):
+    """Twice the mass and twice every torque move alike."""
+    drive, stretch = Drive.declared(robot), stretches_of([log(3, seconds=6.0)])[0]
+    names = ("stiffness", "damping", "coulomb", "armature", "stall")
+    twice = drive.at(mass=2.0, **{x: 2 * drive[x] for x in names})
+    a, b = ServoSimulator(robot).replay([stretch], [drive, twice])
+    assert np.abs(a[0] - b[0]).max() < 1e-6
+
+
+def test_a_known_mass_sets_the_scale_of_other_links_too(robot):
+    assert known_masses(robot, {}) == pytest.approx([1.0, 1.0])
+    assert known_masses(robot, {"elbow": 0.6}) == pytest.approx([2.0, 2.0])
+    both = known_masses(robot, {"elbow": 0.6, "shoulder": 0.6})
+    assert both == pytest.approx([1.0, 2.0])
+    with pytest.raises(RobotError, match="valid are shoulder, elbow"):
+        known_masses(robot, {"wrist": 1.0})
+    with pytest.raises(RobotError, match="above 0"):
+        known_masses(robot, {"elbow": -1.0})
+
+
+def test_masses_stops_and_axes_are_written_where_they_differ(robot, tmp_path):
+    drive = Drive.declared(robot).at(mass=np.array([1.0, 1.5]))
+    drive = drive.at(upper=np.array([1.2, 100.0]), sign=np.array([1.0, -1.0]))
+    write_servos(robot, drive, tmp_path / "fixed.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "fixed.xml"))
+    assert model.body_mass[1:] == pytest.approx([0.6, 0.45])
+    assert model.jnt_limited[0] and model.jnt_range[0, 1] == pytest.approx(1.2)
+    assert model.jnt_axis == pytest.approx(np.array([[0, 1, 0], [0, -1, 0]]))
+
+
 def test_the_first_guess_is_within_a_factor_of_two(robot):
     guess = first_guess(robot, stretches_of([log(0), log(1)]))
     assert guess["stiffness"] == pytest.approx([22.0, 22.0], rel=0.5)
@@ -227,10 +306,15 @@ def test_a_log_without_command_is_refused(robot):
         fit_servo(robot, [replace(log(0), command=None)])
 
 
-@given(st.lists(st.floats(0.01, 100.0), min_size=22, max_size=22))
+COUNT = 2 * len(QUANTITIES)
+
+
+@given(st.lists(st.floats(0.01, 100.0), min_size=COUNT, max_size=COUNT))
 def test_coordinates_lead_back_to_the_numbers(numbers):
     values = np.array(numbers).reshape(len(QUANTITIES), 2)
-    drive = Drive(values, np.ones(2))
+    least = np.array([[x.least] for x in QUANTITIES])
+    drive = Drive(np.maximum(values, least), np.ones(2))
+    values = drive.values
     assert drive.moved(drive.coordinates).values == pytest.approx(values)
 
 
@@ -246,8 +330,13 @@ def test_the_verbs_write_a_simulator_and_numbers(folder, tmp_path, capsys):
     content = json.loads(numbers.read_text())
     assert {x["joint"] for x in content["gap"]} == {"shoulder", "elbow"}
     assert content["schema"] == "hybrid.servo/1"
-    out = tmp_path / "found"
-    assert main(["diagnose", *asked, "--out", str(out)]) == 0
+    assert content["scale"] == "masses of the file"
+    out, scale = tmp_path / "found", ["--known-mass", "elbow=0.6"]
+    assert main(["diagnose", *asked, *scale, "--out", str(out)]) == 0
+    twice = json.loads((out / "diagnosis.json").read_text())
+    assert twice["scale"] == ["elbow"]
+    fixed_mass = mujoco.MjModel.from_xml_path(str(out / "sim_fixed.xml")).body_mass
+    assert fixed_mass[2] == pytest.approx(0.6)
     names = {path.name for path in out.iterdir()}
     assert names == {"report.html", "diagnosis.json", "sim_fixed.xml"}
     assert "mrad" in capsys.readouterr().out
@@ -260,6 +349,11 @@ def test_logs_of_which_some_lack_torque_are_refused(folder, tmp_path, capsys):
     asked = ["identify", "--robot", arm(folder).path, "--recordings", str(tmp_path)]
     assert main([*asked, "--out", str(tmp_path / "x.xml")]) == 2
     assert "no torque, but other recordings have it" in capsys.readouterr().err
+    (tmp_path / "a.csv").unlink()
+    scaled = [*asked, "--known-mass", "elbow=1", "--out", str(tmp_path / "x.json")]
+    assert main(scaled) == 2
+    assert "these logs have torque" in capsys.readouterr().err
+    write(x, tmp_path / "a.csv")
     (tmp_path / "b.csv").unlink()
     assert main([*asked, "--out", str(tmp_path / "x.json")]) == 2
     assert ".xml" in capsys.readouterr().err

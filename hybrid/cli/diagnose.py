@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from hybrid.cli.options import (
     add_common,
+    add_known_mass,
     add_recordings,
     add_robot,
+    check_known_mass,
     check_outputs,
     load_robot,
     positive,
@@ -69,6 +71,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="HZ",
         help="cut-off of columns and torque (default: from the spectrum)",
     )
+    add_known_mass(parser)
     parser.add_argument("--seed", type=whole, default=0, metavar="N")
     add_common(parser)
 
@@ -94,7 +97,9 @@ def run(args: Namespace, screen: Screen) -> None:
     names = (PAGE, CONTENT, SIMULATOR, MODEL)
     check_outputs([*(args.out / name for name in names), args.json], inputs)
     how = record(args, inputs)
-    if without_torque(recordings):
+    servo = without_torque(recordings)
+    check_known_mass(args, torque=not servo)
+    if servo:
         if args.baseline:
             raise HybridError("--baseline needs logs with torque; these have none")
         _diagnose_servos(args, robot, recordings, how, screen)
@@ -154,7 +159,7 @@ def _diagnose_servos(
     from hybrid.servo.write import write_servos
 
     with screen.working(f"fitting the servos of {robot.name}") as tell:
-        found = fit_servo(robot, recordings, progress=tell)
+        found = fit_servo(robot, recordings, known_mass=args.known_mass, progress=tell)
     logs = [x for x in recordings if x.source in found.unseen] or list(recordings)
     replay = found.replayed(logs[0])
     with atomic_folder(args.out) as folder:

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from hybrid.cli.options import (
     add_common,
+    add_known_mass,
     add_recordings,
     add_robot,
+    check_known_mass,
     check_outputs,
     load_effects,
     load_robot,
@@ -86,6 +88,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="give the links parameters of bodies that could be built",
     )
+    add_known_mass(parser)
     parser.add_argument("--seed", type=whole, default=0, metavar="N")
     add_common(parser)
 
@@ -102,6 +105,7 @@ def run(args: Namespace, screen: Screen) -> None:
     effects = load_effects(args.effects, robot)
     recordings, files = read_logs(args, screen, robot.joints, torque=False)
     servo = without_torque(recordings)
+    check_known_mass(args, torque=not servo)
     if not servo and args.out.suffix != ".json":
         raise HybridError(f"{args.out}: a model is saved as .json")
     if servo and args.out.suffix.lower() not in (".xml", ".mjcf"):
@@ -114,7 +118,9 @@ def run(args: Namespace, screen: Screen) -> None:
     how = record(args, inputs)
     if servo:
         with screen.working(f"fitting the servos of {robot.name}") as tell:
-            found = fit_servo(robot, recordings, progress=tell)
+            found = fit_servo(
+                robot, recordings, known_mass=args.known_mass, progress=tell
+            )
         _save_servos(found, args, how, screen)
         return
     with screen.working(f"identifying {robot.name} from {len(recordings)} recordings"):

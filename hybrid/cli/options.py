@@ -166,6 +166,31 @@ def robot_file(text: str) -> Path:
     return robot_file(text)
 
 
+def add_known_mass(parser: ArgumentParser) -> None:
+    """Add what sets the scale of logs without torque."""
+    parser.add_argument(
+        "--known-mass",
+        type=positions,
+        default={},
+        metavar="JOINT=KG",
+        help="mass of the link that a joint moves, which sets the scale of torques in "
+        "logs that have none (default: the file's masses)",
+    )
+
+
+def check_known_mass(args: Namespace, *, torque: bool) -> None:
+    """Refuse a scale where the logs have one.
+
+    Raises:
+        HybridError: A mass is given, and the logs have torque.
+    """
+    if args.known_mass and torque:
+        raise HybridError(
+            "--known-mass: these logs have torque, which sets the scale; valid is it "
+            "with logs of command and position only"
+        )
+
+
 def positions(text: str) -> dict[str, float]:
     """Names with numbers, between commas."""
     found = {}

@@ -48,7 +48,7 @@ def findings_table(fit: ServoFit) -> Table:
             f"{x.interval[0]:.4g} … {x.interval[1]:.4g}",
             x.unit,
             f"{1000 * x.worth:.2f}",
-            x.effect,
+            " or ".join((x.effect, *x.equivalents)),
         )
         for x in fit.findings
     ]

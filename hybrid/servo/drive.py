@@ -1,26 +1,36 @@
 """A position servo at every joint, in the numbers that a simulator has for it.
 
-    τ = clip(k (c(t − d) − q), ± τ_s) − b q̇ − f + τ₀
+    τ = clip(k (c(t − d) − q) − b_s q̇, ± τ_s) − (b − b_s) q̇ − f + τ₀
 
-with command c, delay d and bristles (LuGre) for the friction f:
+with command c, delay d, the servo's share b_s of damping b, and bristles (LuGre) for
+the friction f:
 
     ż = q̇ − σ |q̇| z / g(q̇),   f = σ z + σ₁ ż,   g = F_c + (F_s − F_c) e^−(q̇/v_s)²
+
+The servo ignores errors within a dead band; its goal moves by no more than a rad in the
+time of the pace; stops are at ``lower`` and ``upper``; a spring holds the joint; the
+link's mass is a multiple of the file's, and the axis may point the other way. Backlash
+between a stiff motor and an encoder on the link shows as a dead band: motion does not
+tell them apart.
 
 Sources: Canudas de Wit et al. 1995, doi 10.1109/9.376053 (friction).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.errors import RobotError
 from hybrid.robot import Robot
 
 _FAR = 20.0  # logarithm of a number in SI units that no servo has
-PRESLIDING = 1e-3  # rad: how far bristles bend before a joint breaks loose, mostly
+_PRESLIDING = 1e-3  # rad: how far bristles bend before a joint breaks loose, mostly
+_FREE = 100.0  # rad: where the stops of a joint without stops are
 _LITTLE = 1e-4  # of a torque: what stands for none where a logarithm is fitted
 
 
@@ -36,7 +46,9 @@ class DriveQuantity:
             in multiples of ``per``.
         per: ``torque`` for multiples of the stall torque; else plain SI.
         positive: Whether the number is above zero, and its logarithm is fitted.
-        least: Smallest value of a number that is not.
+        least: Smallest value. Of presliding it is what a step of the replay resolves:
+            stiffer bristles are unstable.
+        shared: Whether it moves other joints as much as its own.
     """
 
     name: str
@@ -46,6 +58,7 @@ class DriveQuantity:
     per: str = ""
     positive: bool = True
     least: float = -np.inf
+    shared: bool = False
 
 
 QUANTITIES = (
@@ -54,12 +67,19 @@ QUANTITIES = (
     DriveQuantity("coulomb", "N·m", "coulomb", 2.0),
     DriveQuantity("stiction", "N·m", "stribeck", 0.05, "torque", False, 0.0),
     DriveQuantity("stribeck_speed", "rad/s", "stribeck", 1.0),
-    DriveQuantity("bristle", "N·m/rad", "presliding", 2.0),
+    DriveQuantity("presliding", "rad", "presliding", 2.0, least=3e-4),
     DriveQuantity("armature", "kg·m²", "armature", 2.0),
     DriveQuantity("stall", "N·m", "saturation", 1.0),
     DriveQuantity("offset", "N·m", "torque_offset", 0.05, "torque", False),
     DriveQuantity("zero", "rad", "encoder_offset", 0.05, "", False),
     DriveQuantity("delay", "s", "command_latency", 0.03, "", False, 0.0),
+    DriveQuantity("spring", "N·m/rad", "spring", 0.3, "torque", False, 0.0),
+    DriveQuantity("dead_band", "rad", "deadzone", 0.02, "", False, 0.0),
+    DriveQuantity("pace", "s/rad", "goal_speed", 1.0, "", False, 0.0),
+    DriveQuantity("lower", "rad", "contact", 0.5, "", False),
+    DriveQuantity("upper", "rad", "contact", 0.5, "", False),
+    DriveQuantity("mass", "", "payload", 0.3, shared=True),
+    DriveQuantity("sign", "", "sign", 1.0, "", False, -1.0),
 )
 NAMES = tuple(x.name for x in QUANTITIES)
 PLAIN = ("stiffness", "damping", "coulomb", "armature", "offset", "delay")
@@ -89,6 +109,11 @@ class Drive:
         return replace(self, values=values)
 
     @property
+    def bristle(self) -> Array:
+        """Stiffness σ of a joint before it breaks loose, shape (n,), [N·m/rad]."""
+        return np.asarray(self["coulomb"] / self["presliding"])
+
+    @property
     def spread(self) -> Array:
         """Prior standard deviations of the coordinates, (len(QUANTITIES), n)."""
         ones = np.ones_like(self.stall)
@@ -106,7 +131,7 @@ class Drive:
         """Servos at other coordinates."""
         rows = zip(QUANTITIES, coordinates, strict=True)
         values = [
-            np.exp(np.clip(x, -_FAR, _FAR)) if q.positive else np.maximum(x, q.least)
+            np.maximum(np.exp(np.clip(x, -_FAR, _FAR)) if q.positive else x, q.least)
             for q, x in rows
         ]
         return replace(self, values=np.array(values))
@@ -129,12 +154,49 @@ class Drive:
             "damping": np.maximum(servo + robot.damping, little),
             "coulomb": friction,
             "stribeck_speed": np.full(n, 0.05),
-            "bristle": friction / PRESLIDING,
+            "presliding": np.full(n, _PRESLIDING),
             "armature": np.maximum(robot.chain.armature, 1e-4 * stall),
             "stall": stall,
+            "lower": np.where(np.isfinite(robot.q_min), robot.q_min, -_FREE),
+            "upper": np.where(np.isfinite(robot.q_max), robot.q_max, _FREE),
+            "mass": np.ones(n),
+            "sign": np.ones(n),
         }
         values = [known.get(name, np.zeros(n)) for name in NAMES]
         return cls(np.array(values), stall)
+
+
+def known_masses(robot: Robot, known: Mapping[str, float]) -> Array:
+    """Masses of links over those of the file, shape (n,).
+
+    A link whose mass is known has it; all others are off by as much, the geometric mean
+    if several are known.
+
+    Args:
+        robot: The arm.
+        known: Mass of the link that a joint moves, by the joint's name, [kg].
+
+    Raises:
+        RobotError: No joint has the name, or its link has no mass in the file.
+    """
+    ratio = np.full(robot.size, np.nan)
+    for name, mass in known.items():
+        if name not in robot.joints:
+            raise RobotError(
+                f"known mass: the arm has no joint {name!r}; valid are "
+                + ", ".join(robot.joints)
+            )
+        j = robot.joints.index(name)
+        file = float(robot.chain.inertial[j, 0])
+        if not (np.isfinite(mass) and mass > 0 and file > 0):
+            raise RobotError(
+                f"known mass: {mass:g} kg behind {name!r}, where the file has "
+                f"{file:g}; valid are masses above 0 of links that have one"
+            )
+        ratio[j] = mass / file
+    told = np.isfinite(ratio)
+    usual = np.exp(np.log(ratio[told]).mean()) if told.any() else 1.0
+    return np.where(told, ratio, usual)
 
 
 def _usual(robot: Robot) -> Array:

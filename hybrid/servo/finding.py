@@ -18,6 +18,7 @@ class ServoFinding:
         value: What the logs say.
         interval: 95 % of the posterior.
         probability: That the file is wrong in this.
+        equivalents: Effects at the same joint that replay these logs as well.
         worth: Error of unseen replays of this joint that comes back with the file's
             number, the others making up for it as far as they can, [rad].
     """
@@ -30,4 +31,5 @@ class ServoFinding:
     value: float
     interval: tuple[float, float]
     probability: float
+    equivalents: tuple[str, ...]
     worth: float

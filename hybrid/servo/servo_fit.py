@@ -1,19 +1,13 @@
 """Servos fitted to logs without torque, and what is wrong with those of the file.
 
-A number of the file is wrong with probability 1/(1 + e^(cost − log B)): B, the
-Savage–Dickey ratio, is the prior density of the file's own number over its posterior
-density, and the cost is that of one cause in some hundred places. One guard stays: with
-the number put back, and the others making up for it, replays of motion that was not
-fitted must be worse by more than a step of the encoder.
-
-Source: Dickey 1971, doi 10.1214/aoms/1177693507.
+Explanations compete by their evidence, see :mod:`hybrid.servo.explain`. A number of the
+file is wrong with probability 1/(1 + e^−l), where l is the evidence lost with it back.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,28 +18,25 @@ from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive
+from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
+from hybrid.servo.explain import Explanation, Search
 from hybrid.servo.finding import ServoFinding
-from hybrid.servo.fit import DriveEstimate, fitted, resolution
-from hybrid.servo.needed import missed, needed
+from hybrid.servo.fit import Estimate, Problem
+from hybrid.servo.noise import resolution
 from hybrid.servo.replay import ServoReplay
-from hybrid.servo.simulator import ServoSimulator, converged
+from hybrid.servo.simulator import ServoSimulator, converged, missed
 from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.shown import Shown
 from hybrid.threads import one_thread
 
-_COST = 5.0  # nats: prior odds of one number, among some hundred, to be wrong
-_SURE = 0.95
-# s of motion to fit, to check, and of a part of either.
-_SECONDS, _CHECKED, _EACH = 240.0, 60.0, 10.0
+_SECONDS, _EACH = 60.0, 10.0  # s of motion to fit, and of a part of it
+_TURNS = 20  # Gauss–Newton steps of a plain fit
 _WEIGHED = 120.0  # s of unseen motion, on which single numbers are weighed
 _UNSEEN = 4  # one recording in so many is kept aside
 _TAIL = 0.3  # of a single recording is kept aside
 _UNKNOWN = 4.0  # times the resolution of the encoder: more has a cause
 _STILL = 3.0  # steps of the encoder: a joint that goes less far rests
-# Shapes of friction have no number in the file; they are no cause of their own.
-_SHAPES = ("stribeck_speed", "bristle")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +58,8 @@ class ServoFit(Shown):
         seconds: Unseen motion that was replayed, [s].
         unseen: Where it is from.
         resting: Joints that no log moves; their numbers are the file's.
+        scale: Joints whose links have a known mass, on which all torques rest; none if
+            they rest on the file's masses.
         notes: What these logs cannot tell.
     """
 
@@ -82,6 +75,7 @@ class ServoFit(Shown):
     seconds: float
     unseen: tuple[str, ...]
     resting: tuple[str, ...]
+    scale: tuple[str, ...]
     notes: tuple[str, ...]
 
     @property
@@ -169,6 +163,7 @@ class ServoFit(Shown):
             "seconds": self.seconds,
             "unseen": [Path(x).name for x in self.unseen],
             "resting": list(self.resting),
+            "scale": list(self.scale) or "masses of the file",
             "notes": list(self.notes),
         }
 
@@ -178,6 +173,8 @@ def fit_servo(
     robot: Robot,
     recordings: Sequence[Recording],
     *,
+    known_mass: Mapping[str, float] | None = None,
+    without: Sequence[tuple[int, int]] = (),
     progress: Callable[[str], None] = lambda _: None,
 ) -> ServoFit:
     """Fit the servos of an arm to logs of command and position.
@@ -188,48 +185,51 @@ def fit_servo(
     Args:
         robot: The arm; its servos are where the prior is.
         recordings: Logs with command; torque is not used.
+        known_mass: Mass of the link that a joint moves, by the joint's name, [kg]. It
+            sets the scale of all torques: without one that is the file's masses.
+        without: Numbers known to be right: index of the quantity, and of the joint.
         progress: Is told what is done.
 
     Raises:
         RecordingError: A log has no command, or no joint moves.
+        RobotError: A mass is known of a link that is not there.
     """
+    known = known_mass or {}
+    masses = known_masses(robot, known)
+    struck = [*without, *((NAMES.index("mass"), robot.joints.index(x)) for x in known)]
     logs = stretches_of([x.in_order(robot.joints) for x in recordings])
     learn, unseen = _split(logs)
     rests = _resting(learn)
     if len(rests) == robot.size:
         raise RecordingError("no joint moves; valid are logs of a moving arm")
-    prior, floor = Drive.declared(robot), resolution(logs)
-    parts = chosen(learn, _SECONDS + _CHECKED, _EACH)
-    count = round(len(parts) * _SECONDS / (_SECONDS + _CHECKED))
-    parts, others = parts[:count], parts[count:] or parts
-    moving = np.ones_like(prior.values, dtype=bool)
-    moving[:, rests] = False
-    simulator = ServoSimulator(robot)
-    start = best_start(simulator, parts, first_guess(robot, learn), prior)
-    start = Drive(np.where(moving, start.values, prior.values), prior.stall)
-    simulator = converged(robot, others, start, floor)
-    search = partial(fitted, simulator, parts, prior=prior)
-    simple = moving & np.isin(NAMES, PLAIN)[:, None]
-    plain = search(
-        start=start, free=simple, progress=lambda text: progress(f"plain {text}")
+    prior, floor = Drive.declared(robot).at(mass=masses), resolution(logs)
+    moving = ~np.isin(np.arange(robot.size), rests)
+    parts = chosen(learn, _SECONDS, _EACH)
+    start = best_start(
+        ServoSimulator(robot), parts, first_guess(robot, learn, prior), prior
     )
-    whole = search(start=plain.drive, free=moving, progress=progress)
-    progress("servos: which numbers of the file can stay")
-    # As everywhere, more numbers are taken only if they help on motion not fitted.
-    errors = missed(simulator, others, [plain.drive, whole.drive])
-    best = int(np.argmin(errors.mean(axis=1)))
-    # Where the file replays as well, it stays.
-    stays = missed(simulator, others, [None])[0] <= errors[best]
-    found = (plain, whole)[best].keeping(prior, stays)
-    differs = needed(simulator, others, prior, found, np.sqrt(12.0) * floor)
+    start = Drive(np.where(moving, start.values, prior.values), prior.stall)
+    problem = Problem(converged(robot, parts, start, floor), parts, prior)
+    progress("servos: plain fit")
+    simple = moving & np.isin(NAMES, PLAIN)[:, None]
+    plain = problem.fitted(problem.at(start.coordinates, simple), None, _TURNS)
+    search = Search(
+        problem, plain.errors, moving, struck, hint=plain.x, progress=progress
+    )
+    best = _best(search, plain, simple)
+    found = problem.prior.moved(best.found.x)
+    simulator = problem.simulator
     (before,) = missed(simulator, unseen, [None])
-    between, after = missed(simulator, unseen, [plain.drive, found.drive])
+    between, after = missed(simulator, unseen, [prior.moved(plain.x), found])
+    std = np.zeros_like(prior.values)
+    covariance = problem.covariance(best.found, search.noise)
+    std[best.found.free] = np.sqrt(np.diagonal(covariance))
     return ServoFit(
         robot=robot,
-        drive=found.drive,
-        plain_drive=plain.drive,
-        std=found.std,
-        findings=_findings(robot, prior, found, differs, simulator, unseen),
+        drive=found,
+        plain_drive=prior.moved(plain.x),
+        std=std,
+        findings=_findings(robot, prior, best, std, simulator, unseen),
         before=before,
         plain=between,
         after=after,
@@ -237,8 +237,26 @@ def fit_servo(
         seconds=sum(x.duration for x in unseen),
         unseen=tuple(x.source for x in unseen),
         resting=tuple(robot.joints[j] for j in rests),
-        notes=_notes(robot, rests),
+        scale=tuple(known),
+        notes=_notes(robot, rests, known),
     )
+
+
+def _best(search: Search, plain: Estimate, simple: NDArray[np.bool_]) -> Explanation:
+    """The best explanation of each joint, from the file or from a plain fit."""
+    near = search.grown(search.file())
+    far = search.of(plain.x, simple & search.allowed)
+    noise = search.noise.reaching(np.minimum(near.found.rms, far.found.rms))
+    better = search.evidence(far, noise) > search.evidence(near, noise)
+    if better.any():
+        far = search.pruned(search.grown(far))
+        better = search.evidence(far, noise) > search.evidence(near, noise)
+        x = np.where(better, far.found.x, near.found.x)
+        equals = {**far.equals, **near.equals}
+        near = search.of(x, np.where(better, far.causes, near.causes))
+        near = replace(near, equals=equals)
+        near = search.grown(near)
+    return search.pruned(near)
 
 
 def _split(logs: list[Stretch]) -> tuple[list[Stretch], list[Stretch]]:
@@ -260,47 +278,38 @@ def _resting(logs: Sequence[Stretch]) -> list[int]:
 def _findings(
     robot: Robot,
     prior: Drive,
-    found: DriveEstimate,
-    differs: NDArray[np.bool_],
+    best: Explanation,
+    std: Array,
     simulator: ServoSimulator,
     unseen: Sequence[Stretch],
 ) -> tuple[ServoFinding, ...]:
-    """Numbers that differ with probability 0.95, and whose file's value is worse."""
-    file, x, spread = prior.coordinates, found.drive.coordinates, prior.spread
-    std = np.minimum(np.maximum(found.std, 1e-9), spread)
-    odds = np.log(spread / std) - 0.5 * ((x - file) / std) ** 2
-    probability = 1.0 / (1.0 + np.exp(np.minimum(odds + _COST, 700.0)))
-    named = [q.name not in _SHAPES for q in QUANTITIES]
-    sure = differs & (probability >= _SURE) & np.array(named)[:, None]
-    places = np.argwhere(sure).tolist()
-    # Far off, the others that would make up for it are not known: then they stay.
-    back = [found.back(prior, k, j) for k, j in places]
-    alone = [found.drive.moved(_with(x, file, k, j)) for k, j in places]
+    """Numbers without which the logs are less probable, by what they are worth."""
+    x, file = best.found.x, prior.coordinates
+    places = np.argwhere(best.causes).tolist()
+    alone = [prior.moved(_with(x, file, k, j)) for k, j in places]
     parts = chosen(unseen, _WEIGHED, _EACH)
-    errors = missed(simulator, parts, [found.drive, *back, *alone])
-    errors[1 : 1 + len(back)] = np.minimum(
-        errors[1 : 1 + len(back)], errors[1 + len(back) :]
-    )
+    errors = missed(simulator, parts, [prior.moved(x), *alone])
     findings = []
-    for (k, j), error in zip(places, errors[1 : 1 + len(back)], strict=True):
+    for (k, j), error in zip(places, errors[1:], strict=True):
         quantity, off = QUANTITIES[k], 1.96 * std[k, j]
         ends = x[k, j] - off, x[k, j] + off
         low, high = map(float, np.exp(ends) if quantity.positive else ends)
-        worth = float(error[j] - errors[0, j])
-        if worth > 0:
-            findings.append(
-                ServoFinding(
-                    effect=quantity.effect,
-                    joint=robot.joints[j],
-                    quantity=quantity.name,
-                    unit=quantity.unit,
-                    file=float(prior.values[k, j]),
-                    value=float(found.drive.values[k, j]),
-                    interval=(low, high),
-                    probability=float(probability[k, j]),
-                    worth=worth,
-                )
+        findings.append(
+            ServoFinding(
+                effect=quantity.effect,
+                joint=robot.joints[j],
+                quantity=quantity.name,
+                unit=quantity.unit,
+                file=float(prior.values[k, j]),
+                value=float(prior.moved(x).values[k, j]),
+                interval=(low, high),
+                probability=float(1.0 / (1.0 + np.exp(-best.losses[k, j]))),
+                equivalents=tuple(
+                    QUANTITIES[i].effect for i in best.equals.get((k, j), ())
+                ),
+                worth=float((error - errors[0])[j]),
             )
+        )
     return tuple(sorted(findings, key=lambda f: -f.worth))
 
 
@@ -310,10 +319,15 @@ def _with(x: Array, file: Array, k: int, j: int) -> Array:
     return changed
 
 
-def _notes(robot: Robot, rests: Sequence[int]) -> tuple[str, ...]:
+def _notes(
+    robot: Robot, rests: Sequence[int], known: Mapping[str, float]
+) -> tuple[str, ...]:
+    masses = ", ".join(f"{x:g} kg behind {name}" for name, x in known.items())
     notes = [
-        "without torque, every torque here rests on the masses of the file: if these "
-        "are off by a factor, so are stiffness, damping, friction and rotors"
+        f"torques are to the scale of a known mass: {masses}"
+        if known
+        else "without torque, every torque here rests on the masses of the file: if "
+        "these are off by a factor, so are stiffness, damping, friction and rotors"
     ]
     if not robot.chain.inertial[:, 0].any() or not robot.chain.gravity.any():
         notes = ["the file has no weight: only ratios of these numbers are known"]

@@ -6,6 +6,7 @@ import copy
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,9 +53,6 @@ class ServoSimulator:
         Returns:
             For each drive and each stretch positions, shape (N, n), [rad].
         """
-        import mujoco
-        from mujoco import rollout
-
         steps = [max(1, int(np.ceil(x.step / self._longest))) for x in stretches]
         longest = max((len(x.q) - 1) * k for x, k in zip(stretches, steps, strict=True))
         count, n = len(drives) * len(stretches), self.robot.size
@@ -62,31 +60,36 @@ class ServoSimulator:
         models: list[Any] = []
         states = []
         for drive in drives:
+            own: dict[float, Any] = {}
             for stretch, k in zip(stretches, steps, strict=True):
-                model = self._model(drive, stretch.step / k)
+                model = own.get(step := round(stretch.step / k, 9))
+                if model is None:
+                    model = own[step] = self._model(drive, step)
                 late = np.zeros(n) if drive is None else drive["delay"]
-                # A semi-implicit step acts half of itself early.
-                early = 0.5 * (stretch.step / k - file_step(self.robot))
-                command = delayed(stretch, late + early, k)
+                pace = np.zeros(n) if drive is None else drive["pace"]
+                command = delayed(slowed(stretch, pace), late, k)
                 rows = control[len(models)]
                 rows[: len(command)], rows[len(command) :] = command, command[-1]
                 models.append(model)
                 states.append(self._state(model, drive, stretch, command[0]))
-        threads = len(os.sched_getaffinity(0))
-        data = [mujoco.MjData(models[0]) for _ in range(min(threads, count))]
-        with _quiet():  # a servo that is tried may be unstable
-            found, _ = rollout.rollout(models, data, np.array(states), control)
+        dead = np.zeros((len(drives), n))
+        for row, drive in zip(dead, drives, strict=True):
+            row[:] = 0.0 if drive is None else drive["dead_band"]
+        dead = np.repeat(dead, len(stretches), axis=0)
+        found = _rolled(models, np.array(states), control, dead)
         moved = []
         for i in range(len(drives)):
-            own = []
+            replayed = []
             for s, (stretch, k) in enumerate(zip(stretches, steps, strict=True)):
                 after = found[i * len(stretches) + s, k - 1 :: k, 1 : 1 + n]
-                own.append(np.vstack([stretch.q[:1], after[: len(stretch.q) - 1]]))
-            moved.append(own)
+                rows = after[: len(stretch.q) - 1]
+                replayed.append(np.vstack([stretch.q[:1], rows]))
+            moved.append(replayed)
         return moved
 
     def _model(self, drive: Drive | None, step: float) -> Any:
-        key = round(step, 9), b"" if drive is None else drive["zero"].tobytes()
+        turned = b"" if drive is None else np.r_[drive["zero"], drive["sign"]].tobytes()
+        key = step, turned
         if key not in self._models:
             if len(self._models) > _MODELS:
                 self._models.clear()
@@ -102,7 +105,7 @@ class ServoSimulator:
         spec = (
             declared_spec(self.robot)
             if drive is None
-            else servo_spec(self.robot, drive["zero"])
+            else servo_spec(self.robot, drive["zero"], drive["sign"])
         )
         model = spec.compile()
         model.opt.timestep = step
@@ -127,6 +130,43 @@ class ServoSimulator:
         return state
 
 
+def _rolled(models: list[Any], states: Array, control: Array, dead: Array) -> Array:
+    """States after every step, (batch, steps, size), of servos with dead bands."""
+    import mujoco
+    from mujoco import rollout
+
+    count, steps, n = control.shape
+    threads = min(len(os.sched_getaffinity(0)), count)
+    data = [mujoco.MjData(models[0]) for _ in range(threads)]
+    out = np.empty((count, steps, states.shape[1]))
+    plain, zoned = np.flatnonzero(~dead.any(axis=1)), np.flatnonzero(dead.any(axis=1))
+    with _quiet():  # a servo that is tried may be unstable
+        if len(plain):
+            own = [models[i] for i in plain]
+            found, _ = rollout.rollout(own, data, states[plain], control[plain])
+            out[plain] = found
+        if not len(zoned):
+            return out
+        # MuJoCo's servo has no dead band: its goal is moved at every step instead.
+        own, state, most = [models[i] for i in zoned], states[zoned], dead[zoned]
+        after = np.empty((len(zoned), 1, states.shape[1]))
+        with rollout.Rollout(nthread=threads) as roll:
+            for k in range(steps):
+                off = control[zoned, k] - state[:, 1 : 1 + n]
+                goal = control[zoned, k] - np.clip(off, -most, most)
+                roll.rollout(
+                    own,
+                    data,
+                    state,
+                    goal[:, None],
+                    nstep=1,
+                    state=after,
+                    skip_checks=True,
+                )
+                state = out[zoned, k] = after[:, 0].copy()
+    return out
+
+
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Nothing that MuJoCo warns of is shown, or left in a file of its own."""
@@ -147,12 +187,15 @@ def file_step(robot: Robot) -> float:
 
 def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:
     """Deflections that hold what servo and weight leave, shape (n,), [rad]."""
-    pull = drive["stiffness"] * (first - stretch.q[0])
+    off = first - stretch.q[0]
+    pull = drive["stiffness"] * (
+        off - np.clip(off, -drive["dead_band"], drive["dead_band"])
+    )
     rest = np.clip(pull, -drive["stall"], drive["stall"]) + drive["offset"] - weight
     most = drive["coulomb"] + drive["stiction"]
     sliding = np.sign(stretch.v) * drive["coulomb"]
     held = np.clip(rest, -most, most)
-    return np.where(np.abs(stretch.v) > _CREEPS, sliding, held) / drive["bristle"]
+    return np.where(np.abs(stretch.v) > _CREEPS, sliding, held) / drive.bristle
 
 
 def converged(
@@ -179,6 +222,17 @@ def converged(
     return ServoSimulator(robot, steps[-1])
 
 
+def missed(
+    simulator: ServoSimulator, logs: Sequence[Stretch], drives: Sequence[Drive | None]
+) -> Array:
+    """RMS error of replays, shape (len(drives), n), [rad]."""
+    found = []
+    for moved in simulator.replay(logs, drives):
+        errors = [q - x.q for q, x in zip(moved, logs, strict=True)]
+        found.append(np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)))
+    return np.asarray(np.nan_to_num(np.array(found), nan=np.inf))
+
+
 def delayed(stretch: Stretch, delay: Array, parts: int) -> Array:
     """Commands as they act at every physics step, shape (parts·(N − 1), n), [rad].
 
@@ -193,18 +247,44 @@ def delayed(stretch: Stretch, delay: Array, parts: int) -> Array:
     return np.stack([np.interp(t - d, logged, x) for x, d in each], axis=1)
 
 
-def servo_spec(robot: Robot, zero: Array) -> mujoco.MjSpec:
+def slowed(stretch: Stretch, pace: Array) -> Stretch:
+    """A stretch whose goals move no faster than they may.
+
+    Args:
+        stretch: Commands at the rate of the log.
+        pace: Least time of a rad of each joint's goal, shape (n,), [s/rad].
+    """
+    command = stretch.command
+    for j in np.flatnonzero(pace > 0).tolist():
+        most = stretch.step / pace[j]
+        if np.abs(np.diff(stretch.command[:, j])).max() <= most:
+            continue
+        goals, goal = stretch.command[:, j].tolist(), float(stretch.command[0, j])
+        for k, x in enumerate(goals):
+            goals[k] = goal = goal + min(max(x - goal, -most), most)
+        command = command.copy() if command is stretch.command else command
+        command[:, j] = goals
+    return stretch if command is stretch.command else replace(stretch, command=command)
+
+
+def servo_spec(
+    robot: Robot, zero: Array | float = 0.0, sign: Array | float = 1.0
+) -> mujoco.MjSpec:
     """An arm with a DC motor behind a position controller at every joint.
 
     Args:
         robot: The arm.
         zero: Position of the file where the log says zero, shape (n,), [rad].
+        sign: −1 for axes that point the other way, shape (n,).
     """
     import mujoco
 
     spec = robot.mujoco_spec()
-    for joint, shift in zip(robot.joints, zero, strict=True):
-        spec.joint(joint).ref = -float(shift)
+    shifts, signs = np.broadcast_arrays(zero, sign, np.empty(robot.size))[:2]
+    for joint, shift, way in zip(robot.joints, shifts, signs, strict=True):
+        own = spec.joint(joint)
+        own.ref, own.axis = -float(shift), float(way) * np.array(own.axis)
+        own.limited, own.range = True, np.array([-1.0, 1.0])
         # Any values: they are set in the compiled model.
         _actuator(spec, joint).set_to_dcmotor(
             motorconst=[CONSTANT, CONSTANT],
@@ -225,6 +305,8 @@ def declared_spec(robot: Robot) -> mujoco.MjSpec:
         actuator, most = _actuator(spec, joint), drive["stall"][j]
         actuator.set_to_position(kp=drive["stiffness"][j], kv=servo[j])
         actuator.forcerange, actuator.forcelimited = [-most, most], True
+        own = spec.joint(joint)
+        own.limited, own.range = True, np.array([drive["lower"][j], drive["upper"][j]])
     return spec
 
 
@@ -251,12 +333,36 @@ def install(model: Any, robot: Robot, drive: Drive) -> None:
     model.actuator_biasprm[:, 3] = drive["coulomb"]
     model.actuator_biasprm[:, 4] = drive["coulomb"] + drive["stiction"]
     model.actuator_biasprm[:, 5] = drive["stribeck_speed"]
-    model.actuator_dynprm[:, 5] = drive["bristle"]
+    model.actuator_dynprm[:, 5] = drive.bristle
     model.actuator_dynprm[:, 6] = bristle_damping(drive)
     model.dof_frictionloss[:] = 0.0
-    model.dof_damping[:] = drive["damping"]
+    servo, joint = dampings(robot, drive)
+    model.actuator_gainprm[:, 6], model.dof_damping[:] = servo, joint
     model.dof_armature[:] = drive["armature"]
     model.jnt_stiffness[:], model.qpos_spring[:] = springs(robot, drive)
+    model.jnt_range[:] = stops(drive)
+    if (drive["mass"] != 1.0).any():
+        import mujoco
+
+        model.body_mass[1:] *= drive["mass"]
+        model.body_inertia[1:] *= drive["mass"][:, None]
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def dampings(robot: Robot, drive: Drive) -> tuple[Array, Array]:
+    """Damping of servos and of joints, (n,) each: shares as in the file.
+
+    Motion tells them apart only where a servo is at its limit.
+    """
+    servo = np.nan_to_num(robot.kd)
+    share = servo / np.maximum(servo + robot.damping, 1e-12)
+    return share * drive["damping"], (1 - share) * drive["damping"]
+
+
+def stops(drive: Drive) -> Array:
+    """Range of every joint as the log counts, shape (n, 2), [rad]."""
+    ends = np.stack([drive["lower"], drive["upper"]]) * drive["sign"]
+    return np.asarray((np.sort(ends, axis=0) - drive["zero"]).T)
 
 
 def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
@@ -265,10 +371,11 @@ def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
     An offset of torque is a spring so soft that its torque does not change, or shifts
     the one that the file declares.
     """
-    stiffness = np.maximum(robot.stiffness, SOFT)
-    return stiffness, robot.springref - drive["zero"] + drive["offset"] / stiffness
+    stiffness = np.maximum(robot.stiffness, SOFT) + drive["spring"]
+    relaxed = drive["sign"] * robot.springref - drive["zero"]
+    return stiffness, relaxed + drive["offset"] / stiffness
 
 
 def bristle_damping(drive: Drive) -> Array:
     """Damping σ₁ with which a rotor on bristles comes to rest, (n,), [N·m·s/rad]."""
-    return np.asarray(np.sqrt(drive["bristle"] * drive["armature"]))
+    return np.asarray(np.sqrt(drive.bristle * drive["armature"]))

@@ -17,7 +17,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.robot import Robot
-from hybrid.servo.drive import PRESLIDING, Drive
+from hybrid.servo.drive import Drive
 from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import Stretch
 from hybrid.signals.filters import butterworth, central_difference
@@ -29,15 +29,19 @@ _LOADED = 0.1  # of the largest change of weight: less tells no stiffness
 _LEAST = 1e-3  # rad, s or s², of the stiffness: friction and rotors are not negative
 
 
-def first_guess(robot: Robot, stretches: Sequence[Stretch]) -> Drive:
+def first_guess(
+    robot: Robot, stretches: Sequence[Stretch], prior: Drive | None = None
+) -> Drive:
     """Servos from which a fit by replay starts.
 
     Args:
         robot: The arm.
         stretches: Logs.
+        prior: Servos, and masses of links, if not those of the file.
     """
-    declared = Drive.declared(robot)
-    parts = [_signals(robot, x) for x in stretches]
+    declared = prior or Drive.declared(robot)
+    inertial = robot.chain.inertial * declared["mass"][:, None]
+    parts = [_signals(robot, inertial, x) for x in stretches]
     q, v, a, weight = (np.concatenate([p[k] for p in parts]) for k in range(4))
     error = np.concatenate([x.command for x in stretches]) - q
     slope, found = np.full(robot.size, np.nan), []
@@ -59,7 +63,6 @@ def first_guess(robot: Robot, stretches: Sequence[Stretch]) -> Drive:
         stiffness=stiffness,
         damping=np.maximum(theta[1], _LEAST * stiffness),
         coulomb=friction,
-        bristle=friction / PRESLIDING,
         armature=np.maximum(theta[3], _LEAST * stiffness),
         offset=-theta[4],
     )
@@ -94,12 +97,13 @@ def best_start(
     return Drive(np.stack(values, axis=1), guess.stall)
 
 
-def _signals(robot: Robot, stretch: Stretch) -> tuple[Array, Array, Array, Array]:
+def _signals(
+    robot: Robot, inertial: Array, stretch: Stretch
+) -> tuple[Array, Array, Array, Array]:
     """Position, speed, acceleration and weight of a stretch, (N, n) each."""
     rate = 1.0 / stretch.step
     q = butterworth(stretch.q, rate=rate, cutoff=min(_BAND, 0.4 * rate))
     v = central_difference(q, rate=rate, accuracy=4)
     a = central_difference(v, rate=rate, accuracy=4)
     rest = np.zeros_like(q)
-    chain = robot.chain
-    return q, v, a, inverse_dynamics(chain, chain.inertial, q, rest, rest)
+    return q, v, a, inverse_dynamics(robot.chain, inertial, q, rest, rest)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,19 @@ from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot import Robot
 from hybrid.robot.build import spec_text
+from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, element
 from hybrid.robot.edit.drives import actuator_tags
-from hybrid.robot.edit.mjcf import joint_tag, turn_unit
+from hybrid.robot.edit.mjcf import edit_mjcf, joint_tag, turn_unit
 from hybrid.servo.drive import Drive
 from hybrid.servo.simulator import (
     CONSTANT,
     bristle_damping,
+    dampings,
     file_step,
     servo_spec,
     springs,
+    stops,
 )
 
 _KEPT = ("name", "joint", "jointinparent", "ctrlrange", "ctrllimited", "group")
@@ -31,7 +35,8 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
     """Write the robot's MJCF file again with other servos; of a URDF, an MJCF skeleton.
 
     The attributes of the joints and their actuators change, every other byte stays. The
-    delay is a number of steps of the file's own clock, rounded up to hold it.
+    delay is a number of steps of the file's own clock, rounded up to hold it. MJCF has
+    no place for a dead band or for a goal's speed.
 
     Args:
         robot: An arm read from a file.
@@ -43,6 +48,10 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
     """
     own = Path(robot.path).suffix.lower() != ".urdf"
     document = Document.load(robot.path) if own else _skeleton(robot)
+    if (drive["mass"] != 1.0).any():
+        inertial = robot.chain.inertial * drive["mass"][:, None]
+        chain = replace(robot.chain, inertial=inertial)
+        edit_mjcf(document, Edit(replace(robot, chain=chain)), robot)
     _set_servos(document, robot, drive)
     with atomic_path(path) as temporary:
         temporary.write_bytes(document.written())
@@ -50,7 +59,9 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
 
 def _skeleton(robot: Robot) -> Document:
     """Links, joints and servos of an arm as MJCF, without shapes."""
-    spec = servo_spec(robot, np.zeros(robot.size))
+    spec = servo_spec(robot)
+    for name, ends in zip(robot.joints, stops(Drive.declared(robot)), strict=True):
+        spec.joint(name).range = ends
     spec.option.timestep = file_step(robot)
     spec.compile()
     return Document(spec_text(spec).encode(), robot.path)
@@ -60,6 +71,9 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
     """Change the attributes of joints and actuators."""
     step = file_step(robot)
     stiffness, relaxed = springs(robot, drive)
+    servo_damping, joint_damping = dampings(robot, drive)
+    limits, file = stops(drive), Drive.declared(robot)
+    declared = np.stack([file["lower"], file["upper"]])
     for j, name in enumerate(robot.joints):
         joint = joint_tag(document, name)
         turn = turn_unit(document, not robot.chain.revolute[j])
@@ -67,15 +81,20 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
         # is where the log has zero.
         reference = float(joint.attributes.get("ref", "0"))
         given = {
-            "damping": drive["damping"][j],
+            "damping": joint_damping[j],
             "frictionloss": 0.0,
             "armature": drive["armature"][j],
             "stiffness": stiffness[j],
             "springref": relaxed[j] * turn,
             "ref": reference - drive["zero"][j] * turn,
         }
+        if drive["sign"][j] < 0:
+            given["axis"] = -robot.chain.axis[j]
+        ends = np.array([drive["lower"][j], drive["upper"][j]])
+        if drive["sign"][j] < 0 or (ends != declared[:, j]).any():
+            given |= {"range": limits[j] * turn, "limited": "true"}
         document.set(joint, given)
-        motor = actuator_attributes(drive, j, step)
+        motor = actuator_attributes(drive, j, step, servo_damping[j])
         own = actuator_tags(document, name)
         sections = document.find("mujoco", "actuator")
         if own:
@@ -88,15 +107,18 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             raise RobotError(f"{robot.path}: no <actuator> section to put a servo into")
 
 
-def actuator_attributes(drive: Drive, j: int, step: float) -> dict[str, Any]:
+def actuator_attributes(
+    drive: Drive, j: int, step: float, damping: float
+) -> dict[str, Any]:
     """MJCF attributes of one servo: a DC motor behind a position controller.
 
     Args:
         drive: The servos.
         j: Joint.
         step: Step of the simulation, [s].
+        damping: Of the servo, [N·m·s/rad].
     """
-    gain = [1.0, CONSTANT, 0, 0, drive["stiffness"][j], 0, 0]
+    gain = [1.0, CONSTANT, 0, 0, drive["stiffness"][j], 0, damping]
     coulomb, delay = drive["coulomb"][j], float(drive["delay"][j])
     bias = [
         0,
@@ -116,7 +138,7 @@ def actuator_attributes(drive: Drive, j: int, step: float) -> dict[str, Any]:
         "input": "pos",
         "gainprm": [*gain, drive["stall"][j] / CONSTANT],
         "biasprm": bias,
-        "dynprm": [0, 0, 0, 0, 0, drive["bristle"][j], bristle_damping(drive)[j]],
+        "dynprm": [0, 0, 0, 0, 0, drive.bristle[j], bristle_damping(drive)[j]],
     }
     if delay > 0:
         given |= {"delay": delay, "nsample": math.ceil(delay / step) + 1}

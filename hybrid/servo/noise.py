@@ -1,0 +1,102 @@
+"""How much an error of a replay says.
+
+    w = 1 / (σ² τ_e + (0.03 u)² τ_u + (1 ms · q̇)² τ_q̇)
+
+σ is the usual error of the best replays known, at least the resolution of the encoder.
+u is the usual pull of the servo (command less position, a torque over its stiffness);
+known laws are never exact and leave about 3 % of it, and clocks are known to a
+millisecond. All last: τ samples count as one, the integrated autocorrelation. ρ is
+Cauchy's, so that a joint that runs against something does not pull the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.servo.stretch import Stretch
+
+_FAR = 3.0  # usual errors, beyond which one counts less
+_INEXACT = 0.03  # of a servo's pull: what the law of a drive leaves out
+_CLOCK = 1e-3  # s
+_LONGEST = 200  # samples of autocorrelation
+_SAME = 1e-6  # rad: less is rounding
+_ROUNDS = 5  # of clipping
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Errors of replays as a process.
+
+    Attributes:
+        weight: Of a squared error, shape (n,), [1/rad²].
+        far: Errors beyond it count less, shape (n,), [rad].
+    """
+
+    weight: Array
+    far: Array
+
+    @classmethod
+    def of(cls, errors: Array, pulled: Array, stretches: Sequence[Stretch]) -> Noise:
+        """Noise as it shows in the errors of a good replay, (M, n), [rad].
+
+        Args:
+            errors: What it misses.
+            pulled: Commands less positions, shape (M, n), [rad].
+            stretches: What was replayed.
+        """
+        floor = np.maximum(resolution(stretches), 1e-4)
+        usual = np.sqrt(np.mean(errors**2, axis=0))
+        for _ in range(_ROUNDS):
+            clipped = np.clip(errors, -_FAR * usual, _FAR * usual)
+            usual = np.sqrt(np.mean(clipped**2, axis=0))
+        usual = np.maximum(usual, floor)
+        memory = np.array([_memory(x) for x in clipped.T])
+        speed = [np.gradient(x.q, x.step, axis=0) for x in stretches]
+        slow = _INEXACT * (pulled - pulled.mean(axis=0)), _CLOCK * np.concatenate(speed)
+        density = usual**2 * memory
+        for each in slow:
+            density += each.var(axis=0) * np.array([_memory(x) for x in each.T])
+        return cls(1.0 / density, _FAR * usual)
+
+    def reaching(self, rms: Array) -> Noise:
+        """The same, but errors count in full as far as replays now usually miss.
+
+        Args:
+            rms: Error of replays, shape (n,), [rad].
+        """
+        return Noise(self.weight, np.maximum(self.far, _FAR * rms))
+
+    def cost(self, errors: Array) -> Array:
+        """Negative log likelihood but for a constant, of each joint, shape (n,)."""
+        z = (errors / self.far) ** 2
+        return np.asarray(0.5 * self.weight * self.far**2 * np.log1p(z).sum(axis=0))
+
+    def weights(self, errors: Array) -> Array:
+        """Weight of every error, shape (M, n), [1/rad²]."""
+        return self.weight / (1.0 + (errors / self.far) ** 2)
+
+
+def _memory(x: Array) -> float:
+    """Integrated autocorrelation of errors, in samples; Sokal's window."""
+    size = len(x)
+    spectrum = np.abs(np.fft.rfft(x, 2 * size)) ** 2
+    products = np.fft.irfft(spectrum)[: min(_LONGEST, size)]
+    if products[0] <= 0:
+        return 1.0
+    tau = 1.0 + 2.0 * np.cumsum(products[1:] / products[0])
+    window = np.flatnonzero(np.arange(1, len(tau) + 1) > 5.0 * tau)
+    return float(max(1.0, tau[window[0]] if len(window) else tau.max()))
+
+
+def resolution(stretches: Sequence[Stretch]) -> Array:
+    """Noise of positions from their steps: an encoder's, shape (n,), [rad]."""
+    q = np.concatenate([x.q for x in stretches])
+    steps = [np.diff(np.unique(x)) for x in q.T]
+    # Not the least: numbers that were rounded differ by less than a step.
+    told = [x[x > _SAME] for x in steps]
+    tick = [np.quantile(x, 0.1) if len(x) else 0.0 for x in told]
+    return np.asarray(np.array(tick) / np.sqrt(12.0))
