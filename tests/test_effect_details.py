@@ -125,11 +125,7 @@ def test_a_limit_is_suggested_where_clearly_more_is_asked_for_than_delivered():
     assert cls.suggested([], 0) == {}
 
 
-@pytest.mark.parametrize(
-    "cls",
-    [x for x in effect_classes().values() if x.becomes and x.becomes[2]],
-    ids=lambda x: x.id,
-)
+@pytest.mark.parametrize("name", ["presliding", "thermal_friction", "saturation"])
 def test_an_effect_is_the_law_that_it_becomes_at_its_limit(name):
     """To a few per cent, up to a factor; the plainer law has a size of its own."""
     scale = Scale(30.0, 2.0)

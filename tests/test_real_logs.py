@@ -76,4 +76,6 @@ def test_tx40_with_its_coupled_wrist():
         robot, fitting, scoring, 0.05, cut=0.1, cutoff=50.0, effects=[wrist]
     )
     (found,) = [e for e in fit.model.effects if e.id == wrist.id]
-    assert (found.gain_values > 2.6 * np.array(list(found.std.values()))).all()
+    # Its inertia is known least: beyond 95 %, where the two frictions are beyond 99 %.
+    sure = np.array([1.96, 2.6, 2.6])
+    assert (found.gain_values > sure * np.array(list(found.std.values()))).all()
