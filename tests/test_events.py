@@ -9,6 +9,7 @@ from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.diagnose import examine
 from hybrid.dynamics import RigidBody
 from hybrid.plant import Noise, Plant, simulate
+from hybrid.report.diagnosis import render_diagnosis
 from hybrid.report.diagnosis_text import pushes, verdict_lines
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -48,6 +49,7 @@ def test_a_push_at_rest_is_told_with_time_torque_and_force():
     np.testing.assert_allclose(event.force[:3], FORCE[:3], atol=4.0)
     assert not events_at_rest(replace(result.gap, left=0 * result.gap.left))
     (line,) = pushes(result.diagnosis)
+    assert line in render_diagnosis(result)
     assert any(line in x for x in verdict_lines(result.diagnosis))
     content = result.diagnosis.as_dict()["events"]
     assert content[0]["torque"] == list(event.torque)

@@ -19,6 +19,7 @@ from hybrid.report.diagnosis_text import (
     effect_name,
     effects_listed,
     number,
+    pushes,
     range_name,
     region_name,
     shrink_sentence,
@@ -76,6 +77,7 @@ def render_diagnosis(result: Result) -> str:
         regions=_regions(diagnosis),
         variables=list(dict.fromkeys(r.variable for r in diagnosis.where)),
         advice=[_advice(x) for x in diagnosis.advice],
+        pushes=list(pushes(diagnosis)),
         effect_name=effect_name,
         number=number,
         data=_embedded(
