@@ -33,7 +33,6 @@ from hybrid.diagnosis.gap.grounds import too_little, unlike
 from hybrid.diagnosis.gap.split import split
 from hybrid.diagnosis.gap.units import units
 from hybrid.diagnosis.gap.visited import not_excited
-from hybrid.effects import effect_classes
 from hybrid.effects.delay import Delay
 from hybrid.identification.data import taken
 from hybrid.model import DynamicModel
@@ -109,9 +108,7 @@ def examine(
     healthy = None
     if isinstance(robot, DynamicModel):
         healthy = Baseline(robot)
-        robot = healthy.robot
-        born = [x.id for x in effect_classes().values() if x.inborn]
-        without = [*without, *born]  # these do not change
+        robot, without = healthy.robot, [*without, *healthy.constant]
     recordings = since_first(taken(robot, recordings))
     tell, rng = progress or (lambda _: None), np.random.default_rng(seed)
     tell("measuring the gap")

@@ -11,6 +11,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap, simulated_torque
 from hybrid.dynamics import RigidBody
+from hybrid.effects import effect_classes
 from hybrid.identification.data import motions_of
 from hybrid.model import DynamicModel
 from hybrid.recording import Recording
@@ -38,6 +39,11 @@ class Baseline:
         return (
             self.model.robot if known is None else self.model.robot.with_inertial(known)
         )
+
+    @property
+    def constant(self) -> list[str]:
+        """Ids of effects that do not come about on an arm that was sound."""
+        return [x.id for x in effect_classes().values() if x.inborn]
 
     def taken_from(
         self, logs: Sequence[Recording | Motion]
