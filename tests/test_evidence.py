@@ -168,6 +168,20 @@ def test_noise_is_not_small_where_many_columns_take_it():
     assert np.median(found) > 0.5 * 0.09
 
 
+def test_noise_is_no_more_than_an_explanation_leaves():
+    """Four fifths of the columns are the true ones; the others alone explain little."""
+    rng = np.random.default_rng(9)
+    evidence, index = noisy(rng, samples=600, columns=50, used=40)
+    measured, evidence.covariances = np.array([4.0]), [np.array([4.0, 2.0])]
+    few = evidence.lower_noise(measured, index[:5])
+    np.testing.assert_array_equal(few, measured)
+    assert evidence.covariances[0][0] == 4.0
+    lower = evidence.lower_noise(measured, index)
+    assert evidence.covariances[0][0] == pytest.approx(0.09, rel=0.2)
+    assert lower[0] == pytest.approx(0.09, rel=0.4)
+    assert measured[0] == 4.0
+
+
 def test_noise_is_not_what_happened_once():
     """Noise, and a jolt a hundred times as large on one stretch of a second."""
     rng = np.random.default_rng(5)

@@ -53,6 +53,10 @@ _FAR = (
     "the numbers of the file are off by some {:.0%}: that is a gap of its own, and "
     "small errors of single links are not told from it"
 )
+_PLACEHOLDERS = (
+    "the numbers of the file look like placeholders: the logs ask for quite others, "
+    "and errors of single links are not told from that"
+)
 _WHERE = "{} at {} may as well be {} at {}: these motions do not tell"
 
 
@@ -138,7 +142,8 @@ def examine(
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
     if search.off > search.prior.file[1]:
-        doubts.append(_FAR.format(search.off))
+        far = _FAR.format(search.off) if search.off < 1.0 else _PLACEHOLDERS
+        doubts.append(far)
     if logged.clocks and not foreign:
         apart = clocks_apart(as_logged, scored, logged, rng)
         causes, effects = apart.beside(causes), (*effects, *apart.effects)

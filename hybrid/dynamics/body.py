@@ -78,11 +78,11 @@ class RigidBody:
         for j in range(self.chain.size):
             changes = dq[:, j], dv[:, j], da[:, j]
             if any(x.any() for x in changes):
-                for slope, x in zip(self._slopes(j), changes, strict=True):
+                for slope, x in zip(self.slopes(j), changes, strict=True):
                     total += slope * x[:, None]
         return total
 
-    def _slopes(self, j: int) -> tuple[Array, Array, Array]:
+    def slopes(self, j: int) -> tuple[Array, Array, Array]:
         """Partial derivatives of all torques by q, v and a of a joint, (N, n) each.
 
         Central differences of the inverse dynamics; it is quadratic in speed and

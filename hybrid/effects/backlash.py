@@ -75,9 +75,7 @@ class Backlash(Effect):
     def _play(self, motion: Motion, body: Body, half: float) -> tuple[Array, ...]:
         """Position, speed and acceleration of the link over the motor's, (N, n)."""
         (j,) = self.joints
-        push, still = np.zeros_like(motion.q), np.zeros_like(motion.q)
-        push[:, j] = 1.0
-        inertia = body.response(still, still, push)[:, j]
+        inertia = body.slopes(j)[2][:, j]
         step = float(np.median(np.diff(motion.t)))
         pull = body.load[:, j] / np.maximum(inertia, 1e-9)
         where = _fall(gaussian_filter1d(pull, _SMEAR / step), half, step)

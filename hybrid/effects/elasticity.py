@@ -76,10 +76,7 @@ class Elasticity(Effect):
     def _slopes(self, body: Body) -> tuple[Array, ...]:
         """Derivatives of its torque by its own position, speed, acceleration, (N,)."""
         (j,) = self.joints
-        none, push = np.zeros_like(body.load), np.zeros_like(body.load)
-        push[:, j] = 1.0
-        changes = ((push if k == own else none for k in range(3)) for own in range(3))
-        return tuple(body.response(*x)[:, j] for x in changes)
+        return tuple(slope[:, j] for slope in body.slopes(j))
 
     def _twist(self, motion: Motion, body: Body) -> tuple[Array, ...]:
         """Position, speed and acceleration of link over motor per compliance, (N, n).

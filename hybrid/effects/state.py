@@ -41,6 +41,9 @@ class Body(Protocol):
     def link_columns(self, link: int) -> Array:
         """Torque per inertial parameter of one link, shape (N, n, 10)."""
 
+    def slopes(self, j: int) -> tuple[Array, Array, Array]:
+        """Derivatives of all torques by q, v and a of a joint, shape (N, n) each."""
+
     def response(self, dq: Array, dv: Array, da: Array) -> Array:
         """Change of rigid torque along a change of motion, shape (N, n), [N·m]."""
 

@@ -28,6 +28,7 @@ from hybrid.diagnosis.gap.gap import Columns, Gap
 _NONE = np.zeros(0, dtype=np.intp)
 _SCREENS = 4  # that are kept: two bases, and on each causes and unknown laws
 _EXACT = 0.002  # of the torque: nearer than that no two solvers are
+_LESS = 0.9  # of a variance: what is worth another search
 # For columns of unit length.
 _RIDGES = 10.0 ** np.arange(-5, 5)
 
@@ -283,6 +284,36 @@ class Evidence(Products):
             covariance *= noise / max(memory(x, own) * covariance[0], 1e-300)
             self.covariances[i] = covariance
 
+    def lower_noise(self, measured: Array, index: Index) -> Array:
+        """Take what some columns leave for noise where it is less than that so far.
+
+        Args:
+            measured: Noise of each joint so far, shape (n,), [N²·m²].
+            index: Columns of an explanation.
+
+        Returns:
+            Noise of each joint now, shape (n,), [N²·m²].
+        """
+        found, noise = self.solve(index), measured.copy()
+        for i, row in enumerate(self.rows):
+            if not len(row):
+                continue
+            back = np.argsort(row)
+            left = self.residual(i, found.index, found.gains)[back]
+            taken = int(np.isin(self._owner[i], index).sum())
+            left /= max(1.0 - taken / self._dimensions(i), 1e-3)
+            alike = memory(left, row[back])
+            power = float(left @ left) / len(row)
+            if power < _LESS * self.covariances[i][0]:
+                noise[i] = max(power * alike, self._least_noise(i, alike))
+                self.covariances[i] = autocovariance(left, row[back], LAGS)
+        return noise
+
+    def _dimensions(self, i: int) -> float:
+        """Of a joint's samples: filtered noise has fewer than samples."""
+        band = min(2.0 * self.gap.cutoff / self.gap.rate, 1.0)
+        return max(len(self.rows[i]) * band, 1.0)
+
     def _by_fold(self, i: int, here: Index) -> tuple[Array, Array]:
         """Products of a joint's columns, and with the gap, on each fold."""
         own, left = self._columns[i][:, : len(self._owner[i])][:, here], self.left[i]
@@ -326,9 +357,8 @@ class Evidence(Products):
             found.append((left, variance * alike, alike, ridge))
         left, noise, alike, ridge = min(found, key=lambda x: x[1])
         kept = ridge * np.trace(_ridge(A, np.eye(len(A)), ridge))
-        # Filtered noise has fewer dimensions than samples.
-        whole = max(len(row) * min(2.0 * self.gap.cutoff / self.gap.rate, 1.0), 1.0)
-        return left / max(1.0 - (len(A) - kept) / whole, 1e-3), noise, alike
+        taken = (len(A) - kept) / self._dimensions(i)
+        return left / max(1.0 - taken, 1e-3), noise, alike
 
 
 def _ridge(A: Array, b: Array, ridge: float) -> Array:

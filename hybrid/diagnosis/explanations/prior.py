@@ -37,7 +37,7 @@ class Prior:
     inexact: float = 0.03
     misfit: float = 0.1
     solver: float = 0.002
-    file: tuple[float, ...] = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+    file: tuple[float, ...] = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
     file_factor: float = 2.0
     size: float = 0.03
     shortlist: int = 6

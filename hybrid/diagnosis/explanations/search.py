@@ -208,10 +208,9 @@ class Search:
         or three others belong.
         """
         before = self.causes, self.off
-        kinds = usual(self.gap, self.pool.without)
-        starts = [[self.cause(replace(c, wider=w)) for c in kinds] for w in WIDER]
-        self.causes, self.refused = max(starts, key=self.score), set()
+        self.causes, self.refused = self._with_usual([]), set()
         self._widen()
+        self._listen()
         self._remove()
         for self.library_only in (True, False):
             self._settle()
@@ -222,6 +221,13 @@ class Search:
             self._take(before[1])
         self.evidence.spread(self.numbers, self.off)
 
+    def _with_usual(self, causes: Sequence[Cause]) -> list[Cause]:
+        """Some causes and, under the most probable prior, what most joints have."""
+        there = {c.place for c in causes}
+        more = [c for c in usual(self.gap, self.pool.without) if c.place not in there]
+        each = [[self.cause(replace(c, wider=w)) for c in more] for w in WIDER]
+        return max(([*causes, *x] for x in each), key=self.score)
+
     def stand_in(self) -> None:
         """Let effects of the library stand in for unknown laws, as far as they help.
 
@@ -231,6 +237,9 @@ class Search:
             return
         self.causes, self.library_only = self.known, True
         self.refused = set()
+        usual = self._with_usual(self.causes)
+        self.causes = max(self.causes, usual, key=self.score)
+        self._remove()
         self._settle()
 
     def _settle(self) -> None:
@@ -238,7 +247,7 @@ class Search:
         for _ in range(_REFUSALS):
             self._grow()
             bad = [c for c, fall in self.unseen().items() if fall <= 0]
-            if not bad:
+            if not bad and not self._listen():
                 break
             self.refused |= {c.place for c in bad}
             self.causes = [c for c in self.causes if c not in bad]
@@ -281,6 +290,18 @@ class Search:
             self._take(best)
         return best != now
 
+    def _listen(self) -> bool:
+        """Let noise be what the explanation leaves where that is less; whether it is.
+
+        An explanation is one of the regressions that noise is what they leave of.
+        """
+        lower = self.evidence.lower_noise(self.noise, self.columns(self.causes))
+        less = bool(np.any(lower != self.noise))
+        if less:
+            self.noise = lower
+            self._weigh()
+        return less
+
     def _take(self, off: float) -> None:
         """Take the file's numbers to be so far off; what is inexact is the rest."""
         self.off = off
@@ -292,15 +313,19 @@ class Search:
         self.pool.take_ripples(base)
         self.pool.take_contacts(base)
         now = self.score(self.causes)
-        for found in self.proposals(self.causes)[:2]:
+        for found in self.proposals(self.causes):
             if found.worth <= _BETTER:
                 break
             causes = [*self.causes, found.make()]
-            if self.score(causes) > now + _BETTER:
+            if self.score(causes) > now + _BETTER and self._holds(causes):
                 self.causes = causes
                 self._remove()
                 return self.score(self.causes) > now + _BETTER
         return False
+
+    def _holds(self, causes: Sequence[Cause]) -> bool:
+        """Whether some causes lose less on unseen samples than those there are."""
+        return bool(np.all(self._lost(causes) < self._lost(self.causes)))
 
     def _remove(self) -> None:
         """Take out causes that are worth less than their odds."""
@@ -324,7 +349,7 @@ class Search:
         for found in self.proposals(rest, own=cause)[:2]:
             if alone + found.worth > now + _BETTER:
                 causes = [*rest, found.make()]
-                if self.score(causes) > now + _BETTER:
+                if self.score(causes) > now + _BETTER and self._holds(causes):
                     self.causes = causes
                     self._remove()
                     return True
