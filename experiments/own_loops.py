@@ -70,6 +70,8 @@ def run(
     return {
         "arm": Path(arm).stem, "true": loop.named, "verdict": found.verdict,
         "named": named(found), "relative": found.relative,
+        "joints": found.joints, "unexplained": found.unexplained,
+        "unseen": found.unseen.as_dict() if found.unseen else None,
         "cpu_s": process_time() - start,
     }  # fmt: skip
 
@@ -125,7 +127,7 @@ def main() -> None:
         + ", of a file without friction and rotors" * args.bare,
         words=True,
     )
-    count = Counter(_short(r["outcome"]) for r in runs)
+    count = Counter(short(r["outcome"]) for r in runs)
     command = f"python experiments/own_loops.py --arms {args.arms} --seed {args.seed}"
     command += " --bare" * args.bare
     write_report(args.out, table, counted(count), command, runs)
@@ -147,12 +149,12 @@ def by_condition(
         f"What is said of one fault of each kind on {Path(arm).stem}",
         words=True,
     )
-    counts = [Counter(_short(x["outcome"]) for x in c) for c in zip(*runs, strict=True)]
+    counts = [Counter(short(x["outcome"]) for x in c) for c in zip(*runs, strict=True)]
     lines = zip(conditions, map(counted, counts), strict=True)
     return table, "\n".join(f"- {name}: {count}" for name, count in lines)
 
 
-def _short(outcome: str) -> str:
+def short(outcome: str) -> str:
     """An outcome without the names of effects."""
     first, *more = outcome.split(", and ")
     return first.split(" (")[0] + " with something false" * bool(more)
