@@ -120,6 +120,23 @@ def test_a_fold_left_out_is_never_fitted():
     np.testing.assert_allclose(found, expected)
 
 
+def test_what_is_lost_on_a_fold_is_by_the_gains_of_all_others():
+    gap, blocks, std, evidence, index = problem(7)
+    X, y, noise, prior = dense(gap, blocks, std, evidence.noise)
+    fold = np.concatenate([gap.fold[gap.moving[:, i]] for i in range(2)])
+    expected = 0.0
+    for f in range(3):
+        fit, test = fold != f, fold == f
+        A = X[fit].T / noise[fit] @ X[fit] + np.diag(1 / prior)
+        gains = np.linalg.solve(A, X[fit].T @ (y[fit] / noise[fit]))
+        expected += np.sum((y[test] - X[test] @ gains) ** 2 / noise[test])
+    lost = evidence.left_out(np.concatenate(index))
+    np.testing.assert_allclose(lost, expected)  # of white noise both are the same
+    gap.trajectory = np.zeros(M, dtype=int)
+    evidence.weigh([np.array([x]) for x in evidence.noise])
+    np.testing.assert_allclose(evidence.left_out(np.concatenate(index)), expected)
+
+
 def test_noise_is_found_beside_many_columns():
     """Forty columns on 600 samples of noise, and torque along some of them."""
     rng = np.random.default_rng(4)

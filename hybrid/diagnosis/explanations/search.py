@@ -6,9 +6,10 @@ with all gains integrated out under their priors, less the odds against each cau
     log p(gap | causes) + Σ log p(cause).
 
 Causes are effects of the library at places of the arm, and unknown laws of a joint. The
-noise is that of the gap which no flexible regression removes, by its memory, and the
-part of the gap by which any law of the library may be inexact. A cause has to lower the
-squares on recordings that the search has not seen.
+noise is that of the gap which no flexible regression removes, nor the explanation, and
+the part of the gap by which any law of the library may be inexact. Each step has to
+lower the squares on folds left out, and in the end each cause those on recordings that
+the search has not learnt from.
 
 Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam factor).
 """
@@ -324,8 +325,15 @@ class Search:
         return False
 
     def _holds(self, causes: Sequence[Cause]) -> bool:
-        """Whether some causes lose less on unseen samples than those there are."""
-        return bool(np.all(self._lost(causes) < self._lost(self.causes)))
+        """Whether some causes lose less than those there are, on folds left out."""
+        now, then = map(self._left_out, (self.causes, causes))
+        return bool(np.all(then < now))
+
+    def _left_out(self, causes: Sequence[Cause]) -> Array:
+        """What some causes lose on each fold by the others, shape (2,), [nat]."""
+        seen, columns = self.evidence, self.columns(causes)
+        strain = seen.strain(seen.solve(columns), self.rigid)
+        return np.asarray((seen.left_out(columns) + strain) / 2)
 
     def _remove(self) -> None:
         """Take out causes that are worth less than their odds."""
