@@ -165,7 +165,7 @@ class Evidence(Products):
     def left_out(self, index: Index) -> Array:
         """What columns lose on each fold by the gains of all others, shape (2,).
 
-        Squares of the gap as they are, over their noise, and weighed by it as a process.
+        Squares of the gap over their noise, and weighed by it as a process.
         """
         normals = [self._of_fold(index, f) for f in range(len(self.folds))]
         A, b = (np.sum(x, axis=0) for x in zip(*normals, strict=True))
