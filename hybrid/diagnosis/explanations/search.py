@@ -281,15 +281,18 @@ class Search:
             far = np.log(off / self.prior.file[1]) / np.log(self.prior.file_factor)
             return float(self.score(self.causes) - 0.5 * far**2)
 
+        def lost(off: float) -> Array:
+            self.evidence.spread(self.numbers, off)
+            return self._left_out(self.causes)
+
         now, best = self.off, max(self.prior.file, key=score)
-        # Each link is then another one; and no more than what inexact laws leave.
-        whole = score(now) - self.evidence.solve(self.rigid).evidence
-        added = self.prior.cause * self.gap.robot.size + self.prior.misfit**2 * whole
-        best = best if score(best) > score(now) + added else now
+        added = self.prior.cause * self.gap.robot.size  # each link is then another one
+        wider = score(best) > score(now) + added
+        wider = wider and bool(np.all(lost(best) < lost(now)))
         self.evidence.spread(self.numbers, now)
-        if best != now:
+        if wider:
             self._take(best)
-        return best != now
+        return wider
 
     def _listen(self) -> bool:
         """Let noise be what the explanation leaves where that is less; whether it is.
