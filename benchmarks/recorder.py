@@ -129,6 +129,7 @@ class Recorder:
             lines[path.relative_to(self.root).as_posix()] = {
                 names[row - 1]: sorted(set().union(*(users.get(x, ()) for x in met)))
                 for row, met in data.contexts_by_lineno(file).items()
+                if row > 0  # an empty module is executed at line 0
             }
         costs = {test: round(self.cost[test], 3) for test in tests}
         Witnesses(costs, lines, self.files).write(self.out)
