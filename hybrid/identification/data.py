@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.dynamics import RigidBody
 from hybrid.effects import Scale
 from hybrid.errors import IdentificationError, RecordingError
 from hybrid.inspect import check_recordings
 from hybrid.recording import Recording
 from hybrid.regression.cross_products import (
+    Chunks,
     CrossProducts,
     accumulate,
     sampled_chunks,
@@ -52,8 +53,11 @@ class Data:
     folds: tuple[NDArray[np.intp], ...]
     cutoff: float
     standing: Array
-    _regressors: dict[tuple[int, int, int], Array] = field(
+    _links: dict[tuple[Any, ...], Array] = field(
         default_factory=dict, repr=False, compare=False
+    )
+    _last: list[CrossProducts] = field(
+        default_factory=list, repr=False, compare=False, init=False
     )
 
     def __post_init__(self) -> None:
@@ -73,30 +77,55 @@ class Data:
 
     def products(self, problem: Problem) -> CrossProducts:
         """Cross-products of a problem on these motions; see :func:`accumulate`."""
-        return accumulate(
-            problem,
-            self.motions,
-            cutoff=self.cutoff,
-            standing=self.standing,
-            folds=self.folds,
-            blocks=self.blocks,
-            rows=self.rows,
-        )
+        if not (self._last and problem.same(self._last[0].problem)):
+            self._last[:] = [
+                accumulate(
+                    problem,
+                    self.motions,
+                    cutoff=self.cutoff,
+                    standing=self.standing,
+                    folds=self.folds,
+                    blocks=self.blocks,
+                    chunks=self.chunks,
+                )
+            ]
+        return self._last[0]
 
-    def rows(self, problem: Problem, motion: Motion, here: slice) -> Array:
-        """Rows of a problem at some samples; see :meth:`Problem.rows`.
+    def chunks(
+        self, problem: Problem, motion: Motion, total: int | None = None
+    ) -> Chunks:
+        """Rows of a problem along a motion; see :func:`sampled_chunks`.
 
-        The regressor of the links is the same for every problem: it is kept, as far as
-        it takes no more memory than a few minutes of an arm's motion.
+        Those of the links are the same for every problem. They are kept, as logged and
+        filtered, as far as they take no more memory than a few minutes of an arm's
+        motion.
         """
-        some = part(motion, here)
-        body = RigidBody(problem.chain, some, problem.inertial)
-        key = id(motion.q), here.start, here.stop  # lives as long as these data
-        if key in self._regressors:
-            body.__dict__["columns"] = self._regressors[key]
-        elif sum(x.nbytes for x in self._regressors.values()) < _MOST_KEPT:
-            self._regressors[key] = body.columns
-        return problem.rows(some, body)
+        sampler = Sampler.for_rate(motion.rate, self.cutoff)
+        total = len(motion.t) if total is None else total
+
+        def rows(here: slice) -> Array:
+            some = part(motion, here)
+            if not problem.alike:
+                return problem.rows(some)
+            return problem.rows(some, kept("raw", here, lambda: problem.of_links(some)))
+
+        def filtered(here: slice, full: Array) -> Array:
+            if not problem.alike:
+                return sampler(full, axis=1)
+            links = problem.link_rows
+            known = kept("filtered", here, lambda: sampler(full[links], axis=1))
+            out = np.empty((len(full), known.shape[1]))
+            out[links], out[~links] = known, sampler(full[~links], axis=1)
+            return out
+
+        def kept(what: str, here: slice, make: Callable[[], Array]) -> Array:
+            key = what, problem.links, id(motion.q), here.start, here.stop
+            found = self._links[key] if key in self._links else make()
+            if sum(x.nbytes for x in self._links.values()) < _MOST_KEPT:
+                self._links[key] = found  # lives as long as these motions
+            return found
+
+        return sampled_chunks(rows, total, sampler, filtered)
 
     def left_out(self, problem: Problem, theta: Array) -> list[Array]:
         """Torque that solutions leave on the fold that each was not fitted on.
@@ -111,10 +140,9 @@ class Data:
         found = []
         for motion, fold in zip(self.motions, self.folds, strict=True):
             left = np.empty_like(motion.tau)
-            everything = Sampler(motion.rate, np.inf, 1)
-            rows = partial(self.rows, problem, motion)
-            for first, D, _ in sampled_chunks(rows, len(motion.t), everything):
-                here = slice(first, first + D.shape[1])
+            factor = Sampler.for_rate(motion.rate, self.cutoff).factor
+            for first, _, D in self.chunks(problem, motion):
+                here = slice(first * factor, first * factor + D.shape[1])
                 for i, support in enumerate(problem.support):
                     own = D[problem.offsets[i] : problem.offsets[i + 1]]
                     known = theta[:, support] @ own[:-1]

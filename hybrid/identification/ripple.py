@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,6 @@ from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identification.data import Data
 from hybrid.identification.partial_regression import PartialRegression
 from hybrid.identification.solution import Solution
-from hybrid.regression.cross_products import sampled_chunks
 from hybrid.regression.problem import part
 from hybrid.signals import Motion, Sampler, butterworth_gain
 
@@ -170,8 +168,7 @@ def _pieces(data: Data, solution: Solution) -> Iterator[_Whole]:
     for motion, fold in zip(data.motions, data.folds, strict=True):
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
         total = int(min(1.0, share) * len(motion.t))
-        own = partial(data.rows, solution.problem, motion)
-        chunks = sampled_chunks(own, total, sampler)
+        chunks = data.chunks(solution.problem, motion, total)
         rows = np.concatenate([D for _, D, _ in chunks], axis=1)
         short = part(motion, slice(0, total))
         yield _Whole(data, solution, short, fold[:total], sampler, rows)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from hybrid.arrays import Array
 from hybrid.regression.cross_products import CrossProducts
@@ -67,7 +67,7 @@ class Estimate:
 
     def interval(self, level: float = 0.95) -> tuple[Array, Array]:
         """Lower and upper ends of the confidence intervals, shapes (p,)."""
-        half = student.ppf(0.5 + level / 2, self.degrees) * self.std
+        half = stdtrit(self.degrees, 0.5 + level / 2) * self.std
         return self.theta - half, self.theta + half
 
 

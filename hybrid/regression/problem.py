@@ -18,6 +18,7 @@ from hybrid.dynamics import (
     BaseParameters,
     RigidBody,
     effect_gains,
+    regressor,
     rich_motion,
     stacked_base,
     stacked_columns,
@@ -56,8 +57,7 @@ class Problem:
     @property
     def rigid(self) -> Array:
         """Indices of the base inertial parameters among the unknowns."""
-        n = 10 * self.chain.size
-        return np.array([k for k, c in enumerate(self.base.kept) if c < n], dtype=int)
+        return np.arange(len(self.links))
 
     @cached_property
     def gains(self) -> tuple[tuple[int, int, int], ...]:
@@ -95,50 +95,66 @@ class Problem:
         sizes = [len(s) + 1 for s in self.support]
         return (0, *np.cumsum(sizes).tolist())
 
-    def rows(self, motion: Motion, body: RigidBody | None = None) -> Array:
+    @cached_property
+    def links(self) -> tuple[int, ...]:
+        """Kept inertial parameters, of 10n: what the rows of the links depend on."""
+        return tuple(c for c in self.base.kept if c < 10 * self.chain.size)
+
+    @cached_property
+    def link_rows(self) -> NDArray[np.bool_]:
+        """Which of :meth:`rows` are of the links, shape (P,)."""
+        starts = zip(self.offsets, self.support, strict=False)
+        found = np.zeros(self.offsets[-1], dtype=bool)
+        for start, support in starts:  # unknowns of the links come first
+            found[start : start + int((support < len(self.links)).sum())] = True
+        return found
+
+    @property
+    def alike(self) -> bool:
+        """Whether the rows of the links are those of any other problem."""
+        return not any(e.observes or e.reports for e in self.effects)
+
+    def same(self, other: Problem) -> bool:
+        """Whether another problem has the same unknowns and columns."""
+        mine, its = ((p.effects, p.columns, p.base.kept) for p in (self, other))
+        return mine == its and np.array_equal(self.inertial, other.inertial)
+
+    def of_links(self, motion: Motion) -> Array:
+        """Those of :meth:`rows` that are of the links, shape (R, N)."""
+        Y = regressor(self.chain, motion.q, motion.v, motion.a, self.links)
+        Y = Y.transpose(1, 2, 0)  # as it lies in memory
+        wanted = [s[s < len(self.links)] for s in self.support]
+        return np.concatenate([y[k] for y, k in zip(Y, wanted, strict=True)])
+
+    def rows(self, motion: Motion, links: Array | None = None) -> Array:
         """Columns of every joint with its torque last, at full rate.
 
         Args:
             motion: N samples of motion and torque.
-            body: The rigid body along it, if it is known already.
+            links: What :meth:`of_links` gives, if it is known already.
 
         Returns:
             For joint i, rows ``offsets[i]`` on hold its columns in the order of
             ``support[i]``, then its measured torque; shape (P, N).
         """
         tau = motion.tau
-        body = body or RigidBody(self.chain, motion, self.inertial)
+        body = RigidBody(self.chain, motion, self.inertial)
         for effect in self.effects:
             if effect.observes:
                 motion = effect.observe(motion, body)
                 body = RigidBody(self.chain, motion, self.inertial)
         out = np.empty((self.offsets[-1], len(motion.t)))
-        kept = np.array(self.base.kept)
-        rigid = 10 * self.chain.size
+        out[self.link_rows] = self.of_links(motion) if links is None else links
         effects = dict(self._effect_columns(motion, body))
-        bodily, places = body.some_columns(kept[self.rigid].tolist())
-        place = np.zeros(self.size, dtype=np.intp)
-        place[self.rigid] = places
         for i, support in enumerate(self.support):
-            start = self.offsets[i]
-            columns = kept[support]
-            inertial = columns < rigid
-            count = int(inertial.sum())
-            # The regressor keeps samples last in memory: these are plain row copies,
-            # which "raise" would make twice.
-            np.take(
-                bodily.transpose(1, 2, 0)[i],
-                place[support[inertial]],
-                axis=0,
-                out=out[start : start + count],
-                mode="clip",
-            )
-            for row, column in enumerate(columns[~inertial], start + count):
-                out[row] = effects[int(column), i]
-            out[start + len(support)] = tau[:, i]
+            start, end = self.offsets[i], self.offsets[i + 1] - 1
+            gains = support[support >= len(self.links)]
+            for row, unknown in enumerate(gains, end - len(gains)):
+                out[row] = effects[self.base.kept[unknown], i]
+            out[end] = tau[:, i]
             for effect in self.effects:
                 if effect.reports and i in effect.joints:
-                    part = out[start : start + len(support)]
+                    part = out[start:end]
                     part[...] = effect.report(motion.t, part.T).T
         return out
 
