@@ -53,7 +53,7 @@ class Data:
     folds: tuple[NDArray[np.intp], ...]
     cutoff: float
     standing: Array
-    _links: dict[tuple[Any, ...], Array] = field(
+    _kept: dict[tuple[Any, ...], Array] = field(
         default_factory=dict, repr=False, compare=False
     )
     _last: list[CrossProducts] = field(
@@ -96,9 +96,8 @@ class Data:
     ) -> Chunks:
         """Rows of a problem along a motion; see :func:`sampled_chunks`.
 
-        Those of the links are the same for every problem. They are kept, as logged and
-        filtered, as far as they take no more memory than a few minutes of an arm's
-        motion.
+        Those of the links are the same for every problem: they are kept, as they are
+        and filtered.
         """
         sampler = Sampler.for_rate(motion.rate, self.cutoff)
         total = len(motion.t) if total is None else total
@@ -107,25 +106,46 @@ class Data:
             some = part(motion, here)
             if not problem.alike:
                 return problem.rows(some)
-            return problem.rows(some, kept("raw", here, lambda: problem.of_links(some)))
+            links = self.kept(
+                ("raw", problem.links, here.start, here.stop),
+                motion,
+                lambda: problem.of_links(some),
+            )
+            return problem.rows(some, links)
 
         def filtered(here: slice, full: Array) -> Array:
             if not problem.alike:
                 return sampler(full, axis=1)
             links = problem.link_rows
-            known = kept("filtered", here, lambda: sampler(full[links], axis=1))
+            known = self.kept(
+                ("filtered", problem.links, here.start, here.stop),
+                motion,
+                lambda: sampler(full[links], axis=1),
+            )
             out = np.empty((len(full), known.shape[1]))
             out[links], out[~links] = known, sampler(full[~links], axis=1)
             return out
 
-        def kept(what: str, here: slice, make: Callable[[], Array]) -> Array:
-            key = what, problem.links, id(motion.q), here.start, here.stop
-            found = self._links[key] if key in self._links else make()
-            if sum(x.nbytes for x in self._links.values()) < _MOST_KEPT:
-                self._links[key] = found  # lives as long as these motions
-            return found
-
         return sampled_chunks(rows, total, sampler, filtered)
+
+    def kept(
+        self, key: tuple[Any, ...], motion: Motion, make: Callable[[], Array]
+    ) -> Array:
+        """What depends on the motion alone, not on its torque, made once.
+
+        It is kept as far as all takes no more memory than a few minutes of an arm's
+        motion.
+
+        Args:
+            key: What it is.
+            motion: One of the motions.
+            make: Makes it.
+        """
+        key = *key, id(motion.q)  # lives as long as these data
+        found = self._kept[key] if key in self._kept else make()
+        if sum(x.nbytes for x in self._kept.values()) < _MOST_KEPT:
+            self._kept[key] = found
+        return found
 
     def left_out(self, problem: Problem, theta: Array) -> list[Array]:
         """Torque that solutions leave on the fold that each was not fitted on.

@@ -55,7 +55,7 @@ class Problem:
         return self.base.size
 
     @property
-    def rigid(self) -> Array:
+    def rigid(self) -> NDArray[np.intp]:
         """Indices of the base inertial parameters among the unknowns."""
         return np.arange(len(self.links))
 

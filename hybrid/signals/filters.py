@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 
+Label = TypeVar("Label", bound=np.generic)
 Spectrum = NDArray[np.complex128]
 
 _AT_ONCE = 6  # signals filtered: more would not stay in the cache
@@ -74,9 +76,13 @@ class Sampler:
         """
         return _filtered(x, self.rate, self.cutoff, 5, axis, self.factor)
 
-    def keep(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The mask of the samples that decimation keeps; shape (ceil(N/factor),)."""
-        return mask[:: self.factor]
+    def keep(self, x: NDArray[Label]) -> NDArray[Label]:
+        """Masks or labels of the samples that decimation keeps, (ceil(N/factor), ...).
+
+        Args:
+            x: Those of all samples, shape (N, ...).
+        """
+        return x[:: self.factor]
 
 
 def butterworth(
