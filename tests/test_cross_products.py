@@ -87,7 +87,7 @@ def test_rows_are_the_same_where_those_of_the_links_are_known_already():
     robot = arm("coman_like")
     problem, (motion, *_) = linear_problem(robot), loaded(robot)
     links = problem.of_links(motion)
-    assert links.shape == (problem.link_rows.sum(), len(motion.t))
+    assert links.shape == (robot.size, len(problem.links), len(motion.t))
     np.testing.assert_array_equal(problem.rows(motion, links), problem.rows(motion))
 
 

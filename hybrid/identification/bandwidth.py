@@ -21,7 +21,7 @@ from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import OUTLYING, settle, without_folds
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
-from hybrid.signals import Motion
+from hybrid.signals import Motion, speed_against_position
 
 _HIDDEN = 0.05  # relative fall of the error that is worth half of the bandwidth
 _MOST_HALVINGS = 3  # of the cut-off that the spectrum of positions suggests
@@ -65,7 +65,10 @@ def prepared(
         robust: Weigh down stretches that do not fit.
     """
     problem = build_problem(robot.chain, (*linear_effects(robot), *extra))
-    best, least = prepare(logs, None), np.inf
+    speeds = [
+        speed_against_position(x) if isinstance(x, Recording) else None for x in logs
+    ]
+    best, least = prepare(logs, None, speeds=speeds), np.inf
     highest = best.cutoff
     if not any(isinstance(x, Recording) for x in logs):
         return best
@@ -74,7 +77,9 @@ def prepared(
         cutoff = highest / 2**halvings
         if cutoff * shortest < FEWEST_PERIODS * FOLDS:
             break
-        data = prepare(logs, cutoff, highest=highest) if halvings else best
+        data = (
+            prepare(logs, cutoff, highest=highest, speeds=speeds) if halvings else best
+        )
         products = data.products(problem)
         found = settle(products, "wls", robust=robust)
         theta = without_folds(products, found.weight, folds=FOLDS, share=found.share)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,13 @@ from hybrid.regression.cross_products import (
 )
 from hybrid.regression.problem import Problem, part
 from hybrid.robot import Robot
-from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
+from hybrid.signals import (
+    Motion,
+    Sampler,
+    SpeedCheck,
+    choose_cutoff,
+    motion_from_recording,
+)
 
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
 _WORKING_RATE = 12.5  # of the cut-off: three times what positions can hold
@@ -116,14 +123,14 @@ class Data:
         def filtered(here: slice, full: Array) -> Array:
             if not problem.alike:
                 return sampler(full, axis=1)
-            links = problem.link_rows
+            links, others = problem.link_rows, np.r_[problem.other_rows]
             known = self.kept(
                 ("filtered", problem.links, here.start, here.stop),
                 motion,
-                lambda: sampler(full[links], axis=1),
+                lambda: np.concatenate([sampler(full[x], axis=1) for x in links]),
             )
             out = np.empty((len(full), known.shape[1]))
-            out[links], out[~links] = known, sampler(full[~links], axis=1)
+            out[np.r_[links]], out[others] = known, sampler(full[others], axis=1)
             return out
 
         return sampled_chunks(rows, total, sampler, filtered)
@@ -283,7 +290,9 @@ def taken(
 
 
 def motions_of(
-    logs: Sequence[Recording | Motion], cutoff: float | None
+    logs: Sequence[Recording | Motion],
+    cutoff: float | None,
+    speeds: Sequence[SpeedCheck | None] = (),
 ) -> tuple[list[Motion], float]:
     """Filter and differentiate logs that were checked; see :func:`prepare_motions`."""
     if cutoff is None:
@@ -296,10 +305,10 @@ def motions_of(
             f"more for a recording of {shortest:.3g} s"
         )
     motions = [
-        motion_from_recording(x, cutoff=_POSITION_CUTOFF * cutoff)
+        motion_from_recording(x, cutoff=_POSITION_CUTOFF * cutoff, speed=speed)
         if isinstance(x, Recording)
         else x
-        for x in logs
+        for x, speed in zip_longest(logs, speeds)
     ]
     return motions, cutoff
 
@@ -309,6 +318,7 @@ def prepare(
     cutoff: float | None,
     *,
     highest: float | None = None,
+    speeds: Sequence[SpeedCheck | None] = (),
 ) -> Data:
     """Deal motions into folds for cross-validation.
 
@@ -320,8 +330,9 @@ def prepare(
         logs: Logs that were checked, see :func:`taken`, or motions made from such.
         cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
         highest: Cut-off for which motions are thinned, [Hz]; the same if not given.
+        speeds: What the measured speed of each log is worth, if that is known.
     """
-    motions, cutoff = motions_of(logs, cutoff)
+    motions, cutoff = motions_of(logs, cutoff, speeds)
     motions = [thinned(m, highest or cutoff) for m in motions if m.mask.any()]
     if not motions:
         raise IdentificationError("no usable sample: every one is masked")

@@ -32,7 +32,7 @@ from hybrid.identification.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identification.friction import fit_friction
 from hybrid.identification.gate import lowers
 from hybrid.identification.remainder import Learned, fit_remainder
-from hybrid.identification.ripple import JUDGED, find_ripples, in_band
+from hybrid.identification.ripple import JUDGED, Waves, find_ripples, in_band
 from hybrid.identification.solution import Solution
 from hybrid.identification.solver import Solver
 from hybrid.model.dynamic_model import DynamicModel
@@ -123,9 +123,9 @@ class Identification:
 
     def ripple(self) -> None:
         """Stage two, second part: torque that repeats with position."""
-        before = self.best
+        before, waves = self.best, Waves()
         for _ in range(_MOST_ROUNDS):
-            new = find_ripples(self.data, self.best)
+            new = find_ripples(self.data, self.best, waves)
             # At every speed that was seen, or else only where the fit saw it.
             offers = [
                 {

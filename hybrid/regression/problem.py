@@ -101,13 +101,17 @@ class Problem:
         return tuple(c for c in self.base.kept if c < 10 * self.chain.size)
 
     @cached_property
-    def link_rows(self) -> NDArray[np.bool_]:
-        """Which of :meth:`rows` are of the links, shape (P,)."""
-        starts = zip(self.offsets, self.support, strict=False)
-        found = np.zeros(self.offsets[-1], dtype=bool)
-        for start, support in starts:  # unknowns of the links come first
-            found[start : start + int((support < len(self.links)).sum())] = True
-        return found
+    def link_rows(self) -> tuple[slice, ...]:
+        """Which of :meth:`rows` are of the links, for each joint: the first of its."""
+        counts = [int((s < len(self.links)).sum()) for s in self.support]
+        pairs = zip(self.offsets, counts, strict=False)
+        return tuple(slice(start, start + count) for start, count in pairs)
+
+    @cached_property
+    def other_rows(self) -> tuple[slice, ...]:
+        """Which are not: those of effects and the torque, for each joint."""
+        pairs = zip(self.link_rows, self.offsets[1:], strict=True)
+        return tuple(slice(links.stop, end) for links, end in pairs)
 
     @property
     def alike(self) -> bool:
@@ -120,11 +124,9 @@ class Problem:
         return mine == its and np.array_equal(self.inertial, other.inertial)
 
     def of_links(self, motion: Motion) -> Array:
-        """Those of :meth:`rows` that are of the links, shape (R, N)."""
+        """Columns of :attr:`links`, as they lie in memory, shape (n, c, N)."""
         Y = regressor(self.chain, motion.q, motion.v, motion.a, self.links)
-        Y = Y.transpose(1, 2, 0)  # as it lies in memory
-        wanted = [s[s < len(self.links)] for s in self.support]
-        return np.concatenate([y[k] for y, k in zip(Y, wanted, strict=True)])
+        return Y.transpose(1, 2, 0)
 
     def rows(self, motion: Motion, links: Array | None = None) -> Array:
         """Columns of every joint with its torque last, at full rate.
@@ -144,17 +146,19 @@ class Problem:
                 motion = effect.observe(motion, body)
                 body = RigidBody(self.chain, motion, self.inertial)
         out = np.empty((self.offsets[-1], len(motion.t)))
-        out[self.link_rows] = self.of_links(motion) if links is None else links
+        links = self.of_links(motion) if links is None else links
         effects = dict(self._effect_columns(motion, body))
-        for i, support in enumerate(self.support):
-            start, end = self.offsets[i], self.offsets[i + 1] - 1
-            gains = support[support >= len(self.links)]
-            for row, unknown in enumerate(gains, end - len(gains)):
+        rows = self.link_rows, self.other_rows
+        for i, (mine, others) in enumerate(zip(*rows, strict=True)):
+            which = np.split(self.support[i], [mine.stop - mine.start])
+            # "raise" would copy these rows twice
+            np.take(links[i], which[0], axis=0, out=out[mine], mode="clip")
+            for row, unknown in enumerate(which[1], mine.stop):
                 out[row] = effects[self.base.kept[unknown], i]
-            out[end] = tau[:, i]
+            out[others.stop - 1] = tau[:, i]
             for effect in self.effects:
                 if effect.reports and i in effect.joints:
-                    part = out[start:end]
+                    part = out[mine.start : others.stop - 1]
                     part[...] = effect.report(motion.t, part.T).T
         return out
 

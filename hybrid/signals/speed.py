@@ -118,7 +118,11 @@ def _judged(both: _Spectra, lag: Array) -> SpeedCheck:
 
 
 def correction_by_speed(
-    recording: Recording, *, cutoff: float, mask: NDArray[np.bool_]
+    recording: Recording,
+    *,
+    cutoff: float,
+    mask: NDArray[np.bool_],
+    check: SpeedCheck | None = None,
 ) -> Array:
     """Correction of low-passed positions by measured speed, for the least noise.
 
@@ -129,11 +133,12 @@ def correction_by_speed(
         recording: Joint log on a uniform clock.
         cutoff: Cut-off of the same filter as :func:`butterworth`, [Hz]; inf for none.
         mask: Samples by which a speed is judged, shape (N,).
+        check: What :func:`speed_against_position` says of it, if that is known.
 
     Returns:
         Shape (N, n), [rad]; exactly zero for a joint whose speed is not worth anything.
     """
-    check, v = speed_against_position(recording), recording.v
+    check, v = check or speed_against_position(recording), recording.v
     added = np.zeros_like(recording.q)
     use = np.flatnonzero(check.weight.any(axis=0))
     if v is None or not len(use):
