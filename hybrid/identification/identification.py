@@ -25,12 +25,12 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
-from hybrid.identification.bandwidth import linear_effects, scored
 from hybrid.identification.consistency import physically_consistent
 from hybrid.identification.data import FOLDS, Data
 from hybrid.identification.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identification.friction import fit_friction
 from hybrid.identification.gate import lowers
+from hybrid.identification.preparation import linear_effects, scored
 from hybrid.identification.remainder import Learned, fit_remainder
 from hybrid.identification.ripple import JUDGED, Waves, find_ripples, in_band
 from hybrid.identification.solution import Solution

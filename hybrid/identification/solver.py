@@ -15,8 +15,8 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.identification.bandwidth import scored, total
 from hybrid.identification.data import FOLDS, Data
+from hybrid.identification.preparation import scored, total
 from hybrid.identification.solution import Solution, to_be_found
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import (
