@@ -139,7 +139,7 @@ class Identification:
                 break
             self._take(found)
         if self.best is not before:
-            self._keep(self._model(before))
+            self._keep(before)
 
     def learn(self) -> None:
         """Stage three, and the physical terms again around it, until it settles."""
@@ -162,7 +162,7 @@ class Identification:
         if self.remainder is None:
             self._leave_out("remainder: no regression lowers the error")
         else:
-            self._keep(self._model(self.best))
+            self._keep(self.best)
 
     def _learned(self, physical: Solution) -> Learned:
         left = self.data.left_out(physical.problem, physical.theta)
@@ -174,7 +174,7 @@ class Identification:
     def constrain(self) -> None:
         """Links that could be built; what was learned is learned anew around them."""
         free, before = self.best, self.squares
-        self._keep(self._model(free, self.remainder))
+        self._keep(free, self.remainder)
 
         def optimum(A: Array, b: Array) -> Array:
             return physically_consistent(free.problem, A, b).theta
@@ -272,7 +272,7 @@ class Identification:
 
     def _friction(self, start: Solution) -> dict[int, list[Effect]]:
         """The effects at each joint with its friction found anew."""
-        data, model = self.data, start.model(self.robot, self.data, sure=False)
+        data, model = self.data, start.model(self.robot, sure=False)
         others = [e for e in start.effects if not self._is_friction(e)]
         frictionless = replace(model, effects=tuple(others))
         rest = [m.tau - frictionless.predict(m) for m in data.motions]
@@ -326,7 +326,7 @@ class Identification:
     def _model(
         self, solution: Solution, remainder: ArmRemainder | None = None
     ) -> DynamicModel:
-        return solution.model(self.robot, self.data, remainder)
+        return solution.model(self.robot, remainder)
 
     def _is_friction(self, effect: Effect) -> bool:
         """Whether stage two may replace an effect; the user's own ones stay."""
@@ -335,8 +335,9 @@ class Identification:
     def _take(self, solution: Solution) -> None:
         self.best, self.squares = solution, solution.squares
 
-    def _keep(self, model: DynamicModel) -> None:
+    def _keep(self, solution: Solution, remainder: ArmRemainder | None = None) -> None:
         """Keep the model of a stage that another one follows, for comparison."""
+        model = solution.model(self.robot, remainder, sure=False)
         if model.stage != "rigid":  # that one is among the plain estimators
             self.stages[model.stage] = model
 

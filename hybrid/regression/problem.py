@@ -123,6 +123,15 @@ class Problem:
         mine, its = ((p.effects, p.columns, p.base.kept) for p in (self, other))
         return mine == its and np.array_equal(self.inertial, other.inertial)
 
+    def complete(self) -> Problem:
+        """The same with the gains that were left out, behind all others."""
+        left_out = set(effect_gains(self.effects)) - set(self.columns)
+        if not left_out:
+            return self
+        columns = (*self.columns, *sorted(left_out))
+        base = stacked_base(self.chain, self.effects, columns)
+        return replace(self, base=base, columns=columns)
+
     def of_links(self, motion: Motion) -> Array:
         """Columns of :attr:`links`, as they lie in memory, shape (n, c, N)."""
         Y = regressor(self.chain, motion.q, motion.v, motion.a, self.links)
