@@ -181,9 +181,8 @@ class Identification:
 
         products, settled = free.products, free.settled
         sums = np.tensordot(settled.share, products.blocks, axes=1)
-        found = physically_consistent(
-            free.problem, *products.normal(settled.weight, sums)
-        )
+        A, b = products.normal(settled.weight, sums)
+        found = physically_consistent(free.problem, A, b)
         theta = without_folds(
             products,
             settled.weight,
