@@ -119,12 +119,14 @@ def _rows(text: str, row: int) -> set[int]:
         body = getattr(statement, "body", None)
         end = body[0].lineno if body else (statement.end_lineno or row) + 1
         return {row, *range(statement.lineno, end)}
-    functions = [x for x in ast.walk(tree) if isinstance(x, _Function)]
-    inner = set[int]().union(*map(_body, functions))
+    bodies = [_body(x) for x in ast.walk(tree) if isinstance(x, _Function)]
+    inner = set[int]().union(*bodies)
     stored = [x for x in ast.walk(statement) if isinstance(x, ast.Name)]
     names = {x.id for x in stored if isinstance(x.ctx, ast.Store)}
     word = re.compile(rf"\b({'|'.join(map(re.escape, names))})\b") if names else None
-    return {y for y in inner if word and word.search(lines[y - 1])} or inner
+    # Of a table over several lines, not each is executed by itself.
+    naming = (x for x in bodies if word and any(word.search(lines[y - 1]) for y in x))
+    return set[int]().union(*naming) or inner
 
 
 def _span(x: ast.stmt) -> range:
