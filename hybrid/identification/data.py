@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
+from hybrid.dynamics import RigidBody
 from hybrid.effects import Scale
 from hybrid.errors import RecordingError
 from hybrid.regression.cross_products import (
@@ -49,6 +50,9 @@ class Data:
     cutoff: float
     standing: Array
     _kept: dict[tuple[Any, ...], Array] = field(
+        default_factory=dict, repr=False, compare=False
+    )
+    _bodies: dict[tuple[int, int, int], RigidBody] = field(
         default_factory=dict, repr=False, compare=False
     )
     _last: list[CrossProducts] = field(
@@ -101,12 +105,15 @@ class Data:
             some = part(motion, here)
             if not problem.alike:
                 return problem.rows(some)
+            at = here.start, here.stop
             links = self.kept(
-                ("raw", problem.links, here.start, here.stop),
-                motion,
-                lambda: problem.of_links(some),
+                ("raw", problem.links, *at), motion, lambda: problem.of_links(some)
             )
-            return problem.rows(some, links)
+            body = self._bodies.get((id(motion.q), *at))
+            if body is None or not np.array_equal(body.inertial, problem.inertial):
+                body = RigidBody(problem.chain, some, problem.inertial)
+                self._bodies[id(motion.q), *at] = body
+            return problem.rows(some, links, body)
 
         def filtered(here: slice, full: Array) -> Array:
             if not problem.alike:

@@ -221,7 +221,10 @@ class Identification:
         self._refuse_harm()
         problem, estimate = self.best.problem, self.best.estimate
         model = self._model(self.best, self.remainder)
-        simpler = {name.upper(): self._model(s) for name, s in self.simpler.items()}
+        simpler = {
+            name.upper(): s.model(self.robot, sure=False)
+            for name, s in self.simpler.items()
+        }
         converged = estimate.converged and self.settled
         if not converged:
             self.warnings.append("the iteration did not settle; see Fit.converged")

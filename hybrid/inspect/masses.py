@@ -62,13 +62,13 @@ class MassColumns:
     def __init__(self, state: State, masses: Array, Y: Array) -> None:
         (samples, n), each = state.q.shape, masses.shape[2]
         links = Y.transpose(1, 2, 0).reshape(n, n, 10, samples)
-        rigid = masses.transpose(0, 2, 1) @ links  # (n, n, P, M)
         drives, count = _drives(state), n * (each + _OWN)
         self._own, self._places = [], []
         self._normal = np.zeros((n, count, count))
         self._right = np.zeros((n, n, count))
         for i in range(n):  # whom links before it do not move
-            own = np.concatenate([rigid[i, i:].reshape(-1, samples), drives[i]])
+            rigid = masses[i:].transpose(0, 2, 1) @ links[i, i:]  # (n - i, P, M)
+            own = np.concatenate([rigid.reshape(-1, samples), drives[i]])
             drive = n * each + _OWN * i + np.arange(_OWN)
             at = np.append(np.arange(i * each, n * each), drive)
             self._own.append(own)

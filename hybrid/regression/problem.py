@@ -137,19 +137,25 @@ class Problem:
         Y = regressor(self.chain, motion.q, motion.v, motion.a, self.links)
         return Y.transpose(1, 2, 0)
 
-    def rows(self, motion: Motion, links: Array | None = None) -> Array:
+    def rows(
+        self,
+        motion: Motion,
+        links: Array | None = None,
+        body: RigidBody | None = None,
+    ) -> Array:
         """Columns of every joint with its torque last, at full rate.
 
         Args:
             motion: N samples of motion and torque.
             links: What :meth:`of_links` gives, if it is known already.
+            body: The rigid body along the motion, likewise.
 
         Returns:
             For joint i, rows ``offsets[i]`` on hold its columns in the order of
             ``support[i]``, then its measured torque; shape (P, N).
         """
         tau = motion.tau
-        body = RigidBody(self.chain, motion, self.inertial)
+        body = body or RigidBody(self.chain, motion, self.inertial)
         for effect in self.effects:
             if effect.observes:
                 motion = effect.observe(motion, body)
