@@ -220,19 +220,14 @@ class Identification:
         """
         self._refuse_harm()
         problem, estimate = self.best.problem, self.best.estimate
-        model = self._model(self.best, self.remainder)
-        simpler = {
-            name.upper(): s.model(self.robot, sure=False)
-            for name, s in self.simpler.items()
-        }
+        model = self.best.model(self.robot, self.remainder)
+        simpler = {name.upper(): self._model(s) for name, s in self.simpler.items()}
         converged = estimate.converged and self.settled
         if not converged:
             self.warnings.append("the iteration did not settle; see Fit.converged")
         return Fit(
             model=replace(
-                model,
-                simpler=simpler | self.stages,
-                covariance=estimate.covariance,
+                model, simpler=simpler | self.stages, covariance=estimate.covariance
             ),
             names=problem.base.names,
             labels=problem.base.kept_labels,
@@ -274,7 +269,7 @@ class Identification:
 
     def _friction(self, start: Solution) -> dict[int, list[Effect]]:
         """The effects at each joint with its friction found anew."""
-        data, model = self.data, start.model(self.robot, sure=False)
+        data, model = self.data, self._model(start)
         others = [e for e in start.effects if not self._is_friction(e)]
         frictionless = replace(model, effects=tuple(others))
         rest = [m.tau - frictionless.predict(m) for m in data.motions]
@@ -328,7 +323,8 @@ class Identification:
     def _model(
         self, solution: Solution, remainder: ArmRemainder | None = None
     ) -> DynamicModel:
-        return solution.model(self.robot, remainder)
+        """A model to compare with, which does not say how sure its gains are."""
+        return solution.model(self.robot, remainder, sure=False)
 
     def _is_friction(self, effect: Effect) -> bool:
         """Whether stage two may replace an effect; the user's own ones stay."""
@@ -339,7 +335,7 @@ class Identification:
 
     def _keep(self, solution: Solution, remainder: ArmRemainder | None = None) -> None:
         """Keep the model of a stage that another one follows, for comparison."""
-        model = solution.model(self.robot, remainder, sure=False)
+        model = self._model(solution, remainder)
         if model.stage != "rigid":  # that one is among the plain estimators
             self.stages[model.stage] = model
 

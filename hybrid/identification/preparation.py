@@ -208,8 +208,8 @@ def prepared(
     speeds = [
         speed_against_position(x) if isinstance(x, Recording) else None for x in logs
     ]
-    best, least = prepare(logs, None, speeds=speeds), np.inf
-    highest = best.cutoff
+    best = data = prepare(logs, None, speeds=speeds)
+    highest, least = best.cutoff, np.inf
     if not any(isinstance(x, Recording) for x in logs):
         return best
     shortest = min(float(m.t[-1] - m.t[0]) for m in best.motions)
@@ -217,9 +217,8 @@ def prepared(
         cutoff = highest / 2**halvings
         if cutoff * shortest < FEWEST_PERIODS * FOLDS:
             break
-        data = (
-            prepare(logs, cutoff, highest=highest, speeds=speeds) if halvings else best
-        )
+        if halvings:
+            data = prepare(logs, cutoff, highest=highest, speeds=speeds)
         products = data.products(problem)
         found = settle(products, "wls", robust=robust)
         theta = without_folds(products, found.weight, folds=FOLDS, share=found.share)
