@@ -37,12 +37,25 @@ class Witnesses:
     @classmethod
     def read(cls, file: Path) -> Witnesses:
         """Read what was watched; nothing if there is no such file."""
-        empty: dict = {"costs": {}, "lines": {}, "files": {}}
-        return cls(**(json.loads(file.read_text()) if file.exists() else empty))
+        if not file.exists():
+            return cls({}, {}, {})
+        kept = json.loads(file.read_text())
+        tests, costs = kept["tests"], kept["costs"]
+        lines = {
+            path: {line: [tests[k] for k in which] for line, which in known.items()}
+            for path, known in kept["lines"].items()
+        }
+        return cls(dict(zip(tests, costs, strict=True)), lines, kept["files"])
 
     def write(self, file: Path) -> None:
-        """Write all to a file."""
-        file.write_text(json.dumps(vars(self)))
+        """Write all to a file; tests of lines by their numbers, or it is large."""
+        number = {test: k for k, test in enumerate(self.costs)}
+        lines = {
+            path: {line: [number[x] for x in tests] for line, tests in known.items()}
+            for path, known in self.lines.items()
+        }
+        kept = {"tests": list(number), "costs": list(self.costs.values())}
+        file.write_text(json.dumps({**kept, "lines": lines, "files": self.files}))
 
     def updated(self, new: Witnesses) -> Witnesses:
         """With what other test files execute, or the same ones anew."""
@@ -106,12 +119,14 @@ def _rows(text: str, row: int) -> set[int]:
         body = getattr(statement, "body", None)
         end = body[0].lineno if body else (statement.end_lineno or row) + 1
         return {row, *range(statement.lineno, end)}
-    functions = [x for x in ast.walk(tree) if isinstance(x, _Function)]
-    inner = set[int]().union(*map(_body, functions))
+    bodies = [_body(x) for x in ast.walk(tree) if isinstance(x, _Function)]
+    inner = set[int]().union(*bodies)
     stored = [x for x in ast.walk(statement) if isinstance(x, ast.Name)]
     names = {x.id for x in stored if isinstance(x.ctx, ast.Store)}
     word = re.compile(rf"\b({'|'.join(map(re.escape, names))})\b") if names else None
-    return {y for y in inner if word and word.search(lines[y - 1])} or inner
+    # Of a table over several lines, not each is executed by itself.
+    naming = (x for x in bodies if word and any(word.search(lines[y - 1]) for y in x))
+    return set[int]().union(*naming) or inner
 
 
 def _span(x: ast.stmt) -> range:

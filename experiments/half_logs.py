@@ -25,8 +25,7 @@ from hybrid import Motion, Robot, identify, read_recordings
 from hybrid.effects import Effect
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
-from hybrid.identification.bandwidth import linear_effects
-from hybrid.identification.data import prepare
+from hybrid.identification.preparation import linear_effects, prepare
 from hybrid.identification.solver import Solver
 from hybrid.regression.intervals import Estimate
 from hybrid.regression.problem import build_problem

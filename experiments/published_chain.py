@@ -37,7 +37,8 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.identification import DynamicModel
-from hybrid.identification.data import Data, prepare, taken
+from hybrid.identification.data import Data
+from hybrid.identification.preparation import prepare, taken
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import solve
 from hybrid.regression.least_squares import ESTIMATORS, Estimator

@@ -25,7 +25,7 @@ from hybrid import (
 from hybrid.arrays import Array
 from hybrid.effects import effects_from_text
 from hybrid.errors import HybridWarning
-from hybrid.identification.data import prepare_motions
+from hybrid.identification.preparation import prepare_motions
 from hybrid.plant import install
 from hybrid.plant.scale import joint_scales
 from hybrid.signals import motion_from_recording

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from hybrid.identification import (
         DynamicModel,
         Fit,
-        Identifier,
         identify,
         predict,
         validate,
     )
+    from hybrid.identification.identifier import Identifier
     from hybrid.inspect import Inspection, inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
     from hybrid.plant import simulate
@@ -79,7 +79,7 @@ _HOME = {
     "Effect": "hybrid.effects",
     "Fleet": "hybrid.fleets",
     "Fit": "hybrid.identification",
-    "Identifier": "hybrid.identification",
+    "Identifier": "hybrid.identification.identifier",
     "Inspection": "hybrid.inspect",
     "Motion": "hybrid.signals",
     "OnlineIdentifier": "hybrid.online",

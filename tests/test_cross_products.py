@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import arm, linear_problem, motions, stacked, with_torque
 
-from hybrid.dynamics import RigidBody
 from hybrid.errors import IdentificationError
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import solve
@@ -84,12 +83,12 @@ def test_so_they_are_for_random_chains_and_weights(seed):
         assert_same(x, y, 1e-11)
 
 
-def test_rows_are_the_same_where_the_regressor_is_known_already():
+def test_rows_are_the_same_where_those_of_the_links_are_known_already():
     robot = arm("coman_like")
     problem, (motion, *_) = linear_problem(robot), loaded(robot)
-    body = RigidBody(robot.chain, motion, problem.inertial)
-    assert body.columns.shape == (len(motion.t), 6, 60)
-    np.testing.assert_array_equal(problem.rows(motion, body), problem.rows(motion))
+    links = problem.of_links(motion)
+    assert links.shape == (robot.size, len(problem.links), len(motion.t))
+    np.testing.assert_array_equal(problem.rows(motion, links), problem.rows(motion))
 
 
 def test_many_sums_have_their_normal_equations_each():

@@ -1,5 +1,7 @@
 """Stage two: the friction curve and the ripple that the rigid body leaves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from arms import MODELS
@@ -266,3 +268,16 @@ def test_no_ripple_is_found_where_there_is_none(memory):
         )
         found += ripples(fit)
     assert found == []
+
+
+def test_a_joint_that_stands_is_given_no_ripple():
+    robot, rng = arm("planar"), np.random.default_rng(0)
+    problem, found = linear_problem(robot), []
+    for motion in motions(robot, count=2, duration=6.0, rate=250, seed=0):
+        q, v, a = (x * [1.0, 0.0] for x in (motion.q, motion.v, motion.a))
+        still = replace(motion, q=q, v=v, a=a)
+        tau = stacked(problem, still) @ np.ones(problem.size)
+        tau += coloured(rng, len(tau), 0.01 * np.eye(2), 0.0)
+        found.append(with_torque(still, tau))
+    fit, _ = quiet(identify, robot, found, stages=("rigid", "ripple"), cutoff=15.0)
+    assert {e.joints for e in fit.model.effects if e.id == "torque_ripple"} <= {(0,)}

@@ -154,6 +154,10 @@ def test_units_of_inputs_and_outputs_do_not_matter(model):
     mean_here, variance_here = other.predict_distribution(probe * scale + offset)
     np.testing.assert_allclose(mean_here, 1e3 * mean, rtol=1e-5, atol=1e-3)
     np.testing.assert_allclose(variance_here, 1e6 * variance, rtol=1e-5)
+    # In MN·m a floor on variance that is not relative would hide what far inputs give.
+    small = GaussianMixtureRegression.fit(x, 1e-6 * y, components=2)
+    large = GaussianMixtureRegression.fit(x, y, components=2)
+    np.testing.assert_allclose(small.prior_variance, 1e-12 * large.prior_variance)
 
 
 def test_smooth_remainder_is_cut_by_nine_tenths_on_held_out_samples(model):

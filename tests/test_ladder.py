@@ -13,8 +13,9 @@ from hybrid.effects import JointState
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identification import identify, validate
-from hybrid.identification.data import Data, thinned
+from hybrid.identification.data import Data
 from hybrid.identification.gate import lowers
+from hybrid.identification.preparation import thinned
 from hybrid.regression.prior import file_prior, spread
 from hybrid.regression.problem import part
 

@@ -1,5 +1,6 @@
 """Estimators: generalised least squares, bounds, outliers, and honest intervals."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +17,9 @@ from simulated import (
 
 from hybrid.errors import IdentificationError
 from hybrid.regression.cross_products import accumulate
-from hybrid.regression.intervals import solve
-from hybrid.regression.least_squares import ESTIMATORS, without_folds
+from hybrid.regression.intervals import estimated, solve
+from hybrid.regression.least_squares import ESTIMATORS, settle, without_folds
+from hybrid.regression.problem import build_problem
 from hybrid.signals import Sampler
 
 
@@ -330,3 +332,31 @@ def test_intervals_that_take_samples_for_independent_would_not_be(minute):
         error = np.abs(estimate.theta - minute.truth)
         found += np.mean(error < 1.96 * np.sqrt(np.diag(textbook))) / seeds
     assert found < 0.7
+
+
+def test_a_gain_that_was_left_out_is_unknown_to_the_intervals(minute):
+    """One no larger than noise makes it look: its neighbours take it over."""
+    effects = minute.problem.effects
+    without = [(k, "coefficient") for k, e in enumerate(effects) if e.id == "viscous"]
+    problem = build_problem(minute.robot.chain, effects, without=without)
+    bench, whole = copy(minute), copy(minute)
+    bench.problem, whole.problem = problem, problem.complete()
+    viscous = [u for u, e, _ in minute.problem.gains if effects[e].id == "viscous"]
+    assert len(viscous) == whole.problem.size - problem.size == minute.n
+    known, shares = np.delete(minute.truth, viscous), []
+    dry = [u for u, e, _ in problem.gains if effects[e].id == "coulomb"]
+    for seed in range(40):
+        logs = minute.logs(minute.white(seed, covariance_of(minute.n, 0.6)))
+        found = solve(minute.products(logs))
+        size = np.random.default_rng(seed).normal(0.0, found.std[viscous])
+        less = minute.truth[viscous] - size
+        pairs = zip(logs, minute.columns, strict=True)
+        logs = [with_torque(m, m.tau - Y[:, :, viscous] @ less) for m, Y in pairs]
+        few, all_ = bench.products(logs), whole.products(logs)
+        chosen = settle(few, "irls")
+        intervals = [estimated(few, chosen, among=x).interval() for x in (None, all_)]
+        inside = [(low <= known) & (known <= high) for low, high in intervals]
+        shares.append(np.array(inside)[:, dry])
+    taken_for_zero, unknown = np.mean(shares, axis=(0, 2))
+    assert taken_for_zero < 0.85
+    assert unknown >= 0.92

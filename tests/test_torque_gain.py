@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from simulated import arm
+from simulated import arm, quiet
 
 from hybrid.dynamics import RigidBody
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.viscous import Viscous
-from hybrid.identification import DynamicModel
+from hybrid.identification import DynamicModel, identify, solver
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.regression.problem import build_problem
 from hybrid.signals import motion_from_recording
@@ -72,3 +72,17 @@ def test_columns_are_the_change_of_what_the_log_shows_of_the_transmitted_torque(
     np.testing.assert_allclose(
         effect.columns(log, body)[:, :, 0], (ahead - behind) / (2 * step), rtol=1e-6
     )
+
+
+def test_a_linearisation_that_is_cut_short_is_said_not_to_have_settled(
+    log, monkeypatch
+):
+    """The gain found first is that of columns at another gain."""
+    gain = TorqueGain((0,))
+    for most, settled in ((8, True), (1, False)):
+        monkeypatch.setattr(solver, "_MOST_LINEARISATIONS", most)
+        fit, said = quiet(
+            identify, arm("planar"), [log], effects=[gain], stages=["rigid"], cutoff=20
+        )
+        assert fit.converged is settled
+        assert any("did not settle" in text for text in said) is not settled

@@ -107,7 +107,7 @@ def _motions(
     Raises:
         HybridError: The format has nothing that is fitted to them.
     """
-    from hybrid.identification.data import prepare_motions
+    from hybrid.identification.preparation import prepare_motions
 
     if not args.recordings:
         return []

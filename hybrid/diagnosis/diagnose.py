@@ -34,7 +34,7 @@ from hybrid.diagnosis.gap.split import split
 from hybrid.diagnosis.gap.units import units
 from hybrid.diagnosis.gap.visited import not_excited
 from hybrid.effects.delay import Delay
-from hybrid.identification.data import taken
+from hybrid.identification.preparation import taken
 from hybrid.model import DynamicModel
 from hybrid.recording import Recording
 from hybrid.robot import Robot

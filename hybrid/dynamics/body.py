@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import islice
@@ -48,20 +47,6 @@ class RigidBody:
     def link_columns(self, link: int) -> Array:
         """Torque per inertial parameter of one link, shape (N, n, 10)."""
         return self.columns[:, :, 10 * link : 10 * link + 10]
-
-    def some_columns(self, which: Sequence[int]) -> tuple[Array, Sequence[int]]:
-        """Regressor of some inertial parameters, or of all where that is known.
-
-        Args:
-            which: Wanted ones out of the 10n, length c.
-
-        Returns:
-            Columns, shape (N, n, c or more), and where among them the wanted ones are.
-        """
-        if "columns" in self.__dict__:
-            return self.columns, which
-        m = self.motion
-        return regressor(self.chain, m.q, m.v, m.a, which), range(len(which))
 
     def response(self, dq: Array, dv: Array, da: Array) -> Array:
         """Change of rigid torque along a change of motion, shape (N, n), [N·m].

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from hybrid.arrays import Array
 from hybrid.effects.effect import Body, Effect, Port, Quantity
@@ -78,6 +77,8 @@ class Backlash(Effect):
         inertia = body.slopes(j)[2][:, j]
         step = float(np.median(np.diff(motion.t)))
         pull = body.load[:, j] / np.maximum(inertia, 1e-9)
+        from scipy.ndimage import gaussian_filter1d
+
         where = _fall(gaussian_filter1d(pull, _SMEAR / step), half, step)
         wide = np.pad(where, 1, mode="edge")
         out = np.zeros((3, *motion.q.shape))

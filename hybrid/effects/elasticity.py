@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.linalg.lapack import dtbtrs
 
 from hybrid.arrays import Array
@@ -103,6 +102,8 @@ class Elasticity(Effect):
         parts = int(np.clip(fine, 1, _FINEST))
         signals = np.stack([np.maximum(M, 0.1 * inertia), drag, stiff, load])
         if parts > 1:
+            from scipy.interpolate import CubicSpline
+
             at = np.arange(parts * (len(load) - 1) + 1) / parts
             signals = CubicSpline(np.arange(len(load)), signals, axis=1)(at)
         d = _swing(signals, h / parts)

@@ -21,7 +21,8 @@ from hybrid.effects import Effect
 from hybrid.effects.payload import LinkInertia
 from hybrid.effects.registry import effect_class
 from hybrid.errors import HybridError
-from hybrid.identification.data import Data, prepare, taken
+from hybrid.identification.data import Data
+from hybrid.identification.preparation import prepare, taken
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording

@@ -1,7 +1,6 @@
 """From recordings to a dynamic model, and how well it predicts."""
 
 from hybrid.identification.fit import Fit
-from hybrid.identification.identifier import Identifier
 from hybrid.identification.three_stage import identify
 from hybrid.identification.validation import (
     Validation,
@@ -14,7 +13,6 @@ from hybrid.model.dynamic_model import DynamicModel
 __all__ = [
     "DynamicModel",
     "Fit",
-    "Identifier",
     "Validation",
     "ValidationRow",
     "identify",

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,26 +13,22 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Scale
-from hybrid.errors import IdentificationError, RecordingError
-from hybrid.inspect import check_recordings
-from hybrid.recording import Recording
+from hybrid.errors import RecordingError
 from hybrid.regression.cross_products import (
+    Chunks,
     CrossProducts,
     accumulate,
     sampled_chunks,
 )
 from hybrid.regression.problem import Problem, part
-from hybrid.robot import Robot
-from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
+from hybrid.signals import (
+    Motion,
+    Sampler,
+)
 
-_POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
-_WORKING_RATE = 12.5  # of the cut-off: three times what positions can hold
-_ALIAS_FREE = 5.0  # of the cut-off: torque below passes, torque above 6 does not
-_STANDING = 0.01  # of the highest speed
 FOLDS = 4
 _BLOCKS = 48  # over which the gain of a term is averaged, at the least
 _MOST_KEPT = 2**28  # bytes of the links' regressors
-FEWEST_PERIODS = 3.0  # of the cut-off in a recording: its edges take 2.3 of them
 
 
 @dataclass(frozen=True)
@@ -52,8 +49,14 @@ class Data:
     folds: tuple[NDArray[np.intp], ...]
     cutoff: float
     standing: Array
-    _regressors: dict[tuple[int, int, int], Array] = field(
+    _kept: dict[tuple[Any, ...], Array] = field(
         default_factory=dict, repr=False, compare=False
+    )
+    _bodies: dict[tuple[int, int, int], RigidBody] = field(
+        default_factory=dict, repr=False, compare=False
+    )
+    _last: list[CrossProducts] = field(
+        default_factory=list, repr=False, compare=False, init=False
     )
 
     def __post_init__(self) -> None:
@@ -73,30 +76,78 @@ class Data:
 
     def products(self, problem: Problem) -> CrossProducts:
         """Cross-products of a problem on these motions; see :func:`accumulate`."""
-        return accumulate(
-            problem,
-            self.motions,
-            cutoff=self.cutoff,
-            standing=self.standing,
-            folds=self.folds,
-            blocks=self.blocks,
-            rows=self.rows,
-        )
+        if not (self._last and problem.same(self._last[0].problem)):
+            self._last[:] = [
+                accumulate(
+                    problem,
+                    self.motions,
+                    cutoff=self.cutoff,
+                    standing=self.standing,
+                    folds=self.folds,
+                    blocks=self.blocks,
+                    chunks=self.chunks,
+                )
+            ]
+        return self._last[0]
 
-    def rows(self, problem: Problem, motion: Motion, here: slice) -> Array:
-        """Rows of a problem at some samples; see :meth:`Problem.rows`.
+    def chunks(
+        self, problem: Problem, motion: Motion, total: int | None = None
+    ) -> Chunks:
+        """Rows of a problem along a motion; see :func:`sampled_chunks`.
 
-        The regressor of the links is the same for every problem: it is kept, as far as
-        it takes no more memory than a few minutes of an arm's motion.
+        Those of the links are the same for every problem: they are kept, as they are
+        and filtered.
         """
-        some = part(motion, here)
-        body = RigidBody(problem.chain, some, problem.inertial)
-        key = id(motion.q), here.start, here.stop  # lives as long as these data
-        if key in self._regressors:
-            body.__dict__["columns"] = self._regressors[key]
-        elif sum(x.nbytes for x in self._regressors.values()) < _MOST_KEPT:
-            self._regressors[key] = body.columns
-        return problem.rows(some, body)
+        sampler = Sampler.for_rate(motion.rate, self.cutoff)
+        total = len(motion.t) if total is None else total
+
+        def rows(here: slice) -> Array:
+            some = part(motion, here)
+            if not problem.alike:
+                return problem.rows(some)
+            at = here.start, here.stop
+            links = self.kept(
+                ("raw", problem.links, *at), motion, lambda: problem.of_links(some)
+            )
+            body = self._bodies.get((id(motion.q), *at))
+            if body is None or not np.array_equal(body.inertial, problem.inertial):
+                body = RigidBody(problem.chain, some, problem.inertial)
+                self._bodies[id(motion.q), *at] = body
+            return problem.rows(some, links, body)
+
+        def filtered(here: slice, full: Array) -> Array:
+            if not problem.alike:
+                return sampler(full, axis=1)
+            links, others = problem.link_rows, np.r_[problem.other_rows]
+            known = self.kept(
+                ("filtered", problem.links, here.start, here.stop),
+                motion,
+                lambda: np.concatenate([sampler(full[x], axis=1) for x in links]),
+            )
+            out = np.empty((len(full), known.shape[1]))
+            out[np.r_[links]], out[others] = known, sampler(full[others], axis=1)
+            return out
+
+        return sampled_chunks(rows, total, sampler, filtered)
+
+    def kept(
+        self, key: tuple[Any, ...], motion: Motion, make: Callable[[], Array]
+    ) -> Array:
+        """What depends on the motion alone, not on its torque, made once.
+
+        It is kept as far as all takes no more memory than a few minutes of an arm's
+        motion.
+
+        Args:
+            key: What it is.
+            motion: One of the motions.
+            make: Makes it.
+        """
+        key = *key, id(motion.q)  # lives as long as these data
+        found = self._kept[key] if key in self._kept else make()
+        if sum(x.nbytes for x in self._kept.values()) < _MOST_KEPT:
+            self._kept[key] = found
+        return found
 
     def left_out(self, problem: Problem, theta: Array) -> list[Array]:
         """Torque that solutions leave on the fold that each was not fitted on.
@@ -111,10 +162,9 @@ class Data:
         found = []
         for motion, fold in zip(self.motions, self.folds, strict=True):
             left = np.empty_like(motion.tau)
-            everything = Sampler(motion.rate, np.inf, 1)
-            rows = partial(self.rows, problem, motion)
-            for first, D, _ in sampled_chunks(rows, len(motion.t), everything):
-                here = slice(first, first + D.shape[1])
+            factor = Sampler.for_rate(motion.rate, self.cutoff).factor
+            for first, _, D in self.chunks(problem, motion):
+                here = slice(first * factor, first * factor + D.shape[1])
                 for i, support in enumerate(problem.support):
                     own = D[problem.offsets[i] : problem.offsets[i + 1]]
                     known = theta[:, support] @ own[:-1]
@@ -151,7 +201,7 @@ class Data:
         """Highest torque and speed of every joint; files often state none."""
         each = [np.abs(m.tau[m.mask]).max(axis=0) for m in self.motions]
         torque = np.max(each, axis=0)
-        pairs = zip(torque, _fastest(self.motions), strict=True)
+        pairs = zip(torque, fastest(self.motions), strict=True)
         return [Scale(max(float(x), 1e-12), max(float(y), 1e-12)) for x, y in pairs]
 
     @property
@@ -201,136 +251,17 @@ class Rest:
     fold: NDArray[np.intp]
 
 
-def prepare_motions(
-    robot: Robot, recordings: Sequence[Recording | Motion], cutoff: float | None
-) -> tuple[list[Motion], float]:
-    """Check, filter and differentiate recordings; motions pass as they are.
-
-    Args:
-        robot: The arm.
-        recordings: Logs of it, or motions made from such.
-        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
-
-    Returns:
-        Motions at full rate and the cut-off.
-
-    Raises:
-        IdentificationError: There is no recording, or the cut-off is too low for the
-            shortest.
-        RecordingError: A recording does not fit the arm.
-    """
-    return motions_of(taken(robot, recordings), cutoff)
-
-
-def taken(
-    robot: Robot, recordings: Sequence[Recording | Motion]
-) -> list[Recording | Motion]:
-    """Check logs (see :func:`check_recordings`); motions pass as they are."""
-    if not recordings:
-        raise IdentificationError("no recording given; at least one is needed")
-    logs: list[Recording | Motion] = []
-    for x in recordings:
-        logs += check_recordings([x], robot) if isinstance(x, Recording) else [x]
-    return logs
-
-
-def motions_of(
-    logs: Sequence[Recording | Motion], cutoff: float | None
-) -> tuple[list[Motion], float]:
-    """Filter and differentiate logs that were checked; see :func:`prepare_motions`."""
-    if cutoff is None:
-        chosen = [choose_cutoff(x) for x in logs if isinstance(x, Recording)]
-        cutoff = float(np.median(chosen)) if chosen else np.inf
-    shortest = min(float(x.t[-1] - x.t[0]) for x in logs)
-    if not cutoff * shortest >= FEWEST_PERIODS:
-        raise IdentificationError(
-            f"cutoff is {cutoff:g} Hz; valid is {FEWEST_PERIODS / shortest:.3g} Hz or "
-            f"more for a recording of {shortest:.3g} s"
-        )
-    motions = [
-        motion_from_recording(x, cutoff=_POSITION_CUTOFF * cutoff)
-        if isinstance(x, Recording)
-        else x
-        for x in logs
-    ]
-    return motions, cutoff
-
-
-def prepare(
-    logs: Sequence[Recording | Motion],
-    cutoff: float | None,
-    *,
-    highest: float | None = None,
-) -> Data:
-    """Deal motions into folds for cross-validation.
-
-    Whole recordings make the folds where there are four or more, else the quarters of
-    each: neighbouring samples are too alike to score on, and a model has to hold on
-    motions that it has not seen.
-
-    Args:
-        logs: Logs that were checked, see :func:`taken`, or motions made from such.
-        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
-        highest: Cut-off for which motions are thinned, [Hz]; the same if not given.
-    """
-    motions, cutoff = motions_of(logs, cutoff)
-    motions = [thinned(m, highest or cutoff) for m in motions if m.mask.any()]
-    if not motions:
-        raise IdentificationError("no usable sample: every one is masked")
-    standing = _STANDING * _fastest(motions)
-    return Data(tuple(motions), tuple(_folds(motions, standing)), cutoff, standing)
-
-
-def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]:
-    found = []
-    for r, motion in enumerate(motions):
-        if len(motions) >= FOLDS:
-            found.append(np.full(len(motion.t), r % FOLDS))
-        else:  # quarters of the motion, not of the rest before and after it
-            moves = np.any(np.abs(motion.v) > standing, axis=1) & motion.mask
-            found.append(FOLDS * np.cumsum(moves) // (1 + int(moves.sum())))
-    return found
-
-
-def thinned(motion: Motion, cutoff: float) -> Motion:
-    """A motion at about a dozen samples a period of the cut-off.
-
-    Positions hold nothing above twice the cut-off, so laws of them lose nothing; torque
-    loses what is above five times the cut-off, where no smooth law has much.
-
-    Args:
-        motion: Motion at its full rate.
-        cutoff: Cut-off of columns and torque, [Hz]; inf keeps every sample.
-    """
-    factor = int(motion.rate / (_WORKING_RATE * cutoff))
-    if factor < 2:
-        return motion
-    few = slice(None, None, factor)
-    warm = motion.temperature
-    return replace(
-        motion,
-        t=motion.t[few],
-        q=motion.q[few],
-        v=motion.v[few],
-        a=motion.a[few],
-        tau=Sampler(motion.rate, _ALIAS_FREE * cutoff, factor)(motion.tau),
-        mask=motion.mask[few],
-        temperature=None if warm is None else warm[few],
-        asked=None if motion.asked is None else motion.asked[few],
-    )
-
-
 def visited(data: Data) -> dict[str, Array]:
     """Lowest and highest position and highest speed, each of shape (n,)."""
     q = [m.q[m.mask] for m in data.motions]
     return {
         "q_min": np.min([x.min(axis=0) for x in q], axis=0),
         "q_max": np.max([x.max(axis=0) for x in q], axis=0),
-        "v_max": _fastest(data.motions),
+        "v_max": fastest(data.motions),
     }
 
 
-def _fastest(motions: Sequence[Motion]) -> Array:
+def fastest(motions: Sequence[Motion]) -> Array:
     """Highest speed of each joint, shape (n,)."""
     each = [np.abs(m.v[m.mask]).max(axis=0) for m in motions]
     return np.asarray(np.max(each, axis=0))

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, eigh
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
 from hybrid.arrays import Array
@@ -26,7 +26,7 @@ from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.identification.data import FOLDS, Data
 from hybrid.regression.cross_products import sampled_chunks
-from hybrid.signals import Motion, Sampler
+from hybrid.signals import Sampler
 
 _THRESHOLDS = 16
 _WIDTHS = (0.0, 0.01, 0.04)  # of the joint's highest speed
@@ -58,23 +58,24 @@ class _Grid:
         found = {x for shape in self.shapes for x in shape.values()} | {self.fastest}
         return np.array(sorted(found))
 
-    def columns(self, state: JointState) -> Array:
-        """Hats of each direction, powers of speed, and load; shape (2K + 4, N)."""
-        speed = abs(state.v)
+    def columns(self, v: Array) -> Array:
+        """Hats of each direction and powers of speed; shape (2K + 3, N)."""
+        speed, sign = abs(v), np.sign(v)
         at = np.clip(np.searchsorted(self.knots, speed) - 1, 0, len(self.knots) - 2)
         step = np.diff(self.knots)[at]
         share = np.clip((speed - self.knots[at]) / step, 0.0, 1.0)
         count, samples = len(self.knots), np.arange(len(speed))
-        hats = np.zeros((2 * count, len(speed)))
-        row = at + np.where(state.v < 0, count, 0)
-        hats[row, samples] = state.sign * (1.0 - share)
-        hats[row + 1, samples] = state.sign * share
-        smooth = [state.sign * speed**k for k in range(1, _SMOOTH + 1)]
-        return np.concatenate([hats, smooth, LoadFriction.law(state)])
+        out = np.zeros((2 * count + _SMOOTH, len(speed)))
+        row = at + np.where(v < 0, count, 0)
+        out[row, samples] = sign * (1.0 - share)
+        out[row + 1, samples] = sign * share
+        for k in range(1, _SMOOTH + 1):
+            out[2 * count + k - 1] = sign * speed**k
+        return out
 
     @cached_property
-    def maps(self) -> list[Array]:
-        """Columns of the law at each pair, and of load, from :meth:`columns`."""
+    def maps(self) -> Array:
+        """Columns of the law at each pair, load and torque, from :meth:`columns`."""
         zero, count = np.zeros(len(self.knots)), len(self.knots)
         dry = _COLUMNS - _SMOOTH
         found = []
@@ -85,8 +86,8 @@ class _Grid:
                 state = JointState(zero, zero, v, zero, np.sign(v), zero)
                 law = ThresholdFriction.law(state, fastest=self.fastest, **shapes)
                 hats[:, k * count : (k + 1) * count] = sign * np.stack(law[:dry])
-            found.append(block_diag(hats, np.eye(_SMOOTH + 1)))
-        return found
+            found.append(block_diag(hats, np.eye(_SMOOTH + 2)))
+        return np.array(found)
 
 
 def fit_friction(
@@ -105,22 +106,46 @@ def fit_friction(
         were left out.
     """
     grid = _Grid(max(float(np.abs(m.v[m.mask, joint]).max()) for m in data.motions))
-    sums = _products(data, joint, rest, load, grid)
-    found: list[tuple[float, Array, dict[str, float]]] = []
-    for shapes, mapping in zip(grid.shapes, grid.maps, strict=True):
-        own = block_diag(mapping, np.eye(1))
-        products = own @ sums @ own.T
-        for rows in (np.arange(_COLUMNS), np.arange(_COLUMNS + 1)):
-            error, coefficients = _cross_validated(products, rows)
-            found.append((error, coefficients, shapes))
-    _, coefficients, shapes = min(found, key=lambda x: x[0])
+    products = grid.maps[:, None] @ _products(data, joint, rest, load, grid)
+    products = products @ grid.maps.transpose(0, 2, 1)[:, None]
+    bare = np.delete(np.arange(_COLUMNS + 2), _COLUMNS)
+    ways = products[:, :, bare[:, None], bare], products  # without load, and with it
+    errors = np.stack([held_out(x) for x in ways], axis=1)
+    best, loaded = divmod(int(errors.argmin()), 2)
+    coefficients = _nonnegative(ways[loaded][best].sum(axis=0)).tolist()
     names = [g.name for g in ThresholdFriction.gains]
-    values = _canonical(dict(zip(names, coefficients.tolist(), strict=False)))
-    shapes = {**shapes, "fastest": grid.fastest}
+    values = _canonical(dict(zip(names, coefficients, strict=False)))
+    shapes = {**grid.shapes[best], "fastest": grid.fastest}
     effects: tuple[Effect, ...] = (ThresholdFriction((joint,), values | shapes),)
-    if len(coefficients) > _COLUMNS and coefficients[-1] > 0:
+    if loaded and coefficients[-1] > 0:
         effects += (LoadFriction((joint,), {"coefficient": coefficients[-1]}),)
     return effects
+
+
+def _products(
+    data: Data, joint: int, rest: Sequence[Array], load: Sequence[Array], grid: _Grid
+) -> Array:
+    """Cross-products of [columns, load, rest] of each fold, shape (F, rows, rows)."""
+    size = 2 * len(grid.knots) + _SMOOTH + 2
+    sums = np.zeros((FOLDS, size, size))
+    for motion, fold, *new in zip(data.motions, data.folds, load, rest, strict=True):
+        sampler = Sampler.for_rate(motion.rate, data.cutoff)
+        moves = sampler.keep(data.moves(motion)[:, joint])
+        own, v = sampler.keep(fold)[moves], motion.v[:, joint]
+
+        def columns(
+            v: Array = v, sampler: Sampler = sampler, moves: NDArray[np.bool_] = moves
+        ) -> Array:
+            chunks = sampled_chunks(lambda x: grid.columns(v[x]), len(v), sampler)
+            return np.concatenate([D for _, D, _ in chunks], axis=1)[:, moves]
+
+        known = data.kept(("friction", joint), motion, columns)
+        new[0] = np.abs(new[0]) * np.sign(v)
+        rows = np.concatenate([known, sampler(np.stack(new), axis=1)[:, moves]])
+        for k in np.unique(own):
+            part = rows[:, own == k]
+            sums[k] += part @ part.T
+    return sums[sums[:, -1, -1] > 0]
 
 
 def _canonical(values: dict[str, float]) -> dict[str, float]:
@@ -131,56 +156,33 @@ def _canonical(values: dict[str, float]) -> dict[str, float]:
     return {name: x + change.get(name, 0.0) for name, x in values.items()}
 
 
-def _products(
-    data: Data, joint: int, rest: Sequence[Array], load: Sequence[Array], grid: _Grid
-) -> Array:
-    """Cross-products of [columns, rest] of each fold, shape (F, rows, rows)."""
-    size = 2 * len(grid.knots) + _SMOOTH + 2
-    sums = np.zeros((FOLDS, size, size))
-    for motion, fold, y, carried in zip(
-        data.motions, data.folds, rest, load, strict=True
-    ):
-        sampler = Sampler.for_rate(motion.rate, data.cutoff)
-        few = slice(None, None, sampler.factor)
-        moves, own = data.moves(motion)[few, joint], fold[few]
+def held_out(sums: Array) -> Array:
+    """Squares left on each fold by non-negative coefficients from the others, (...).
 
-        def rows(
-            here: slice, m: Motion = motion, y: Array = y, load: Array = carried
-        ) -> Array:
-            q, v, a = (x[here, joint] for x in (m.q, m.v, m.a))
-            state = JointState(m.t[here], q, v, a, np.sign(v), load[here])
-            return np.concatenate([grid.columns(state), y[None, here]])
-
-        for first, D, _ in sampled_chunks(rows, len(motion.t), sampler):
-            here = slice(first, first + D.shape[1])
-            for k in np.unique(own[here]):
-                part = D[:, moves[here] & (own[here] == k)]
-                sums[k] += part @ part.T
-    return sums
+    Args:
+        sums: Cross-products of columns and torque, last, shape (..., F, k + 1, k + 1).
+    """
+    theta = _nonnegative(sums.sum(axis=-3, keepdims=True) - sums)
+    left = np.concatenate([-theta, np.ones_like(theta[..., :1])], axis=-1)
+    squares = np.einsum("...i,...ij,...j", left, sums, left)
+    return np.asarray(np.maximum(squares, 0.0).sum(axis=-1))
 
 
-def _cross_validated(sums: Array, rows: NDArray[np.intp]) -> tuple[float, Array]:
-    """Squares left on folds by coefficients from the others; those from all folds."""
-    total = sums.sum(axis=0)
-    folds = [s for s in sums if s[-1, -1] > 0]
-    left = [_squares(s, rows, _nonnegative(total - s, rows)) for s in folds]
-    return sum(left), _nonnegative(total, rows)
+def _nonnegative(sums: Array) -> Array:
+    """Non-negative least-squares coefficients, shape (..., k).
 
-
-def _nonnegative(sums: Array, rows: NDArray[np.intp]) -> Array:
-    """Non-negative least-squares coefficients of some rows."""
-    G, c = sums[np.ix_(rows, rows)], sums[rows, -1]
-    size = np.sqrt(np.maximum(np.diag(G), 1e-300))
-    values, vectors = eigh(G / size / size[:, None])
-    keep = values > 1e-12 * values[-1]
-    root = np.sqrt(values[keep])
-    target = (vectors[:, keep].T @ (c / size)) / root
-    coefficients, _ = nnls(root[:, None] * vectors[:, keep].T, target)
-    return np.asarray(coefficients / size)
-
-
-def _squares(sums: Array, rows: NDArray[np.intp], coefficients: Array) -> float:
-    """Sum of squares that coefficients leave."""
-    left = np.append(-coefficients, 1.0)
-    rows = np.append(rows, len(sums) - 1)
-    return float(max(left @ sums[np.ix_(rows, rows)] @ left, 0.0))
+    Args:
+        sums: Cross-products of columns and torque, last, shape (..., k + 1, k + 1).
+    """
+    G, c = sums[..., :-1, :-1], sums[..., :-1, -1]
+    size = np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1), 1e-300))
+    values, vectors = np.linalg.eigh(G / size[..., None] / size[..., None, :])
+    values = np.where(values > 1e-12 * values[..., -1:], values, 0.0)
+    root = np.sqrt(values)[..., None] * vectors.swapaxes(-1, -2)
+    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=values > 0)
+    target = inverse * (root @ (c / size)[..., None])[..., 0]
+    pairs = zip(
+        root.reshape(-1, *root.shape[-2:]), target.reshape(-1, c.shape[-1]), strict=True
+    )
+    found = [nnls(x, y)[0] for x, y in pairs]
+    return np.asarray(np.reshape(found, c.shape) / size)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from hybrid.arrays import Array
 
@@ -29,4 +29,4 @@ def lowers(before: Array, after: Array, *, tried: int = 1) -> NDArray[np.bool_]:
     """
     gain = before - after
     error = np.sqrt(((gain - gain.mean(axis=0)) ** 2).sum(axis=0))
-    return np.asarray(gain.sum(axis=0) > norm.isf(_CHANCE / tried) * error)
+    return np.asarray(gain.sum(axis=0) > -ndtri(_CHANCE / tried) * error)

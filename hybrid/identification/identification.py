@@ -25,14 +25,14 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
-from hybrid.identification.bandwidth import linear_effects, scored
 from hybrid.identification.consistency import physically_consistent
 from hybrid.identification.data import FOLDS, Data
 from hybrid.identification.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identification.friction import fit_friction
 from hybrid.identification.gate import lowers
+from hybrid.identification.preparation import linear_effects, scored
 from hybrid.identification.remainder import Learned, fit_remainder
-from hybrid.identification.ripple import JUDGED, find_ripples, in_band
+from hybrid.identification.ripple import JUDGED, Waves, find_ripples, in_band
 from hybrid.identification.solution import Solution
 from hybrid.identification.solver import Solver
 from hybrid.model.dynamic_model import DynamicModel
@@ -123,9 +123,9 @@ class Identification:
 
     def ripple(self) -> None:
         """Stage two, second part: torque that repeats with position."""
-        before = self.best
+        before, waves = self.best, Waves()
         for _ in range(_MOST_ROUNDS):
-            new = find_ripples(self.data, self.best)
+            new = find_ripples(self.data, self.best, waves)
             # At every speed that was seen, or else only where the fit saw it.
             offers = [
                 {
@@ -139,7 +139,7 @@ class Identification:
                 break
             self._take(found)
         if self.best is not before:
-            self._keep(self._model(before))
+            self._keep(before)
 
     def learn(self) -> None:
         """Stage three, and the physical terms again around it, until it settles."""
@@ -162,7 +162,7 @@ class Identification:
         if self.remainder is None:
             self._leave_out("remainder: no regression lowers the error")
         else:
-            self._keep(self._model(self.best))
+            self._keep(self.best)
 
     def _learned(self, physical: Solution) -> Learned:
         left = self.data.left_out(physical.problem, physical.theta)
@@ -174,16 +174,15 @@ class Identification:
     def constrain(self) -> None:
         """Links that could be built; what was learned is learned anew around them."""
         free, before = self.best, self.squares
-        self._keep(self._model(free, self.remainder))
+        self._keep(free, self.remainder)
 
         def optimum(A: Array, b: Array) -> Array:
             return physically_consistent(free.problem, A, b).theta
 
         products, settled = free.products, free.settled
         sums = np.tensordot(settled.share, products.blocks, axes=1)
-        found = physically_consistent(
-            free.problem, *products.normal(settled.weight, sums)
-        )
+        A, b = products.normal(settled.weight, sums)
+        found = physically_consistent(free.problem, A, b)
         theta = without_folds(
             products,
             settled.weight,
@@ -221,16 +220,14 @@ class Identification:
         """
         self._refuse_harm()
         problem, estimate = self.best.problem, self.best.estimate
-        model = self._model(self.best, self.remainder)
+        model = self.best.model(self.robot, self.remainder)
         simpler = {name.upper(): self._model(s) for name, s in self.simpler.items()}
         converged = estimate.converged and self.settled
         if not converged:
             self.warnings.append("the iteration did not settle; see Fit.converged")
         return Fit(
             model=replace(
-                model,
-                simpler=simpler | self.stages,
-                covariance=estimate.covariance,
+                model, simpler=simpler | self.stages, covariance=estimate.covariance
             ),
             names=problem.base.names,
             labels=problem.base.kept_labels,
@@ -272,7 +269,7 @@ class Identification:
 
     def _friction(self, start: Solution) -> dict[int, list[Effect]]:
         """The effects at each joint with its friction found anew."""
-        data, model = self.data, start.model(self.robot, self.data, sure=False)
+        data, model = self.data, self._model(start)
         others = [e for e in start.effects if not self._is_friction(e)]
         frictionless = replace(model, effects=tuple(others))
         rest = [m.tau - frictionless.predict(m) for m in data.motions]
@@ -326,7 +323,8 @@ class Identification:
     def _model(
         self, solution: Solution, remainder: ArmRemainder | None = None
     ) -> DynamicModel:
-        return solution.model(self.robot, self.data, remainder)
+        """A model to compare with, which does not say how sure its gains are."""
+        return solution.model(self.robot, remainder, sure=False)
 
     def _is_friction(self, effect: Effect) -> bool:
         """Whether stage two may replace an effect; the user's own ones stay."""
@@ -335,8 +333,9 @@ class Identification:
     def _take(self, solution: Solution) -> None:
         self.best, self.squares = solution, solution.squares
 
-    def _keep(self, model: DynamicModel) -> None:
+    def _keep(self, solution: Solution, remainder: ArmRemainder | None = None) -> None:
         """Keep the model of a stage that another one follows, for comparison."""
+        model = self._model(solution, remainder)
         if model.stage != "rigid":  # that one is among the plain estimators
             self.stages[model.stage] = model
 

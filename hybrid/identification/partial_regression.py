@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, eigh
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from hybrid.arrays import Array
 from hybrid.identification.solution import Solution
@@ -147,7 +147,7 @@ class PartialRegression:
         if np.linalg.matrix_rank(spread, hermitian=True) < len(spread):
             return False  # too few blocks, or the other terms explain the wave whole
         ratio = (H @ gains) @ np.linalg.solve(spread, H @ gains) / 2
-        allowed = fisher.ppf(1 - chance, 2, max(count - 2, 1))
+        allowed = fdtri(2, max(count - 2, 1), 1 - chance)
         return bool(ratio > allowed)
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,6 @@ from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identification.data import Data
 from hybrid.identification.partial_regression import PartialRegression
 from hybrid.identification.solution import Solution
-from hybrid.regression.cross_products import sampled_chunks
 from hybrid.regression.problem import part
 from hybrid.signals import Motion, Sampler, butterworth_gain
 
@@ -39,14 +37,21 @@ _BLOCK_SECONDS = 1.0  # apart for the scores of samples to be independent
 _MOST_SECONDS = 120.0  # of data to search; the gains are then found on all of it
 
 
-def find_ripples(data: Data, solution: Solution) -> dict[int, list[Effect]]:
+# Motion, joint and periods -> filtered sine and cosine of a ripple, shape (2, M).
+Waves = dict[tuple[int, int, int], Array]
+
+
+def find_ripples(
+    data: Data, solution: Solution, waves: Waves
+) -> dict[int, list[Effect]]:
     """Ripples of each joint that lower its error on unseen folds, strongest first.
 
     Args:
         data: Motions with folds.
         solution: The physical terms so far.
+        waves: What was made of these data already; what is new is added.
     """
-    pieces = list(_pieces(data, solution))
+    pieces = list(_pieces(data, solution, waves))
     found = {}
     for joint in range(solution.problem.chain.size):
         ripples = _ripples(joint, [x.of(joint) for x in pieces], solution, data.cutoff)
@@ -98,15 +103,18 @@ class _Piece:
     """Moving samples of a joint in one motion.
 
     Attributes:
-        motion: The motion, at the rate the fit works at.
+        number: Which of the motions.
+        motion: It, at the rate the fit works at.
         joint: The joint.
         sampler: Filter and decimation.
         use: Which decimated samples the following are.
         rows: Columns of the joint, and what the solution leaves last, (d + 1, M).
         fold: Fold of each sample, shape (M,).
         block: Block in time of each sample, shape (M,).
+        known: Waves made already.
     """
 
+    number: int
     motion: Motion
     joint: int
     sampler: Sampler
@@ -114,6 +122,7 @@ class _Piece:
     rows: Array
     fold: NDArray[np.intp]
     block: NDArray[np.intp]
+    known: Waves
 
     @property
     def q(self) -> Array:
@@ -129,8 +138,13 @@ class _Piece:
         """Filtered sine and cosine of K ripples, shape (K, 2, M)."""
         zero = np.zeros_like(self.q)
         state = JointState(zero, self.q, self.v, zero, zero, zero)
-        pairs = [TorqueRipple.law(state, **x.shape_values) for x in ripples]
-        return np.asarray(self.sampler(np.array(pairs), axis=2)[:, :, self.use])
+        keys = [(self.number, self.joint, int(x.values["periods"])) for x in ripples]
+        new = {k: x for k, x in zip(keys, ripples, strict=True) if k not in self.known}
+        if new:
+            pairs = [TorqueRipple.law(state, **x.shape_values) for x in new.values()]
+            made = self.sampler(np.array(pairs), axis=2)[:, :, self.use]
+            self.known.update(zip(new, made, strict=True))
+        return np.stack([self.known[k] for k in keys])
 
     def spread(self, left: Array) -> Array:
         """What is left, back at the rate of the motion and filtered again, (N,)."""
@@ -146,10 +160,12 @@ class _Whole:
 
     data: Data
     solution: Solution
+    number: int
     motion: Motion
     fold: NDArray[np.intp]
     sampler: Sampler
     rows: Array
+    known: Waves
 
     def of(self, joint: int) -> _Piece:
         """What concerns one joint."""
@@ -160,21 +176,20 @@ class _Whole:
         few = slice(None, None, self.sampler.factor)
         use = self.data.moves(motion)[few, joint]
         block = ((motion.t[few][use] - motion.t[0]) // _BLOCK_SECONDS).astype(int)
-        return _Piece(
-            motion, joint, self.sampler, use, rows[:, use], self.fold[few][use], block
-        )
+        fold = self.fold[few][use]
+        place = self.number, motion, joint
+        return _Piece(*place, self.sampler, use, rows[:, use], fold, block, self.known)
 
 
-def _pieces(data: Data, solution: Solution) -> Iterator[_Whole]:
+def _pieces(data: Data, solution: Solution, waves: Waves) -> Iterator[_Whole]:
     share = _MOST_SECONDS / sum(m.t[-1] - m.t[0] for m in data.motions)
-    for motion, fold in zip(data.motions, data.folds, strict=True):
+    for r, (motion, fold) in enumerate(zip(data.motions, data.folds, strict=True)):
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
         total = int(min(1.0, share) * len(motion.t))
-        own = partial(data.rows, solution.problem, motion)
-        chunks = sampled_chunks(own, total, sampler)
+        chunks = data.chunks(solution.problem, motion, total)
         rows = np.concatenate([D for _, D, _ in chunks], axis=1)
         short = part(motion, slice(0, total))
-        yield _Whole(data, solution, short, fold[:total], sampler, rows)
+        yield _Whole(data, solution, r, short, fold[:total], sampler, rows, waves)
 
 
 def _ripple(

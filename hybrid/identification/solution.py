@@ -26,8 +26,8 @@ class Solution:
     """A linear problem with its solution.
 
     Attributes:
-        problem: The unknowns.
-        products: The data.
+        data: The motions.
+        products: Their cross-products.
         settled: Their values and weights on all samples.
         prior: What was known beforehand, or None.
         bounded: Whether gains kept at their physical side.
@@ -37,7 +37,7 @@ class Solution:
             or None.
     """
 
-    problem: Problem
+    data: Data
     products: CrossProducts
     settled: Settled
     prior: Prior | None
@@ -46,14 +46,22 @@ class Solution:
     squares: Array
     inertial: Array | None = None
 
+    @property
+    def problem(self) -> Problem:
+        """The unknowns."""
+        return self.products.problem
+
     @cached_property
     def estimate(self) -> Estimate:
         """The values and how sure they are, over blocks and over whole folds.
 
         Folds are other motions, or other logs: where they scatter more than the blocks
-        within them let expect, all variances are larger by as much.
+        within them let expect, all variances are larger by as much. A gain that was
+        left at zero might have been taken on another log: it is an unknown here.
         """
-        found = estimated(self.products, self.settled, prior=self.prior)
+        whole = self.problem.complete()
+        among = self.products if whole is self.problem else self.data.products(whole)
+        found = estimated(self.products, self.settled, prior=self.prior, among=among)
         folds = len(self.theta)
         scatter = (folds - 1) * self.theta.var(axis=0)
         known = (scatter > 0) & (found.std > 0)
@@ -75,7 +83,6 @@ class Solution:
     def model(
         self,
         robot: Robot,
-        data: Data,
         remainder: ArmRemainder | None = None,
         *,
         sure: bool = True,
@@ -84,7 +91,6 @@ class Solution:
 
         Args:
             robot: The arm.
-            data: What was fitted.
             remainder: What was learned of the rest.
             sure: Whether to say how sure the gains are.
         """
@@ -97,9 +103,9 @@ class Solution:
             base,
             tuple(e.at({}, s) for e, s in zip(effects, std, strict=True)),
             remainder,
-            data.cutoff,
-            data.standing,
-            visited(data),
+            self.data.cutoff,
+            self.data.standing,
+            visited(self.data),
             self.inertial,
         )
 

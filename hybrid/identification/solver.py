@@ -15,10 +15,9 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.identification.bandwidth import scored, total
 from hybrid.identification.data import FOLDS, Data
+from hybrid.identification.preparation import scored, total
 from hybrid.identification.solution import Solution, to_be_found
-from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import (
     ESTIMATORS,
     Estimator,
@@ -57,8 +56,8 @@ class Solver:
 
         The better of the first two at each joint is what others are held against.
         """
-        products = self._data.products(problem)
-        found = {x: self._tried(products, x, None, bounded=False) for x in ESTIMATORS}
+        data = self._data
+        found = {x: self._tried(data, problem, x, bounded=False) for x in ESTIMATORS}
         squares = [self.total(found[x].squares) for x in ESTIMATORS[:2]]
         self.base = np.maximum(np.min(squares, axis=0), 1e-300)
         return found
@@ -117,30 +116,32 @@ class Solver:
             problem: The unknowns.
             known: Torque already explained, shape (N, n) for each motion, [N·m].
         """
-        products = self._data.less(known).products(problem)
+        data = self._data.less(known)
         file = file_prior(problem, self._robot, self._data.scales)
         strengths = _STRENGTHS if file is not None else _STRENGTHS[:1]
         priors = [file.times(x) if file and x else None for x in strengths]
         # The strength first, by the estimator between the others; then the estimator.
         middle = self._estimators[min(1, len(self._estimators) - 1)]
         best = min(
-            (self._tried(products, middle, x) for x in priors),
+            (self._tried(data, problem, middle, x) for x in priors),
             key=lambda x: self.cost(x.squares),
         )
         others = [x for x in self._estimators if x != middle]
         return min(
-            [best, *(self._tried(products, x, best.prior) for x in others)],
+            [best, *(self._tried(data, problem, x, best.prior) for x in others)],
             key=lambda x: self.cost(x.squares),
         )
 
     def _tried(
         self,
-        products: CrossProducts,
+        data: Data,
+        problem: Problem,
         estimator: Estimator,
-        prior: Prior | None,
+        prior: Prior | None = None,
         *,
         bounded: bool = True,
     ) -> Solution:
+        products = data.products(problem)
         settled = settle(
             products, estimator, bounded=bounded, robust=self._robust, prior=prior
         )
@@ -153,8 +154,7 @@ class Solver:
             share=settled.share,
         )
         squares = scored(products, theta)
-        problem = products.problem
-        return Solution(problem, products, settled, prior, bounded, theta, squares)
+        return Solution(data, products, settled, prior, bounded, theta, squares)
 
     def cost(self, squares: Array, harm: float = _HARM) -> float:
         """Mean log of the held-out RMS, and of its rise above plain LS besides.

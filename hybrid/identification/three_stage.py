@@ -13,10 +13,9 @@ from typing import Literal
 from hybrid.effects import Effect
 from hybrid.effects.registry import check_effects
 from hybrid.errors import HybridWarning, IdentificationError
-from hybrid.identification.bandwidth import prepared
-from hybrid.identification.data import prepare, taken
 from hybrid.identification.fit import Fit
 from hybrid.identification.identification import Identification
+from hybrid.identification.preparation import prepare, prepared, taken
 from hybrid.recording import Recording
 from hybrid.regression.least_squares import ESTIMATORS, Estimator
 from hybrid.robot import Robot

@@ -10,7 +10,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError
-from hybrid.identification.data import prepare_motions
+from hybrid.identification.preparation import prepare_motions
 from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
 from hybrid.robot import Robot

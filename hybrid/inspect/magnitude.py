@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.dynamics.regressor import inverse_dynamics
+from hybrid.dynamics.regressor import inverse_dynamics, regressor
 from hybrid.inspect.doubt import Doubt
 from hybrid.inspect.masses import MassColumns, unit_masses
 from hybrid.inspect.state import State
@@ -40,11 +40,12 @@ def doubts_of_magnitude(
         return
     masses, n = unit_masses(chain), chain.size
     plain = np.arange(n), np.ones(n)
-    before = after = MassColumns(chain, state, masses).left(*plain)
+    Y = regressor(chain, state.q, state.v, state.a)
+    before = after = MassColumns(state, masses, Y).left(*plain)
     likely = _likely_torque(chain, state)
     for _ in range(_TURNS):
         sign = np.where(suspect & (likely < 0), -1.0, 1.0)
-        columns = MassColumns(chain, replace(state, tau=sign * state.tau), masses)
+        columns = MassColumns(replace(state, tau=sign * state.tau), masses, Y)
         after, likely = columns.left(*plain), columns.explained
     gain = 0.5 * np.log(before / after)
     for j in np.flatnonzero(suspect & (gain > _SURE)).tolist():

@@ -19,14 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.dynamics.regressor import regressor
 from hybrid.inspect.state import State
 from hybrid.robot.chain import Chain
 
 _REACH = 0.25  # of the arm's length: how far masses of a link, or a tool, may be
 _CREEP = 0.02  # of the highest speed: below, dry friction changes its sign gradually
-_OWN = 5  # columns of each joint's drive: rotor, viscous, dry, offset either way
-_OFFSET = 0.1  # of an offset counts as left over
+_OWN = (
+    6  # columns of each joint's drive: rotor, viscous, dry, spring, offset either way
+)
+_OFFSET = 0.1  # of an offset counts as left over: gravity is likelier
 _LEAST = 1e-3  # of a torque's variance: less left is as good as nothing
 _RANK = 1e-4  # of the largest singular value: below, columns are not told apart
 _ROUNDS = 10  # times the number of weights
@@ -35,57 +36,63 @@ _TINY, _NONE = 1e-9, 1e-300
 
 
 def unit_masses(chain: Chain) -> Array:
-    """Inertial parameters of masses of 1 kg at points of each link, shape (10n, P).
+    """Inertial parameters of masses of 1 kg at points of each link, shape (n, 10, 7).
 
     The points of a link are its origin and the corners of an octahedron about it:
     sums of them have any mass and centre, and any moments of inertia, within reach.
     """
     lengths = np.linalg.norm(chain.translation, axis=1)
     arm = float(lengths.sum()) or 1.0
+    beyond = np.maximum(np.append(lengths[1:], 0.0), _REACH * arm)
     directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
-    columns = np.zeros((10 * chain.size, chain.size * len(directions)))
-    for k in range(chain.size):
-        beyond = lengths[k + 1] if k + 1 < chain.size else 0.0
-        x, y, z = max(float(beyond), _REACH * arm) * directions.T
-        own = slice(k * len(directions), (k + 1) * len(directions))
-        rest = y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y
-        columns[10 * k : 10 * k + 10, own] = [np.ones_like(x), x, y, z, *rest]
-    return columns
-
-
-def file_masses(chain: Chain) -> Array:
-    """Inertial parameters of each link as the file has them, shape (10n, n)."""
-    columns = np.zeros((10 * chain.size, chain.size))
-    for k, link in enumerate(chain.inertial):
-        columns[10 * k : 10 * k + 10, k] = link
-    return columns
+    x, y, z = np.moveaxis(beyond[:, None, None] * directions, 2, 0)  # (n, 7) each
+    rest = y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y
+    return np.stack([np.ones_like(x), x, y, z, *rest], axis=1)
 
 
 class MassColumns:
     """Torque per unit of every mass and drive along a motion, as normal equations.
 
     Args:
-        chain: The arm.
         state: M samples.
-        masses: Parameters of each mass, shape (10n, P).
-
-    Attributes:
-        explained: Torque by the weights found last, shape (M, n), [N·m].
+        masses: Parameters of P masses of each link, shape (n, 10, P).
+        Y: Regressor along the samples, shape (M, n, 10n).
     """
 
-    def __init__(self, chain: Chain, state: State, masses: Array) -> None:
-        rigid = regressor(chain, state.q, state.v, state.a) @ masses
-        columns = np.concatenate([rigid, _drives(state)], axis=2).transpose(1, 0, 2)
-        n = chain.size
-        size = np.maximum(np.sqrt((columns**2).sum(axis=(0, 1))), _TINY)
-        self._each = columns / size  # (n, M, P + 6n)
-        self._normal = self._each.transpose(0, 2, 1) @ self._each
-        self._normal += _offset_costs(size, n, masses.shape[1]) * len(state.q)
+    def __init__(self, state: State, masses: Array, Y: Array) -> None:
+        (samples, n), each = state.q.shape, masses.shape[2]
+        links = Y.transpose(1, 2, 0).reshape(n, n, 10, samples)
+        drives, count = _drives(state), n * (each + _OWN)
+        self._own, self._places = [], []
+        self._normal = np.zeros((n, count, count))
+        self._right = np.zeros((n, n, count))
+        for i in range(n):  # whom links before it do not move
+            rigid = masses[i:].transpose(0, 2, 1) @ links[i, i:]  # (n - i, P, M)
+            own = np.concatenate([rigid.reshape(-1, samples), drives[i]])
+            drive = n * each + _OWN * i + np.arange(_OWN)
+            at = np.append(np.arange(i * each, n * each), drive)
+            self._own.append(own)
+            self._places.append(at)
+            self._normal[i][np.ix_(at, at)] = own @ own.T
+            self._right[i][:, at] = (own @ state.tau).T
+        size = np.sqrt(np.diagonal(self._normal.sum(axis=0)))
+        self._scale = np.maximum(size, _TINY)
+        for i, at in enumerate(self._places):  # offsets are held to be left over
+            k = at[-2:]
+            self._normal[i][k, k] += _OFFSET**2 * samples
+        self._normal /= self._scale * self._scale[:, None] * samples
+        self._right /= self._scale * samples
         self._torque = state.tau
-        self._right = np.einsum("imp,mc->icp", self._each, state.tau)
         self._squares = (state.tau**2).mean(axis=0)
-        self.explained = np.zeros_like(state.tau)
         self._size = np.maximum(state.tau.var(axis=0), _TINY * self._squares + _NONE)
+        self._theta = np.zeros(count)
+
+    @property
+    def explained(self) -> Array:
+        """Torque by the weights found last, shape (M, n), [N·m]."""
+        theta = self._theta / self._scale
+        pairs = zip(self._own, self._places, strict=True)
+        return np.stack([theta[at] @ own for own, at in pairs], axis=1)
 
     def left(self, order: NDArray[np.intp], factor: Array, *, rounds: int = 2) -> Array:
         """Share of each torque's variance that the best positive weights leave, (n,).
@@ -95,18 +102,17 @@ class MassColumns:
             factor: What it is to be multiplied by, shape (n,).
             rounds: Fits, from the second on with joints weighed by what the last left.
         """
-        each, samples = np.arange(len(order)), len(self._torque)
-        right = factor[:, None] * self._right[each, order] / samples
+        each = np.arange(len(order))
+        right = factor[:, None] * self._right[each, order]
         squares = factor**2 * self._squares[order]
         size = factor**2 * self._size[order]
-        normal = self._normal / samples
         share = np.ones(len(order))
         for _ in range(rounds):
             weight = 1.0 / (size * share)
-            theta = _positive(np.tensordot(weight, normal, 1), weight @ right)
-            rest = squares + ((normal @ theta - 2 * right) * theta).sum(axis=1)
+            normal = np.tensordot(weight, self._normal, 1)
+            self._theta = theta = _positive(normal, weight @ right)
+            rest = squares + ((self._normal @ theta - 2 * right) * theta).sum(axis=1)
             share = np.clip(rest / size, _LEAST, None)
-        self.explained = (self._each @ theta).T
         return np.asarray(share, dtype=np.float64)
 
     def left_alone(self) -> Array:
@@ -116,7 +122,8 @@ class MassColumns:
         may be whose, not which way it counts. Entry (i, c) is of column c at joint i.
         """
         left = []
-        for columns in self._each:
+        for own, at in zip(self._own, self._places, strict=True):
+            columns = own.T / self._scale[at]
             basis, value, _ = np.linalg.svd(columns, full_matrices=False)
             basis = basis[:, value > _RANK * value[0]]
             rest = self._torque - basis @ (basis.T @ self._torque)
@@ -131,32 +138,14 @@ def direction(v: Array) -> Array:
 
 
 def _drives(state: State) -> Array:
-    """Columns of rotors, friction, offsets and springs, shape (M, n, 6n)."""
-    samples, n = state.q.shape
-    drive = np.zeros((samples, n, n, _OWN))
-    dry = direction(state.v)
-    own = np.stack([state.a, state.v, dry, np.ones_like(dry), -np.ones_like(dry)], -1)
-    each = np.arange(n)
-    drive[:, each, each] = own
-    drives = drive.reshape(samples, n, _OWN * n)
+    """Columns of each joint's rotor, friction, spring and offset, shape (n, 6, M)."""
+    n = state.q.shape[1]
     relaxed = np.full(n, np.nan) if state.relaxed is None else state.relaxed
     relaxed = np.where(np.isfinite(relaxed), relaxed, state.q.mean(axis=0))
-    spring = np.zeros((samples, n, n))
-    spring[:, each, each] = state.q - relaxed
-    return np.concatenate([drives, spring], axis=2)
-
-
-def _offset_costs(size: Array, joints: int, masses: int) -> Array:
-    """Squares of offsets that count as left over, shape (n, P + 6n, P + 6n).
-
-    Torque that never changes may be held by an offset, but gravity is likelier.
-    """
-    costs = np.zeros((joints, len(size), len(size)))
-    for j in range(joints):
-        for k in (3, 4):
-            at = masses + _OWN * j + k
-            costs[j, at, at] = (_OFFSET / size[at]) ** 2
-    return costs
+    dry = direction(state.v)
+    one = np.ones_like(dry)
+    own = state.a, state.v, dry, state.q - relaxed, one, -one
+    return np.stack([x.T for x in own], axis=1)
 
 
 def _positive(normal: Array, right: Array) -> Array:

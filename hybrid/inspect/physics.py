@@ -14,15 +14,16 @@ warning.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
+from hybrid.dynamics.regressor import regressor
 from hybrid.inspect.doubt import Doubt, Severity
-from hybrid.inspect.masses import MassColumns, file_masses, unit_masses
+from hybrid.inspect.masses import MassColumns, unit_masses
 from hybrid.inspect.reading import OtherReading, readings
 from hybrid.inspect.speeds import bear_out
 from hybrid.inspect.state import State
@@ -46,21 +47,31 @@ class _Bench:
     Attributes:
         chain: The arm.
         state: The log as read so far.
-        masses: Parameters of the masses of each design.
+        masses: Parameters of the masses of each design, shape (n, 10, P).
     """
 
     chain: Chain
     state: State
     masses: dict[str, Array]
+    _regressors: dict[object, Array] = field(default_factory=dict)
     _columns: dict[tuple[str, object], MassColumns] = field(default_factory=dict)
     _left: dict[object, Array] = field(default_factory=dict)
+
+    def prepare(self, ways: Sequence[OtherReading]) -> None:
+        """Work out the regressors of some readings, all at once."""
+        moved = {way.motion: way.moved(self.state) for way in ways}
+        q, v, a = (
+            np.concatenate([getattr(s, x) for s in moved.values()]) for x in "qva"
+        )
+        Y = np.split(regressor(self.chain, q, v, a), len(moved))
+        self._regressors |= zip(moved, Y, strict=True)
 
     def left(self, reading: OtherReading, design: str, rounds: int = 2) -> Array:
         """Shares of torque that a reading leaves, shape (n,)."""
         key = design, reading.motion
         if key not in self._columns:
-            moved = reading.moved(self.state)
-            self._columns[key] = MassColumns(self.chain, moved, self.masses[design])
+            moved, Y = reading.moved(self.state), self._regressors[reading.motion]
+            self._columns[key] = MassColumns(moved, self.masses[design], Y)
         asked = key, reading, rounds
         if asked not in self._left:
             left = self._columns[key].left(*reading.torque, rounds=rounds)
@@ -96,7 +107,7 @@ def doubts_of_physics(
     masses = {"any": unit_masses(chain)}
     clocked = bear_out(state)
     if chain.inertial.any():
-        masses["file"] = file_masses(chain)
+        masses["file"] = chain.inertial[:, :, None]
     for _ in range(_MOST):
         found = _likelier(_Bench(chain, state, masses), clocked)
         if found is None:
@@ -116,6 +127,7 @@ def _likelier(
     """
     n = bench.chain.size
     plain = OtherReading((), (), "", np.arange(n), np.ones(n))
+    bench.prepare([plain])
     before = {design: bench.left(plain, design) for design in bench.masses}
     hopeful = [d for d, x in before.items() if _gain(x, np.minimum(x, _USUAL)) > _SURE]
     if not hopeful:
@@ -124,6 +136,7 @@ def _likelier(
     ways = list(readings(bench.chain, moving, bench.best_order(plain)))
     if clocked:
         ways = [way for way in ways if way.channels != ("t",)]
+    bench.prepare(ways)
     for design in bench.masses:
         gains = [bench.gain(plain, way, design, 1) for way in ways]
         finalists = [ways[k] for k in np.argsort(gains)[: -_FINALISTS - 1 : -1]]

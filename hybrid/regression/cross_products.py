@@ -24,8 +24,8 @@ _MOST_BLOCKS = 96
 _BLOCK_SECONDS = 0.25
 _GRADIENT_MARGIN = 16  # samples that numerical derivatives need on both sides
 
-# From a problem, a motion and some of its samples to rows of shape (P, N).
-Rows = Callable[[Problem, Motion, slice], Array]
+# Index of the first decimated sample, decimated rows (P, M), and those at full rate.
+Chunks = Iterator[tuple[int, Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def accumulate(
     standing: Array,
     folds: Sequence[NDArray[np.intp]] | None = None,
     blocks: Sequence[NDArray[np.intp]] | None = None,
-    rows: Rows | None = None,
+    chunks: Callable[[Problem, Motion], Chunks] | None = None,
 ) -> CrossProducts:
     """Cross-products over motions, columns and torque filtered alike.
 
@@ -145,7 +145,7 @@ def accumulate(
         folds: Fold of every sample, shape (N,) for each motion.
         blocks: Block of every sample to score on, shape (N,) for each motion; each lies
             in one fold.
-        rows: Where the rows of some samples of a motion come from.
+        chunks: Where the rows of a motion come from; see :func:`sampled_chunks`.
 
     Returns:
         Cross-products in some 100 blocks at most.
@@ -158,9 +158,15 @@ def accumulate(
     found: list[tuple[int, int, Array, Array]] = []
     for r, motion in enumerate(motions):
         fold = folds[r] if folds is not None else np.zeros(len(motion.t), dtype=int)
-        own = partial(rows or rows_of, problem, motion)
+        sampler = Sampler.for_rate(motion.rate, cutoff)
+        own = (
+            chunks(problem, motion)
+            if chunks
+            else sampled_chunks(partial(rows_of, problem, motion), fold.size, sampler)
+        )
+        length = max(1, round(block_seconds * motion.rate / sampler.factor))
         sums = _one_motion(
-            problem, motion, fold, cutoff, standing, block_seconds, own, scoring, r
+            problem, motion, fold, standing, sampler, length, own, scoring, r
         )
         found += [(r, key[1], *x) for key, x in sorted(sums.items())]
     if not found:
@@ -182,20 +188,18 @@ def _one_motion(
     problem: Problem,
     motion: Motion,
     fold: NDArray[np.intp],
-    cutoff: float,
     standing: Array,
-    block_seconds: float,
-    rows: Callable[[slice], Array],
+    sampler: Sampler,
+    length: int,
+    chunks: Chunks,
     scoring: Scoring | None,
     number: int,
 ) -> dict[tuple[int, int], tuple[Array, Array]]:
-    """Sums and counts by block in time and fold."""
-    sampler = Sampler.for_rate(motion.rate, cutoff)
-    length = max(1, round(block_seconds * motion.rate / sampler.factor))
+    """Sums and counts by block in time, of some decimated samples, and fold."""
     sizes = np.diff(problem.offsets)
     found: dict[tuple[int, int], tuple[Array, Array]] = {}
     moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T.astype(float)
-    for first, D, raw in sampled_chunks(rows, len(motion.t), sampler):
+    for first, D, raw in chunks:
         if scoring is not None:
             here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
             scoring.add(number, here, raw, moves[:, here])
@@ -221,8 +225,11 @@ def rows_of(problem: Problem, motion: Motion, here: slice) -> Array:
 
 
 def sampled_chunks(
-    rows: Callable[[slice], Array], total: int, sampler: Sampler
-) -> Iterator[tuple[int, Array, Array]]:
+    rows: Callable[[slice], Array],
+    total: int,
+    sampler: Sampler,
+    filtered: Callable[[slice, Array], Array] | None = None,
+) -> Chunks:
     """Rows evaluated at full rate, filtered and decimated, a chunk at a time.
 
     Chunks overlap by as much as the filter reaches, so the result is that of one piece.
@@ -231,6 +238,8 @@ def sampled_chunks(
         rows: From consecutive samples, as a slice, to rows of shape (P, N).
         total: Number of samples.
         sampler: Filter and decimation.
+        filtered: From the same samples and their rows to rows that were passed through
+            the sampler, if some are known already.
 
     Yields:
         Index of the first decimated sample, the decimated rows, shape (P, M), and the
@@ -243,8 +252,9 @@ def sampled_chunks(
         before = max(0, start - margin)
         after = min(total, start + chunk + margin)
         stop = min(total, start + chunk)
-        full = rows(slice(before, after))
-        D = sampler(full, axis=1)
+        here = slice(before, after)
+        full = rows(here)
+        D = filtered(here, full) if filtered else sampler(full, axis=1)
         skip = (start - before) // factor
         count = -(-(stop - start) // factor)
         raw = full[:, start - before : stop - before]

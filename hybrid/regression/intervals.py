@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from hybrid.arrays import Array
 from hybrid.regression.cross_products import CrossProducts
@@ -67,7 +67,7 @@ class Estimate:
 
     def interval(self, level: float = 0.95) -> tuple[Array, Array]:
         """Lower and upper ends of the confidence intervals, shapes (p,)."""
-        half = student.ppf(0.5 + level / 2, self.degrees) * self.std
+        half = stdtrit(self.degrees, 0.5 + level / 2) * self.std
         return self.theta - half, self.theta + half
 
 
@@ -104,11 +104,20 @@ def estimated(
     found: Settled,
     *,
     prior: Prior | None = None,
+    among: CrossProducts | None = None,
 ) -> Estimate:
-    """How sure a solution is; arguments are those of :func:`settle`."""
+    """How sure a solution is; arguments are those of :func:`settle`.
+
+    Args:
+        products: Accumulated data.
+        found: The solution.
+        prior: What was known of the unknowns beforehand.
+        among: The same data with more unknowns behind these, taken to be zero: what was
+            chosen on the data is as uncertain as if it had not been.
+    """
     A, _ = products.normal(found.weight)
     condition, undetermined = _excitation(A)
-    covariance, degrees = _covariance(products, found, prior)
+    covariance, degrees = _covariance(among or products, found, prior)
     return Estimate(
         theta=found.theta,
         covariance=covariance,
@@ -167,12 +176,15 @@ def _covariance(
     Source: Efron and Stein 1981, doi 10.1214/aos/1176345462. An unknown at its bound is
     as uncertain as if there were none.
     """
-    theta, weight = found.theta, found.weight
+    weight, size = found.weight, len(found.theta)
+    more = 0, products.problem.size - size
+    theta = np.pad(found.theta, more)
     A, b = products.normal(weight)
     held, rest = A, b - A @ theta
     if prior is not None:
-        held = held + prior.precision
-        rest = rest + prior.pull - prior.precision @ theta
+        precision = np.pad(prior.precision, more)
+        held = held + precision
+        rest = rest + np.pad(prior.pull, more) - precision @ theta
     scores = _scores(products, theta, weight)
     count = len(scores)
     changes = np.empty((count, len(theta)))
@@ -185,9 +197,9 @@ def _covariance(
         inverse = pseudo_inverse(held)
         noise = np.diag(inverse @ A @ inverse)
         counts = np.diag(covariance) / np.maximum(noise, 1e-300)
-        held_by = inverse @ prior.precision @ inverse
+        held_by = inverse @ precision @ inverse
         covariance += max(1.0, float(np.median(counts))) * held_by
-    return covariance, count - 1
+    return covariance[:size, :size], count - 1
 
 
 def _scores(products: CrossProducts, theta: Array, weight: Array) -> Array:

@@ -18,6 +18,7 @@ from hybrid.dynamics import (
     BaseParameters,
     RigidBody,
     effect_gains,
+    regressor,
     rich_motion,
     stacked_base,
     stacked_columns,
@@ -54,10 +55,9 @@ class Problem:
         return self.base.size
 
     @property
-    def rigid(self) -> Array:
+    def rigid(self) -> NDArray[np.intp]:
         """Indices of the base inertial parameters among the unknowns."""
-        n = 10 * self.chain.size
-        return np.array([k for k, c in enumerate(self.base.kept) if c < n], dtype=int)
+        return np.arange(len(self.links))
 
     @cached_property
     def gains(self) -> tuple[tuple[int, int, int], ...]:
@@ -95,12 +95,60 @@ class Problem:
         sizes = [len(s) + 1 for s in self.support]
         return (0, *np.cumsum(sizes).tolist())
 
-    def rows(self, motion: Motion, body: RigidBody | None = None) -> Array:
+    @cached_property
+    def links(self) -> tuple[int, ...]:
+        """Kept inertial parameters, of 10n: what the rows of the links depend on."""
+        return tuple(c for c in self.base.kept if c < 10 * self.chain.size)
+
+    @cached_property
+    def link_rows(self) -> tuple[slice, ...]:
+        """Which of :meth:`rows` are of the links, for each joint: the first of its."""
+        counts = [int((s < len(self.links)).sum()) for s in self.support]
+        pairs = zip(self.offsets, counts, strict=False)
+        return tuple(slice(start, start + count) for start, count in pairs)
+
+    @cached_property
+    def other_rows(self) -> tuple[slice, ...]:
+        """Which are not: those of effects and the torque, for each joint."""
+        pairs = zip(self.link_rows, self.offsets[1:], strict=True)
+        return tuple(slice(links.stop, end) for links, end in pairs)
+
+    @property
+    def alike(self) -> bool:
+        """Whether the rows of the links are those of any other problem."""
+        return not any(e.observes or e.reports for e in self.effects)
+
+    def same(self, other: Problem) -> bool:
+        """Whether another problem has the same unknowns and columns."""
+        mine, its = ((p.effects, p.columns, p.base.kept) for p in (self, other))
+        return mine == its and np.array_equal(self.inertial, other.inertial)
+
+    def complete(self) -> Problem:
+        """The same with the gains that were left out, behind all others."""
+        left_out = set(effect_gains(self.effects)) - set(self.columns)
+        if not left_out:
+            return self
+        columns = (*self.columns, *sorted(left_out))
+        base = stacked_base(self.chain, self.effects, columns)
+        return replace(self, base=base, columns=columns)
+
+    def of_links(self, motion: Motion) -> Array:
+        """Columns of :attr:`links`, as they lie in memory, shape (n, c, N)."""
+        Y = regressor(self.chain, motion.q, motion.v, motion.a, self.links)
+        return Y.transpose(1, 2, 0)
+
+    def rows(
+        self,
+        motion: Motion,
+        links: Array | None = None,
+        body: RigidBody | None = None,
+    ) -> Array:
         """Columns of every joint with its torque last, at full rate.
 
         Args:
             motion: N samples of motion and torque.
-            body: The rigid body along it, if it is known already.
+            links: What :meth:`of_links` gives, if it is known already.
+            body: The rigid body along the motion, likewise.
 
         Returns:
             For joint i, rows ``offsets[i]`` on hold its columns in the order of
@@ -113,32 +161,19 @@ class Problem:
                 motion = effect.observe(motion, body)
                 body = RigidBody(self.chain, motion, self.inertial)
         out = np.empty((self.offsets[-1], len(motion.t)))
-        kept = np.array(self.base.kept)
-        rigid = 10 * self.chain.size
+        links = self.of_links(motion) if links is None else links
         effects = dict(self._effect_columns(motion, body))
-        bodily, places = body.some_columns(kept[self.rigid].tolist())
-        place = np.zeros(self.size, dtype=np.intp)
-        place[self.rigid] = places
-        for i, support in enumerate(self.support):
-            start = self.offsets[i]
-            columns = kept[support]
-            inertial = columns < rigid
-            count = int(inertial.sum())
-            # The regressor keeps samples last in memory: these are plain row copies,
-            # which "raise" would make twice.
-            np.take(
-                bodily.transpose(1, 2, 0)[i],
-                place[support[inertial]],
-                axis=0,
-                out=out[start : start + count],
-                mode="clip",
-            )
-            for row, column in enumerate(columns[~inertial], start + count):
-                out[row] = effects[int(column), i]
-            out[start + len(support)] = tau[:, i]
+        rows = self.link_rows, self.other_rows
+        for i, (mine, others) in enumerate(zip(*rows, strict=True)):
+            which = np.split(self.support[i], [mine.stop - mine.start])
+            # "raise" would copy these rows twice
+            np.take(links[i], which[0], axis=0, out=out[mine], mode="clip")
+            for row, unknown in enumerate(which[1], mine.stop):
+                out[row] = effects[self.base.kept[unknown], i]
+            out[others.stop - 1] = tau[:, i]
             for effect in self.effects:
                 if effect.reports and i in effect.joints:
-                    part = out[start : start + len(support)]
+                    part = out[mine.start : others.stop - 1]
                     part[...] = effect.report(motion.t, part.T).T
         return out
 

@@ -65,15 +65,21 @@ class Scoring:
         self.scores = Scores(problem, sums, fold)
 
     def add(self, r: int, here: slice, D: Array, moving: Array) -> None:
-        """Take in rows, shape (P, N), of samples of motion r at which joints move."""
+        """Take in rows, shape (P, N), of samples of motion r.
+
+        Args:
+            r: Number of the motion.
+            here: The samples.
+            D: Their rows. They are zero afterwards where their joint stands.
+            moving: One where a joint moves, else zero, shape (n, N).
+        """
         label = self.blocks[r][here]
-        order = np.argsort(label, kind="stable")  # folds of masked samples may return
-        label = label[order]
-        offsets = self.scores.problem.offsets
-        for start, stop in runs_of(label):
-            at = order[start:stop]
-            for i, sums in enumerate(self.scores.sums):
-                part = D[offsets[i] : offsets[i + 1], at] * moving[i, at]
+        runs, offsets = runs_of(label), self.scores.problem.offsets
+        for i, sums in enumerate(self.scores.sums):
+            own = D[offsets[i] : offsets[i + 1]]
+            own *= moving[i]
+            for start, stop in runs:
+                part = own[:, start:stop]
                 sums[label[start]] += part @ part.T
 
 

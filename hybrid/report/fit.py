@@ -105,9 +105,9 @@ def _quantity(name: str, value: float, unit: str, half: float = 0.0) -> str:
 
 def _half_width_of_std(fit: Fit) -> float:
     """Half-widths of the 95 % intervals in standard deviations."""
-    from scipy.stats import t as student
+    from scipy.special import stdtrit
 
-    return float(student.ppf(0.975, fit.estimate.degrees))
+    return float(stdtrit(fit.estimate.degrees, 0.975))
 
 
 def _units(effect: Effect) -> dict[str, str]:

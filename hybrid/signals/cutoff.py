@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.recording.recording import Recording
 
 QUIET = (0.3, 0.45)  # of the rate: frequencies at which an arm does not move
@@ -12,11 +13,11 @@ QUIET = (0.3, 0.45)  # of the rate: frequencies at which an arm does not move
 def choose_cutoff(recording: Recording) -> float:
     """Cut-off above which positions hold more noise than motion.
 
-    The noise floor of a joint is the median of its position spectrum (Welch, segments
-    of 4 s, linear trend removed, Blackman-Harris window, whose leakage is below encoder
-    noise) between 0.3 and 0.45 of the rate. Its motion ends where the spectrum comes
-    within 30 times (15 dB) of that floor for the first time. The cut-off is 1.5 times
-    the median end over the joints that move.
+    The noise floor of a joint is the median of its position spectrum (segments of 4 s,
+    Blackman-Harris window, whose leakage is below encoder noise) between 0.3 and 0.45
+    of the rate. Its motion ends where the spectrum comes within 30 times (15 dB) of
+    that floor for the first time. The cut-off is 1.5 times the median end over the
+    joints that move.
 
     Args:
         recording: Joint log on a uniform clock.
@@ -24,21 +25,13 @@ def choose_cutoff(recording: Recording) -> float:
     Returns:
         Cut-off within 5 Hz and 0.4 of the rate, [Hz].
     """
-    from scipy.signal import welch
-
     rate = recording.rate
     q = recording.q[:, np.ptp(recording.q, axis=0) > 0]
     highest = 0.4 * rate
     if q.size == 0 or len(q) < 16 or highest <= 5.0:
         return float(highest)
-    f, power = welch(  # type: ignore[call-overload]
-        q,
-        rate,
-        window="blackmanharris",
-        nperseg=min(len(q), int(4 * rate)),
-        detrend="linear",
-        axis=0,
-    )
+    size = min(len(q), int(4 * rate))
+    f, power = np.fft.rfftfreq(size, 1 / rate), _power(q, size)
     quiet = (f > QUIET[0] * rate) & (f < QUIET[1] * rate)
     noise = np.median(power[quiet], axis=0)
     # A simulated log has no noise: then encoder resolution, 1e-14 of the peak, counts.
@@ -50,3 +43,35 @@ def choose_cutoff(recording: Recording) -> float:
     ended = (share < 0.5) & (f > 0.5)[:, None]
     ends = np.where(ended.any(axis=0), f[np.argmax(ended, axis=0)], highest)
     return float(np.clip(1.5 * np.median(ends), 5.0, highest))
+
+
+def _power(x: Array, size: int) -> Array:
+    """Mean power of signals (N, n) over half-overlapping segments, trends removed.
+
+    Source: Welch 1967, doi 10.1109/TAU.1967.1161901.
+
+    Returns:
+        Power at each frequency of ``rfft``, shape (size//2 + 1, n), in any unit.
+    """
+    from scipy.fft import rfft
+
+    window = blackman_harris(size)
+    trend = np.stack([np.ones(size), np.linspace(-1, 1, size)])
+    trend /= np.linalg.norm(trend, axis=1, keepdims=True)
+    starts = range(0, len(x) - size + 1, size - size // 2)
+    total = np.zeros((x.shape[1], size // 2 + 1))
+    for start in starts:
+        part = x.T[:, start : start + size]
+        part = part - part @ trend.T @ trend
+        total += np.abs(rfft(window * part)) ** 2
+    return total.T / len(starts)
+
+
+def blackman_harris(size: int) -> Array:
+    """Window whose leakage is below 1e-9 of the power, shape (size,).
+
+    Source: Harris 1978, doi 10.1109/PROC.1978.10837.
+    """
+    angle = 2 * np.pi * np.arange(size) / size
+    terms = (0.35875, -0.48829, 0.14128, -0.01168)
+    return np.asarray(sum(a * np.cos(k * angle) for k, a in enumerate(terms)))

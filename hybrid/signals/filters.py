@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
+
+Label = TypeVar("Label", bound=np.generic)
+Spectrum = NDArray[np.complex128]
 
 _AT_ONCE = 6  # signals filtered: more would not stay in the cache
 _PART = 0.7  # of a signal: to filter less than that alone is worth the cut
@@ -72,9 +76,13 @@ class Sampler:
         """
         return _filtered(x, self.rate, self.cutoff, 5, axis, self.factor)
 
-    def keep(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The mask of the samples that decimation keeps; shape (ceil(N/factor),)."""
-        return mask[:: self.factor]
+    def keep(self, x: NDArray[Label]) -> NDArray[Label]:
+        """Masks or labels of the samples that decimation keeps, (ceil(N/factor), ...).
+
+        Args:
+            x: Those of all samples, shape (N, ...).
+        """
+        return x[:: self.factor]
 
 
 def butterworth(
@@ -179,18 +187,24 @@ def _gain(relative_cutoff: float, order: int, size: int) -> Array:
     return butterworth_gain(f, rate=1.0, cutoff=relative_cutoff, order=order)
 
 
-@lru_cache(maxsize=64)
-def _folds(size: int, factor: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Which frequencies of ``rfft`` fall onto each one once samples are dropped.
+def _folded(spectrum: Spectrum, size: int, factor: int) -> Spectrum:
+    """Spectra as they are once all but every ``factor``-th of ``size`` samples drop.
 
-    Returns:
-        Their indices, shape (factor, size//factor//2 + 1), and where they fall there
-        mirrored.
+    Args:
+        spectrum: As of ``rfft``, shape (k, size//2 + 1).
+        size: A multiple of the factor.
+        factor: How many frequencies fall onto each one.
     """
     few = size // factor
-    index = np.arange(few // 2 + 1) + few * np.arange(factor)[:, None]
-    mirrored = index > size // 2
-    return np.where(mirrored, size - index, index), mirrored
+    half = few // 2 + 1
+    out = spectrum[:, :half].copy()
+    for first in range(few, size, few):
+        direct = spectrum[:, first : first + half]
+        count = direct.shape[1]
+        out[:, :count] += direct
+        mirrored = spectrum[:, size - first - count : size - first - half : -1]
+        out[:, count:] += mirrored.conj()
+    return out
 
 
 @lru_cache(maxsize=64)
@@ -223,14 +237,12 @@ def _filtered(
     few = next_fast_len(-(-(samples + 2 * pad) // factor), real=True)
     size = factor * few
     gain = _gain(cutoff / rate, order, size) / factor
-    index, mirrored = _folds(size, factor)
     signals = np.ascontiguousarray(x).reshape(-1, samples)
     out = np.empty((len(signals), kept))
     for i in range(0, len(signals), _AT_ONCE):
-        spectrum = rfft(_continued(signals[i : i + _AT_ONCE], pad), size) * gain
-        if factor > 1:
-            parts = spectrum[:, index]
-            spectrum = np.where(mirrored, parts.conj(), parts).sum(axis=1)
+        spectrum = rfft(_continued(signals[i : i + _AT_ONCE], pad), size)
+        spectrum *= gain
+        spectrum = _folded(spectrum, size, factor)
         out[i : i + _AT_ONCE] = irfft(spectrum, few)[:, pad // factor :][:, :kept]
     out = out.reshape(*x.shape[:-1], kept)
     return np.ascontiguousarray(np.moveaxis(out, -1, axis))

@@ -17,7 +17,7 @@ from hybrid.signals.filters import (
     filter_reach,
     passes_all,
 )
-from hybrid.signals.speed import correction_by_speed
+from hybrid.signals.speed import SpeedCheck, correction_by_speed
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,10 @@ class Motion:
 
 
 def motion_from_recording(
-    recording: Recording, *, cutoff: float | None = None
+    recording: Recording,
+    *,
+    cutoff: float | None = None,
+    speed: SpeedCheck | None = None,
 ) -> Motion:
     """Filter and differentiate positions; torque stays as measured.
 
@@ -74,6 +77,7 @@ def motion_from_recording(
         recording: Joint log; an irregular clock is made uniform first.
         cutoff: Cut-off of the position filter, [Hz]; inf for none; chosen from the
             spectrum by :func:`choose_cutoff` if not given.
+        speed: What the measured speed of such a log is worth, if that is known.
 
     Returns:
         The motion at the full rate; its mask leaves out both edges for as long as the
@@ -91,7 +95,7 @@ def motion_from_recording(
     mask = np.zeros(len(recording.t), dtype=bool)
     mask[edge:-edge] = True
     q = butterworth(recording.q, rate=rate, cutoff=cutoff)
-    q = q + correction_by_speed(recording, cutoff=cutoff, mask=mask)
+    q = q + correction_by_speed(recording, cutoff=cutoff, mask=mask, check=speed)
     v = central_difference(q, rate=rate, accuracy=4)
     a = central_difference(v, rate=rate, accuracy=4)
     return Motion(

@@ -23,10 +23,8 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.recording.recording import Recording
-from hybrid.signals.cutoff import QUIET
-from hybrid.signals.filters import butterworth_gain
-
-Spectrum = NDArray[np.complex128]
+from hybrid.signals.cutoff import QUIET, blackman_harris
+from hybrid.signals.filters import Spectrum, butterworth_gain
 
 _SEGMENT = 4.0  # s: of a spectrum
 _FEWEST = 64  # samples of which a spectrum is made
@@ -120,7 +118,11 @@ def _judged(both: _Spectra, lag: Array) -> SpeedCheck:
 
 
 def correction_by_speed(
-    recording: Recording, *, cutoff: float, mask: NDArray[np.bool_]
+    recording: Recording,
+    *,
+    cutoff: float,
+    mask: NDArray[np.bool_],
+    check: SpeedCheck | None = None,
 ) -> Array:
     """Correction of low-passed positions by measured speed, for the least noise.
 
@@ -131,11 +133,12 @@ def correction_by_speed(
         recording: Joint log on a uniform clock.
         cutoff: Cut-off of the same filter as :func:`butterworth`, [Hz]; inf for none.
         mask: Samples by which a speed is judged, shape (N,).
+        check: What :func:`speed_against_position` says of it, if that is known.
 
     Returns:
         Shape (N, n), [rad]; exactly zero for a joint whose speed is not worth anything.
     """
-    check, v = speed_against_position(recording), recording.v
+    check, v = check or speed_against_position(recording), recording.v
     added = np.zeros_like(recording.q)
     use = np.flatnonzero(check.weight.any(axis=0))
     if v is None or not len(use):
@@ -239,12 +242,11 @@ class _Spectra:
 def _spectra(u: Array, v: Array, rate: float) -> _Spectra:
     """Spectra of central differences of position and of speed, shapes (N, n)."""
     from scipy.fft import rfft
-    from scipy.signal.windows import blackmanharris
 
     size = min(len(u), int(_SEGMENT * rate))
     count = 2 * len(u) // size - 1
     f = _moving_band(size, rate)
-    slope, window = np.sinc(2 * f / rate), blackmanharris(size)
+    slope, window = np.sinc(2 * f / rate), blackman_harris(size)
     window /= np.sqrt((window**2).sum() * rate / 2)  # one-sided densities
     signals = np.stack([u.T, np.gradient(u.T, axis=1) * rate, v.T])
     sums: list[Any] = [0.0] * 6

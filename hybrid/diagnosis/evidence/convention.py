@@ -29,7 +29,7 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.payload import Payload
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
-from hybrid.identification.data import FEWEST_PERIODS
+from hybrid.identification.preparation import FEWEST_PERIODS
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion

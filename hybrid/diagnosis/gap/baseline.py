@@ -12,7 +12,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap, simulated_torque
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
-from hybrid.identification.data import motions_of
+from hybrid.identification.preparation import motions_of
 from hybrid.model import DynamicModel
 from hybrid.recording import Recording
 from hybrid.robot import Robot

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
@@ -77,7 +78,19 @@ def _read_columns(
         raise _explained(path, dialect, used, error) from error
     if table.num_rows == 0:
         raise RecordingError(f"{path}: no rows below the column names")
-    return [{k: table.column(str(k)).to_numpy() for k in used}]
+    return [{k: _numbers(table.column(str(k))) for k in used}]
+
+
+def _numbers(column: Any) -> NDArray[Any]:
+    """A column as it lies in memory: pyarrow's own way loads pandas for that."""
+    kind = {"double": np.float64, "int64": np.int64}.get(str(column.type))
+    if kind is None or column.null_count:
+        return np.asarray(column.to_numpy())
+    parts = [
+        np.frombuffer(x.buffers()[1], kind)[x.offset : x.offset + len(x)]
+        for x in column.chunks
+    ]
+    return np.concatenate(parts)
 
 
 def _opener(path: Path) -> Any:
