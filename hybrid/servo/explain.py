@@ -375,11 +375,10 @@ class Search:
 
 def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Array]]:
     """Changes of every number by which it is probed, in coordinates, each (n,)."""
-    drive, spread = problem.prior.moved(x), problem.prior.spread
+    spread = problem.prior.spread
     ones = np.ones_like(spread[0])
     rates = [np.abs(np.diff(s.command, axis=0)) / s.step for s in problem.stretches]
     fastest = np.maximum(np.quantile(np.concatenate(rates), 0.98, axis=0), 1e-3)
-    pull = drive["stiffness"] * np.quantile(np.abs(problem.pulled), 0.98, axis=0)
     command = np.concatenate([s.command for s in problem.stretches])
     q = problem.measured
     out: dict[str, list[Array]] = {}
@@ -390,7 +389,8 @@ def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Ar
             out[each.name] = [spread[k], -spread[k], hint[k] - x[k]]
         if each.least == 0.0:
             out[each.name] = [spread[k], 0.25 * spread[k], hint[k] - x[k]]
-    out["stall"] = [np.log(share * pull / drive["stall"]) for share in (0.8, 0.5)]
+    # A limit shows only where it is reached: how far below the file's is not known.
+    out["stall"] = [-far * spread[NAMES.index("stall")] for far in (1.0, 2.0, 3.0)]
     out["pace"] = [share / fastest for share in (1.2, 2.0, 4.0)]
     # A joint that runs into a stop is there for a while.
     for name, ends in (("lower", (0.01, 0.05)), ("upper", (0.99, 0.95))):
