@@ -163,10 +163,10 @@ class Search:
                 out[j] -= 0.5 * np.linalg.slogdet(scaled[np.ix_(own, own)])[1]
         return np.asarray(out)
 
-    def grown(self, start: Explanation) -> Explanation:
+    def grown(self, start: Explanation, rounds: int = _ROUNDS) -> Explanation:
         """The explanation with all numbers that add to its evidence."""
         now = start
-        for turn in range(_ROUNDS):
+        for turn in range(rounds):
             self.progress(f"servos: {int(now.causes.sum())} causes, round {turn + 1}")
             after = self._wider(now)
             if after is None:

@@ -32,6 +32,7 @@ from hybrid.threads import one_thread
 
 _SECONDS, _EACH = 60.0, 10.0  # s of motion to fit, and of a part of it
 _TURNS = 20  # Gauss–Newton steps of a plain fit
+_NEAR = 3  # causes of a joint, up to which the file is looked at before a plain fit
 _WEIGHED = 120.0  # s of unseen motion, on which single numbers are weighed
 _UNSEEN = 4  # one recording in so many is kept aside
 _TAIL = 0.3  # of a single recording is kept aside
@@ -244,19 +245,15 @@ def fit_servo(
 
 def _best(search: Search, plain: Estimate, simple: NDArray[np.bool_]) -> Explanation:
     """The best explanation of each joint, from the file or from a plain fit."""
-    near = search.grown(search.file())
+    near = search.grown(search.file(), _NEAR)
     far = search.of(plain.x, simple & search.allowed)
     noise = search.noise.reaching(np.minimum(near.found.rms, far.found.rms))
     better = search.evidence(far, noise) > search.evidence(near, noise)
-    if better.any():
-        far = search.pruned(search.grown(far))
-        better = search.evidence(far, noise) > search.evidence(near, noise)
-        x = np.where(better, far.found.x, near.found.x)
-        equals = {**far.equals, **near.equals}
-        near = search.of(x, np.where(better, far.causes, near.causes))
-        near = replace(near, equals=equals)
-        near = search.grown(near)
-    return search.pruned(near)
+    if not better.any():
+        return search.pruned(search.grown(near))
+    x = np.where(better, far.found.x, near.found.x)
+    mixed = search.of(x, np.where(better, far.causes, near.causes))
+    return search.pruned(search.grown(replace(mixed, equals=near.equals)))
 
 
 def _split(logs: list[Stretch]) -> tuple[list[Stretch], list[Stretch]]:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _HALVINGS = 4  # of the step, at most
 _MODELS = 64  # that are kept compiled
+_FINE = 0.03  # of what a replay misses: a law leaves out as much
 _STEP = 0.005  # s: at most, of the physics
 # N·m/A at 1 Ω: so small that speed takes nothing off the torque at the limit.
 CONSTANT = 1e-3
@@ -199,7 +200,7 @@ def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Arr
 
 
 def converged(
-    robot: Robot, stretches: Sequence[Stretch], drive: Drive, error: Array
+    robot: Robot, stretches: Sequence[Stretch], drive: Drive, floor: Array
 ) -> ServoSimulator:
     """Replays with the longest step that is fine enough.
 
@@ -207,16 +208,19 @@ def converged(
         robot: The arm.
         stretches: What is replayed.
         drive: Servos like those that are sought.
-        error: What a replay may be off by, shape (n,), [rad].
+        floor: What a replay may be off by, shape (n,), [rad]; or by as little of what
+            it misses.
     """
     steps = [_STEP / 2**k for k in range(_HALVINGS)]
+    measured = np.concatenate([x.q for x in stretches])
     before: Array | None = None
     for step in steps:
         (moved,) = ServoSimulator(robot, step).replay(stretches, [drive])
         after = np.concatenate(moved)
         if before is not None:
             off = np.sqrt(np.mean((after - before) ** 2, axis=0))
-            if (off <= error).all():
+            miss = np.sqrt(np.mean((after - measured) ** 2, axis=0))
+            if (off <= np.maximum(floor, _FINE * miss)).all():
                 return ServoSimulator(robot, 2 * step)
         before = after
     return ServoSimulator(robot, steps[-1])
