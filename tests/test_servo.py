@@ -18,7 +18,8 @@ from hybrid.recording import Recording, write
 from hybrid.robot import Robot
 from hybrid.servo import Drive, fit_servo
 from hybrid.servo.drive import NAMES, QUANTITIES, known_masses
-from hybrid.servo.simulator import ServoSimulator, bristles, slowed
+from hybrid.servo.model import bristles
+from hybrid.servo.simulator import ServoSimulator, slowed
 from hybrid.servo.start import first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.servo.write import write_servos
