@@ -29,8 +29,8 @@ from hybrid.recording import Recording
 from hybrid.report import Table, markdown_table, provenance, write_results
 from hybrid.robot import Robot
 from hybrid.servo.drive import QUANTITIES
+from hybrid.servo.fit import fit_servo
 from hybrid.servo.model import declared_spec
-from hybrid.servo.servo_fit import fit_servo
 
 RATES = {"models/scara.xml": 200.0, "ur5": 100.0, "SO101": 50.0}  # Hz
 STEP, TICK, LOGS, SECONDS = 0.001, 2 * np.pi / 4096, 3, 16.0

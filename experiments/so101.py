@@ -25,7 +25,7 @@ from hybrid.report import Table, markdown_table, provenance, save_figure, write_
 from hybrid.report.servo import findings_table, replay_figure
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, PLAIN, Drive
-from hybrid.servo.servo_fit import fit_servo
+from hybrid.servo.fit import fit_servo
 from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import chosen, stretches_of
 
