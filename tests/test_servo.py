@@ -80,7 +80,7 @@ def commands(seed: int, seconds: float) -> np.ndarray:
     return np.array([0.6, -0.5]) + ease * np.where(t[:, None] % 10 < 6, tones, steps)
 
 
-def log(seed: int, seconds: float = 20.0, delay: float = 0.0, **changed) -> Recording:
+def log(seed: int, seconds: float = 10.0, delay: float = 0.0, **changed) -> Recording:
     """A log by MuJoCo's own friction and servos at 1 ms, with a coarse encoder."""
     model = mujoco.MjModel.from_xml_string(ARM)
     for name, value in changed.items():
@@ -104,11 +104,11 @@ def log(seed: int, seconds: float = 20.0, delay: float = 0.0, **changed) -> Reco
 
 @cache
 def found(folder, stiffness: float = 1.0, delay: float = 0.0):
-    """A fit of four logs; the elbow's servo may be softer than its file says."""
+    """A fit of three logs; the elbow's servo may be softer than its file says."""
     kp = np.array([25.0, 20.0 * stiffness])
     gain = np.zeros((2, 10))
     gain[:, 0] = kp
-    logs = [log(k, delay=delay, actuator_gainprm=gain) for k in range(4)]
+    logs = [log(k, delay=delay, actuator_gainprm=gain) for k in range(3)]
     return fit_servo(arm(folder), logs)
 
 
@@ -320,8 +320,8 @@ def test_coordinates_lead_back_to_the_numbers(numbers):
 
 
 def test_the_verbs_write_a_simulator_and_numbers(folder, tmp_path, capsys):
-    for k in range(3):
-        write(log(k, seconds=8.0), tmp_path / "logs" / f"{k}.csv")
+    for k in range(2):
+        write(log(k, seconds=6.0), tmp_path / "logs" / f"{k}.csv")
     robot, logs = arm(folder).path, str(tmp_path / "logs")
     fixed, numbers = tmp_path / "fixed.xml", tmp_path / "fit.json"
     asked = ["--robot", robot, "--recordings", logs]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.servo.drive import QUANTITIES, Drive
-from hybrid.servo.noise import Noise
+from hybrid.servo.noise import Noise, inexactness, resolution
 from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import Stretch
 
@@ -28,6 +29,7 @@ _ENDS = 5e-3  # relative fall of the cost that is not worth another step
 _DAMPINGS = (0.01, 1.0, 100.0)
 _LARGEST = 1.0  # step of a logarithm; of other numbers in prior deviations
 _PROBE = 0.05  # the same for slopes
+_LEAST = 1e-4  # rad: of an encoder without steps
 _KEPT = 64 * 2**20  # bytes of replays that are remembered
 LOGARITHMIC = np.array([q.positive for q in QUANTITIES])[:, None]
 SHARED = np.array([q.shared for q in QUANTITIES])
@@ -75,10 +77,16 @@ class Problem:
         """Positions of all stretches, shape (M, n), [rad]."""
         return np.concatenate([x.q for x in self.stretches])
 
-    @property
-    def pulled(self) -> Array:
-        """Commands less positions, shape (M, n), [rad]."""
-        return np.concatenate([x.command - x.q for x in self.stretches])
+    @cached_property
+    def _limits(self) -> tuple[Array, Array]:
+        """Least usual error [rad], and density of what laws leave out [rad²], (n,)."""
+        floor = np.maximum(resolution(self.stretches), _LEAST)
+        pulled = np.concatenate([x.command - x.q for x in self.stretches])
+        return floor, inexactness(pulled, self.stretches)
+
+    def noise(self, errors: Array) -> Noise:
+        """Noise as it shows in what a good replay misses, shape (M, n), [rad]."""
+        return Noise.of(errors, *self._limits)
 
     @property
     def step(self) -> Array:
@@ -169,9 +177,9 @@ class Problem:
             noise: How errors count; None for as much as those of the step before.
             turns: Most Gauss–Newton steps.
         """
-        found, pulled = start, self.pulled
+        found = start
         for _ in range(turns if start.free.any() else 0):
-            own = Noise.of(found.errors, pulled, self.stretches) if not noise else noise
+            own = noise or self.noise(found.errors)
             before = self.cost(found, own)
             found = self._step(found, own)
             if (before - self.cost(found, own) < _ENDS * before).all():

@@ -54,23 +54,12 @@ class Search:
         hint: Array,
         progress: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self.problem, self.hint, self._best = problem, hint, errors
-        self.noise = Noise.of(errors, problem.pulled, problem.stretches)
-        self.progress = progress
+        self.problem, self.hint, self.progress = problem, hint, progress
+        self.noise = problem.noise(errors)
         self.shapes = _SHAPES & ~problem.resting
         self.allowed = ~_SHAPES & ~problem.resting
         for k, j in known:
             self.allowed[k, j] = False
-
-    def _learn(self, errors: Sequence[Array]) -> None:
-        """Take noise from the best replay known of each joint."""
-        known = self._best
-        for each in errors:
-            better = (each**2).sum(axis=0) < (self._best**2).sum(axis=0)
-            self._best = np.where(better, each, self._best)
-        if self._best is not known:
-            problem = self.problem
-            self.noise = Noise.of(self._best, problem.pulled, problem.stretches)
 
     def file(self) -> Explanation:
         """Nothing is wrong, but shapes of friction that a file does not state."""
@@ -128,7 +117,8 @@ class Search:
         """Numbers to be fitted: one that moves all joints, or one at every joint."""
         problem, found = self.problem, now.found
         probes = Probes.of(problem, found.x, self.allowed & ~now.causes, self.hint)
-        self._learn([found.errors, *probes.errors])
+        for errors in (found.errors, *probes.errors):
+            self.noise = self.noise.least(problem.noise(errors))
         about = Curvature.of(problem, found, self.noise.reaching(found.rms))
         moves = promising(problem, found, about, probes)
         own: dict[int, list[Move]] = {}
