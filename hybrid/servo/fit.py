@@ -27,7 +27,7 @@ from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.threads import one_thread
 
-_SECONDS, _EACH = 60.0, 10.0  # s of motion to fit, and of a part of it
+_SECONDS, _EACH = 60.0, 5.0  # s of motion to fit, and of a part of it
 _TURNS = 20  # Gauss–Newton steps of a plain fit
 _NEAR = 2  # causes of a joint, up to which the file is looked at before a plain fit
 _WEIGHED = 120.0  # s of unseen motion, on which single numbers are weighed

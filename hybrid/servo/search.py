@@ -104,9 +104,11 @@ class Search:
                 x[:, seen], causes[move.k, move.j] = move.x[:, seen], True
             tried.append(self.of(x, causes, _TURNS))
         gain = np.array([self.evidence(x, noise) - before for x in tried])
-        single = gain.max(axis=0)
+        more = [(x.causes & ~now.causes).any(axis=0) for x in tried]
+        single = np.where(more, gain, 0.0).max(axis=0)
         if SHARED[trials[0][0].k] and gain[0].sum() > max(single.max(), 0.0):
             return tried[0]
+        gain = np.where(more, gain, 0.0)
         # Joints move each other a little: the clearest first.
         sure = single > max(0.0, _CLEAR * single.max())
         which = np.where(sure, gain.argmax(axis=0), -1)
