@@ -80,7 +80,9 @@ def commands(seed: int, seconds: float) -> np.ndarray:
     return np.array([0.6, -0.5]) + ease * np.where(t[:, None] % 10 < 6, tones, steps)
 
 
-def log(seed: int, seconds: float = 10.0, delay: float = 0.0, **changed) -> Recording:
+def log(
+    seed: int, seconds: float = 10.0, delay: float = 0.0, dead: float = 0.0, **changed
+) -> Recording:
     """A log by MuJoCo's own friction and servos at 1 ms, with a coarse encoder."""
     model = mujoco.MjModel.from_xml_string(ARM)
     for name, value in changed.items():
@@ -96,6 +98,7 @@ def log(seed: int, seconds: float = 10.0, delay: float = 0.0, **changed) -> Reco
         for i in range(parts):
             now = t[k] + i * model.opt.timestep - delay
             data.ctrl[:] = [np.interp(now, t, x) for x in command.T]
+            data.ctrl[0] -= np.clip(data.ctrl[0] - data.qpos[0], -dead, dead)
             mujoco.mj_step(model, data)
     measured = np.round(np.array(q) / TICK) * TICK
     joints = ("shoulder", "elbow")
@@ -141,6 +144,27 @@ def test_a_late_command_is_found_with_its_delay(folder):
     for x in late.values():
         assert x.value == pytest.approx(0.06, abs=0.006)
     assert (fit.after < 0.35 * fit.before).all()
+
+
+def test_a_limit_of_torque_far_below_that_of_the_file_is_found(folder):
+    limits = np.array([[-4.0, 4.0], [-0.6, 0.6]])
+    logs = [log(k, seconds=8.0, actuator_forcerange=limits) for k in range(3)]
+    fit = fit_servo(arm(folder), logs)
+    (stall,) = (x for x in fit.findings if x.joint == "elbow" and x.quantity == "stall")
+    assert stall.value == pytest.approx(0.6, rel=0.1)
+    assert fit.after[1] < 0.5 * fit.before[1]
+
+
+def test_a_file_says_a_dead_band_as_far_as_it_can(folder):
+    logs = [log(k, seconds=6.0, dead=0.05) for k in range(2)]
+    fit = fit_servo(arm(folder), logs)
+    assert ("dead_band", "shoulder") in {(x.quantity, x.joint) for x in fit.findings}
+    assert fit.drive["dead_band"][0] == pytest.approx(0.05, rel=0.2)
+    assert (fit.written["dead_band"] == 0.0).all()
+    (said,) = (x for x in fit.notes if "no place for the dead band of shoulder" in x)
+    less = re.search(r"by ([\d.]+) instead of ([\d.]+) mrad", said)
+    assert less is not None and float(less[1]) > float(less[2])
+    assert float(less[2]) == pytest.approx(1000 * fit.after[0], abs=0.06)
 
 
 def replay(robot, stretch, **changed) -> np.ndarray:
@@ -232,7 +256,7 @@ def test_the_first_guess_is_within_a_factor_of_two(robot):
 
 def test_the_written_file_moves_as_the_servos_that_were_found(folder, tmp_path):
     fit = found(folder, delay=0.06)
-    write_servos(fit.robot, fit.drive, tmp_path / "fixed.xml")
+    fit.save(tmp_path / "fixed.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "fixed.xml"))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data = mujoco.MjData(model)
