@@ -71,14 +71,26 @@ def fit_servo(
     simple = np.isin(NAMES, PLAIN)[:, None] & ~problem.resting
     plain = problem.fitted(problem.at(start, simple), None, _TURNS)
     search = Search(problem, plain.errors, struck, hint=plain.x, progress=progress)
-    best = _best(search, plain, simple)
-    found, written = best.found, _written(search, best)
-    std = np.zeros_like(prior.values)
+    return _result(robot, known, search, plain, _best(search, plain, simple), unseen)
+
+
+def _result(
+    robot: Robot,
+    known: Mapping[str, float],
+    search: Search,
+    plain: Estimate,
+    best: Explanation,
+    unseen: Sequence[Stretch],
+) -> ServoFit:
+    """What was found, weighed on unseen motion."""
+    problem, found = search.problem, best.found
+    simulator, std = problem.simulator, np.zeros_like(problem.prior.values)
     covariance = problem.covariance(found, search.noise)
     std[found.free] = np.sqrt(np.diagonal(covariance))
-    drives = [prior.moved(x.x) for x in (plain, found, written)]
-    simulator = problem.simulator
-    errors = [*missed(simulator, unseen, [None]), *missed(simulator, unseen, drives)]
+    estimates = plain, found, _written(search, best)
+    drives = [problem.prior.moved(each.x) for each in estimates]
+    (before,) = missed(simulator, unseen, [None])
+    between, after, written = missed(simulator, unseen, drives)
     notes = _notes(robot, problem.resting, known)
     return ServoFit(
         robot=robot,
@@ -87,15 +99,15 @@ def fit_servo(
         plain_drive=drives[0],
         std=std,
         findings=_findings(robot, problem, best, std, unseen),
-        before=errors[0],
-        plain=errors[1],
-        after=errors[2],
-        floor=resolution([*learn, *unseen]),
+        before=before,
+        plain=between,
+        after=after,
+        floor=resolution([*problem.stretches, *unseen]),
         seconds=sum(x.duration for x in unseen),
         unseen=tuple(x.source for x in unseen),
         resting=tuple(robot.joints[j] for j in np.flatnonzero(problem.resting)),
         scale=tuple(known),
-        notes=(*notes, *_unsaid(robot, drives[1], errors[2], errors[3])),
+        notes=(*notes, *_unsaid(robot, drives[1], after, written)),
     )
 
 
