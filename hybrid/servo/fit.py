@@ -124,7 +124,9 @@ def _problem(
     start = best_start(ServoSimulator(robot), parts, guess, prior)
     start = replace(start, values=np.where(resting, prior.values, start.values))
     simulator = converged(robot, parts, start, floor)
-    return Problem(simulator, parts, prior, resting), start.coordinates
+    ends = [(x.q.min(axis=0), x.q.max(axis=0)) for x in logs]
+    reached = np.array([np.min(ends, axis=(0, 1)), np.max(ends, axis=(0, 1))])
+    return Problem(simulator, parts, prior, resting, reached), start.coordinates
 
 
 def _best(search: Search, plain: Estimate, simple: NDArray[np.bool_]) -> Explanation:

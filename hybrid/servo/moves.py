@@ -121,7 +121,6 @@ def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Ar
     rates = [np.abs(np.diff(s.command, axis=0)) / s.step for s in problem.stretches]
     fastest = np.maximum(np.quantile(np.concatenate(rates), 0.98, axis=0), 1e-3)
     command = np.concatenate([s.command for s in problem.stretches])
-    q = problem.measured
     out: dict[str, list[Array]] = {}
     for k, each in enumerate(QUANTITIES):
         if each.positive:
@@ -133,12 +132,12 @@ def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Ar
     # A limit shows only where it is reached: how far below the file's is not known.
     out["stall"] = [-far * spread[NAMES.index("stall")] for far in (1.0, 2.0, 3.0)]
     out["pace"] = [share / fastest for share in (1.2, 2.0, 4.0)]
-    # A joint that runs into a stop is there for a while.
-    for name, ends in (("lower", (0.01, 0.05)), ("upper", (0.99, 0.95))):
-        way = 1.0 if name == "upper" else -1.0
-        beyond = (way * command).max(axis=0) > (way * q).max(axis=0)
-        places = [np.quantile(q, end, axis=0) - x[NAMES.index(name)] for end in ends]
-        out[name] = [np.where(beyond, place, 0.0) for place in places]
+    # A stop is no nearer than where any log has been.
+    for name, way, place in zip(
+        ("lower", "upper"), (-1.0, 1.0), problem.reached, strict=True
+    ):
+        beyond = (way * command).max(axis=0) > way * place
+        out[name] = [np.where(beyond, place - x[NAMES.index(name)], 0.0)]
     out["mass"] = [0.3 * ones, -0.3 * ones]
     out["sign"] = [-2.0 * ones]
     return out

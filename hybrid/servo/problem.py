@@ -64,12 +64,14 @@ class Problem:
         stretches: Logs.
         prior: Numbers of the robot file.
         resting: Joints that no log moves, shape (n,).
+        reached: Least and largest position in any log, shape (2, n), [rad].
     """
 
     simulator: ServoSimulator
     stretches: Sequence[Stretch]
     prior: Drive
     resting: NDArray[np.bool_]
+    reached: Array
     _known: dict[bytes, Array] = field(default_factory=dict)
 
     @property
