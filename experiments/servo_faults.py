@@ -1,12 +1,11 @@
 """One fault of an arm that logs command and position only: is it named?
 
-Arms with position servos and one fault each, or none, are simulated by MuJoCo's own
-friction and servo laws at 1 ms, logged at 50 to 200 Hz with an encoder of 4096 steps,
-and fitted from the file without the fault; with `--withheld` the fault is no candidate.
-A table appears: for each arm and fault, what is said. A fault does not show where the
-file itself replays the logs of that joint within a step of the encoder.
+Arms with position servos and one fault each, or none, are fitted from the file without
+the fault; with `--withheld` the fault is no candidate. A table appears: for each arm
+and fault, what is said. A fault does not show where the file itself replays all joints
+within a step of the encoder; another is equivalent where it replays unseen motion so.
 
-    python experiments/servo_faults.py --so101 FILE --out reports/servo_faults
+    python experiments/servo_faults.py --so101 FILE --seed 300 --out OUT
 """
 
 from __future__ import annotations
@@ -15,30 +14,20 @@ import json
 import time
 import warnings
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from outputs import command_line
+from servo_arms import FAULTS, RATES, TICK, log, with_servos
 
-from hybrid.effects.backlash import Backlash
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
-from hybrid.recording import Recording
 from hybrid.report import Table, markdown_table, provenance, write_results
 from hybrid.robot import Robot
+from hybrid.servo import ServoFit, fit_servo
 from hybrid.servo.drive import QUANTITIES
-from hybrid.servo.servo_fit import fit_servo
-from hybrid.servo.simulator import declared_spec
 
-RATES = {"models/scara.xml": 200.0, "ur5": 100.0, "SO101": 50.0}  # Hz
-STEP, TICK, LOGS, SECONDS = 0.001, 2 * np.pi / 4096, 3, 16.0
-FAULTS = (
-    "none", "controller_gain", "viscous", "coulomb", "armature", "saturation",
-    "torque_offset", "command_latency", "encoder_offset", "stribeck", "payload",
-    "spring", "deadzone", "backlash", "goal_speed", "contact", "sign",
-)  # fmt: skip
+LOGS = 3
 # Not told apart by motion at all, or shapes of one law.
 ALIKE = {
     "stribeck": {"coulomb"}, "encoder_offset": {"torque_offset"},
@@ -46,162 +35,46 @@ ALIKE = {
 }  # fmt: skip
 
 
-def with_servos(robot: Robot) -> Robot:
-    """The arm with stiff servos and some friction, where its file has none."""
-    weight = np.array(
-        [9.81 * robot.chain.inertial[j:, 0].sum() for j in range(robot.size)]
-    )
-    reach = np.linalg.norm(robot.chain.translation, axis=1)
-    beyond = np.array([reach[j + 1 :].sum() + 0.1 for j in range(robot.size)])
-    stall = np.where(np.isfinite(robot.tau_max), robot.tau_max, 2 * weight * beyond)
-    inertia = weight / 9.81 * beyond**2
-    rotor = np.maximum(robot.chain.armature, 0.3 * inertia)
-    kp = stall / 0.15
-    both = {"kp": kp, "kd": 0.7 * np.sqrt(kp * (inertia + rotor)), "tau_max": stall}
-    dry = np.maximum(robot.frictionloss, 0.03 * stall)
-    damping = np.maximum(robot.damping, 0.3 * both["kd"])
-    chain = replace(robot.chain, armature=rotor)
-    return replace(robot, chain=chain, frictionloss=dry, damping=damping, **both)
-
-
-def commands(robot: Robot, rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
-    """Two tones at every joint about the middle of its range, (N, n), [rad]."""
-    middle = np.nan_to_num((robot.q_min + robot.q_max) / 2, nan=0.4, posinf=0.4)
-    span = np.minimum(robot.q_max - middle, 0.8)
-    size = robot.size
-    tones = sum(
-        rng.uniform(0.1, 0.5, size)
-        * np.sin(
-            2 * np.pi * rng.uniform(0.05, 0.7, size) * t[:, None]
-            + rng.uniform(0, 6, size)
-        )
-        for _ in range(2)
-    )
-    return middle + np.minimum(t, 1)[:, None] * span * tones
-
-
-class Arm:
-    """An arm with a fault at joint j."""
-
-    def __init__(self, robot: Robot, fault: str, j: int) -> None:
-        spec = declared_spec(robot)
-        if fault == "backlash":
-            Backlash(joints=(j,), values={"half_width": 0.02}).edit_spec(
-                spec, robot.joints
-            )
-        model = self.model = spec.compile()
-        model.opt.timestep, n = STEP, robot.size
-        self.fault, self.j, stall = fault, j, robot.tau_max[j]
-        self.own = np.array([model.joint(x).qposadr[0] for x in robot.joints])
-        self.late, self.zero, d = np.zeros(n), np.zeros(n), self.own[j]
-        self.dead = self.falling = 0.0
-        self.fastest = np.inf
-        match fault:
-            case "controller_gain":
-                model.actuator_gainprm[j, 0] *= 0.6
-                model.actuator_biasprm[j, 1] *= 0.6
-            case "viscous":
-                model.dof_damping[d] += robot.kd[j]
-            case "coulomb":
-                model.dof_frictionloss[d] += 0.06 * stall
-            case "armature":
-                model.dof_armature[d] *= 3.0
-            case "saturation":
-                model.actuator_forcerange[j] = np.array([-0.05, 0.05]) * stall
-            case "torque_offset":
-                model.jnt_stiffness[d], model.qpos_spring[d] = 1e-6, 0.06e6 * stall
-            case "command_latency":
-                self.late[j] = 0.06
-            case "encoder_offset":
-                self.zero[j] = 0.08
-            case "stribeck":
-                self.falling = 0.06 * stall
-            case "payload":
-                model.body_mass[-1] *= 1.8
-                model.body_inertia[-1] *= 1.8
-                mujoco.mj_setConst(model, mujoco.MjData(model))
-            case "spring":
-                model.jnt_stiffness[d] = 0.15 * stall
-            case "deadzone":
-                self.dead = 0.02
-            case "goal_speed":
-                self.fastest = 0.4
-            case "contact":
-                middle = (robot.q_min[j] + robot.q_max[j]) / 2
-                middle = middle if np.isfinite(middle) else 0.4
-                model.jnt_range[d, 1] = middle + 0.15
-        self.plain = model.dof_frictionloss.copy()
-        self.data = mujoco.MjData(model)
-
-    def moved(self, t: np.ndarray, command: np.ndarray) -> np.ndarray:
-        """Positions at the times of commands, shape (N, n), [rad]."""
-        j, data, model = self.j, self.data, self.model
-        ways = np.ones(len(self.own))
-        ways[j] = -1.0 if self.fault == "sign" else 1.0
-        data.qpos[self.own], goal = (command[0] + self.zero) * ways, command[0].copy()
-        goal, out = goal + self.zero, []
-        parts = round((t[1] - t[0]) / STEP)
-        fine = np.arange(len(t) * parts) * STEP
-        asked = self.zero + np.stack(
-            [
-                np.interp(fine - d, t, c)
-                for d, c in zip(self.late, command.T, strict=True)
-            ],
-            axis=1,
-        )
-        most = np.full(len(goal), np.inf)
-        most[j] = self.fastest * STEP
-        play = self.own[j] + 1 if self.fault == "backlash" else None
-        for k in range(len(t)):
-            gap = data.qpos[play] if play else 0.0
-            out.append(data.qpos[self.own] * ways - self.zero)
-            out[-1][j] += gap
-            for ask in asked[k * parts : (k + 1) * parts]:
-                goal = goal + np.clip(ask - goal, -most, most)
-                data.ctrl[:] = goal * ways
-                at = self.own[j]
-                q, gap = data.qpos[at], data.qpos[play] if play else 0.0
-                off = np.clip(data.ctrl[j] - q, -self.dead, self.dead)
-                data.ctrl[j] -= off + gap
-                if self.falling:
-                    more = self.falling * np.exp(-((data.qvel[at] / 0.05) ** 2))
-                    model.dof_frictionloss[at] = self.plain[at] + more
-                mujoco.mj_step(model, data)
-        return np.array(out)
-
-
-def log(robot: Robot, fault: str, j: int, seed: int, rate: float) -> Recording:
-    """One log of the arm with a fault at joint j."""
-    t = np.arange(0.0, SECONDS, 1 / rate)
-    command = commands(robot, np.random.default_rng(seed), t)
-    q = np.round(Arm(robot, fault, j).moved(t, command) / TICK) * TICK
-    return Recording(t, q, command=command, joints=robot.joints, source=f"{seed}")
-
-
-def outcome(fit, fault: str, j: int, *, withheld: bool) -> str:
+def outcome(fit: ServoFit, fault: str, j: int) -> str:
     """What is said, against what is true."""
-    joint, shows = fit.robot.joints[j], (fit.before > TICK).any()
-    alike = ALIKE.get(fault, set()) | ({fault} if not withheld else set())
-    said = {(x.effect, x.joint) for x in fit.findings}
-    anywhere = fault == "payload"
-    said |= {(e, x.joint) for x in fit.findings for e in x.equivalents if e in alike}
-    also = {(x.effect, x.joint) for x in fit.findings if alike & {*x.equivalents}}
-    said -= also  # named beside the one that is true
-    good = {x for x in said if x[0] in alike and (anywhere or x[1] == joint)}
-    named = ", ".join(f"{e} at {x}" for e, x in sorted(said - good))
+    said = {(x.effect, x.joint): {x.effect, *x.equivalents} for x in fit.findings}
     if fault == "none":
-        return "right" if not said else f"false: {named}"
-    if not said:
-        left = 1000 * fit.after[j]
-        unsaid = "abstains" if "no known cause" in fit.sentence else "nothing"
-        return f"{unsaid}: {left:.1f} mrad" if shows else "does not show"
-    first = fit.findings[0]
-    if good and alike & {first.effect, *first.equivalents}:
-        true = any(e == fault for e, _ in good) and not also
-        text = "right" if true else "in class"
-        return text if not named else f"{text}, and {named}"
-    unknown = "no known cause" in fit.sentence
-    return f"{'abstains in part' if unknown else 'another'}: {named or 'elsewhere'}"
+        return "right" if not said else f"false: {named(said)}"
+    alike, joint = {fault} | ALIKE.get(fault, set()), fit.robot.joints[j]
+    here = {x: e for x, e in said.items() if fault == "payload" or x[1] == joint}
+    good = {x for x, effects in here.items() if effects & alike}
+    others = {x for x in said if x not in good}
+    if good:
+        right = any(effect == fault for effect, _ in good)
+        text = "right" if right else "in class"
+        return f"{text}, and {named(others)}" if others else text
+    if not (fit.before > TICK).any():
+        return f"{named(others)}, does not show" if others else "does not show"
+    if fit.after[j] < TICK:
+        return f"equivalent: {named(others)}" if others else "nothing"
+    unsaid = "abstains" if "no known cause" in fit.sentence else "another"
+    return (
+        f"{unsaid}: {named(others) or 'nothing'}, {1000 * fit.after[j]:.1f} mrad left"
+    )
+
+
+def named(said) -> str:
+    """Effects and joints in words."""
+    return ", ".join(f"{effect} at {joint}" for effect, joint in sorted(said))
+
+
+def table_of(cases: list[dict]) -> str:
+    """What was said, faults down and arms across."""
+    said: dict[str, dict[str, str]] = {}
+    for x in cases:
+        said.setdefault(x["fault"], {})[x["arm"]] = f"{x['said']} ({x['joint']})"
+    arms = list(dict.fromkeys(x["arm"] for x in cases))
+    rows = tuple((f, *(said[f].get(a, "") for a in arms)) for f in said)
+    counts = Counter(x["said"].split(":")[0] for x in cases)
+    told = ", ".join(f"{v} {k}" for k, v in counts.most_common())
+    seconds = np.median([x["seconds"] for x in cases])
+    text = markdown_table(Table(("", *arms), rows, words=True))
+    return f"{text}\n{told}; {seconds:.0f} s of processor time a case (median)\n"
 
 
 def main() -> None:
@@ -210,6 +83,7 @@ def main() -> None:
     parser.add_argument("--arms", default=",".join(RATES))
     parser.add_argument("--so101", type=Path, help="MJCF file of an SO-101")
     parser.add_argument("--faults", default=",".join(FAULTS))
+    parser.add_argument("--seed", type=int, default=0, help="of motions and joints")
     parser.add_argument("--withheld", action="store_true")
     args = parser.parse_args()
     warnings.simplefilter("ignore", HybridWarning)
@@ -217,49 +91,31 @@ def main() -> None:
     stored = args.out / f"{name}.json"
     cases = json.loads(stored.read_text())["cases"] if stored.exists() else []
     arms = [x for x in args.arms.split(",") if x != "SO101" or args.so101]
-    robots = {
-        x: with_servos(Robot.load(str(args.so101) if x == "SO101" else x)) for x in arms
-    }
-    for fault in args.faults.split(","):
-        for arm, robot in robots.items():
-            about = {"arm": Path(arm).stem, "fault": fault}
-            if any(about.items() <= x.items() for x in cases):
-                continue  # stored answers are kept
-            j = FAULTS.index(fault) % robot.size
-            logs = [log(robot, fault, j, seed, RATES[arm]) for seed in range(LOGS)]
-            struck = [
-                (k, i)
-                for k, x in enumerate(QUANTITIES)
-                for i in range(robot.size)
-                if x.effect == fault and args.withheld
-            ]
-            start = time.process_time()
-            fit = fit_servo(robot, logs, without=struck)
-            about |= {
-                "joint": robot.joints[j],
-                "said": outcome(fit, fault, j, withheld=args.withheld),
-                "seconds": time.process_time() - start,
-            }
-            cases.append(about | {"fit": fit.as_dict()})
-            how = provenance(command="python experiments/servo_faults.py")
-            write_results(stored, {"cases": cases, "provenance": how})
-            print(*about.values(), flush=True)
+    files = {x: str(args.so101) if x == "SO101" else x for x in arms}
+    robots = {x: with_servos(Robot.load(file)) for x, file in files.items()}
+    for fault, arm in [(f, a) for f in args.faults.split(",") for a in robots]:
+        about = {"arm": Path(arm).stem, "fault": fault, "seed": args.seed}
+        if any(about.items() <= x.items() for x in cases):
+            continue  # stored answers are kept
+        robot, struck = robots[arm], []
+        j = (FAULTS.index(fault) + args.seed) % robot.size
+        seeds = range(args.seed, args.seed + LOGS)
+        logs = [log(robot, fault, j, seed, RATES[arm]) for seed in seeds]
+        if args.withheld:
+            own = [k for k, x in enumerate(QUANTITIES) if x.effect == fault]
+            struck = [(k, i) for k in own for i in range(robot.size)]
+        start = time.process_time()
+        fit = fit_servo(robot, logs, without=struck)
+        about |= {"joint": robot.joints[j], "said": outcome(fit, fault, j)}
+        about["seconds"] = time.process_time() - start
+        cases.append(about | {"fit": fit.as_dict()})
+        how = provenance(
+            command=f"python experiments/servo_faults.py --seed {args.seed}"
+        )
+        write_results(stored, {"cases": cases, "provenance": how})
+        print(*about.values(), flush=True)
     with atomic_path(args.out / f"{name}.md") as path:
         path.write_text(table_of(cases), encoding="utf-8")
-
-
-def table_of(cases: list[dict]) -> str:
-    """What was said, faults down and arms across."""
-    said: dict[str, dict[str, str]] = {}
-    for x in cases:
-        said.setdefault(x["fault"], {})[x["arm"]] = x["said"]
-    arms = list(dict.fromkeys(x["arm"] for x in cases))
-    rows = tuple((f, *(said[f].get(a, "") for a in arms)) for f in said)
-    counts = Counter(x["said"].split(",")[0].split(":")[0] for x in cases)
-    seconds = np.median([x["seconds"] for x in cases])
-    told = ", ".join(f"{v} {k}" for k, v in counts.most_common())
-    text = markdown_table(Table(("", *arms), rows, words=True))
-    return f"{text}\n{told}; {seconds:.0f} s of processor time a case (median)\n"
 
 
 if __name__ == "__main__":

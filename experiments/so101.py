@@ -4,7 +4,8 @@ Three times another third of 36 real motions is kept aside; on it appear the err
 open-loop replays by the public file, by a plain fit (stiffness, damping, friction,
 rotor, offset and delay of every servo), and by the servos found, beside the resolution
 of the encoder, and the processor time. `--cma` adds the same plain numbers sought by
-CMA-ES on ten stretches of 12 s, for as many seconds of processor time.
+CMA-ES for as many seconds of processor time, `--sysid` those of `mujoco.sysid`, both on
+the stretches that ours has.
 
     python experiments/so101.py --data DIR --cma 600 --out reports/so101
 """
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from outputs import command_line
+from servo_peers import by_cma, by_sysid
 
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
@@ -24,8 +26,7 @@ from hybrid.recording import read_all
 from hybrid.report import Table, markdown_table, provenance, save_figure, write_results
 from hybrid.report.servo import findings_table, replay_figure
 from hybrid.robot import Robot
-from hybrid.servo.drive import NAMES, PLAIN, Drive
-from hybrid.servo.servo_fit import fit_servo
+from hybrid.servo.fit import fit_servo
 from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import chosen, stretches_of
 
@@ -41,46 +42,12 @@ def missed(robot, logs, drive) -> np.ndarray:
     return 1000 * np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
 
 
-def sought(robot, logs, seconds: float, seed: int) -> Drive:
-    """Plain numbers by CMA-ES: one delay, five others of every joint."""
-    import cma
-
-    parts = chosen(stretches_of(logs), 120.0, 12.0)
-    simulator, start = ServoSimulator(robot), Drive.declared(robot)
-    rows = [NAMES.index(name) for name in PLAIN if name != "delay"]
-    center = start.coordinates
-    unit = np.where(np.isfinite(start.spread), start.spread, 1.0)[rows]
-
-    def drive(x: np.ndarray) -> Drive:
-        y = center.copy()
-        y[rows] = center[rows] + unit * x[1:].reshape(len(rows), -1)
-        return start.moved(y).at(delay=abs(x[0]) * 0.05)
-
-    search = cma.CMAEvolutionStrategy(
-        np.zeros(1 + unit.size), 0.5, {"seed": seed, "verbose": -9}
-    )
-    ends = time.process_time() + seconds
-    while time.process_time() < ends:
-        tried = search.ask()
-        replays = simulator.replay(parts, [drive(x) for x in tried])
-        costs = [
-            np.mean(
-                [
-                    np.nan_to_num((q - p.q) ** 2, nan=9.0).mean()
-                    for q, p in zip(own, parts, strict=True)
-                ]
-            )
-            for own in replays
-        ]
-        search.tell(tried, costs)
-    return drive(search.result.xbest)
-
-
 def main() -> None:
     """Fit, replay what was kept aside, and write."""
     parser = command_line(__doc__, "so101")
     parser.add_argument("--data", type=Path, required=True, help="logs and MJCF file")
     parser.add_argument("--cma", type=float, default=0.0, metavar="S")
+    parser.add_argument("--sysid", action="store_true", help="needs mujoco[sysid]")
     args = parser.parse_args()
     warnings.simplefilter("ignore", HybridWarning)
     robot = Robot.load(args.data / "so101_new_calib.xml")
@@ -93,9 +60,13 @@ def main() -> None:
         fit = fit_servo(robot, learn)
         seconds = time.process_time() - start
         errors = {"public file": (missed(robot, unseen, None), 0.0)}
+        parts = chosen(stretches_of(learn), 60.0, 5.0)
         if args.cma:
-            other = sought(robot, learn, args.cma, seed=third)
-            errors["plain, CMA-ES"] = missed(robot, unseen, other), args.cma
+            other, cpu = by_cma(robot, parts, args.cma, seed=third)
+            errors["plain, CMA-ES"] = missed(robot, unseen, other), cpu
+        if args.sysid:
+            arm, cpu = by_sysid(robot, parts)
+            errors["plain, mujoco.sysid"] = missed(arm, unseen, None), cpu
         errors["plain fit"] = missed(robot, unseen, fit.plain_drive), np.nan
         errors["found"] = missed(robot, unseen, fit.drive), seconds
         for name, (x, cpu) in errors.items():
@@ -114,7 +85,7 @@ def main() -> None:
     parts = [markdown_table(table), "Third 3:\n", markdown_table(findings_table(fit))]
     text = "\n".join(parts)
     how = provenance(
-        command=f"python experiments/so101.py --data DIR --cma {args.cma:g}"
+        command=f"python experiments/so101.py --data DIR --cma {args.cma:g} --sysid"
     )
     write_results(args.out / "results.json", {"thirds": results, "provenance": how})
     with atomic_path(args.out / "table.md") as path:

@@ -18,7 +18,8 @@ from hybrid.recording import Recording, write
 from hybrid.robot import Robot
 from hybrid.servo import Drive, fit_servo
 from hybrid.servo.drive import NAMES, QUANTITIES, known_masses
-from hybrid.servo.simulator import ServoSimulator, bristles, slowed
+from hybrid.servo.model import bristles
+from hybrid.servo.simulator import ServoSimulator, slowed
 from hybrid.servo.start import first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.servo.write import write_servos
@@ -79,7 +80,9 @@ def commands(seed: int, seconds: float) -> np.ndarray:
     return np.array([0.6, -0.5]) + ease * np.where(t[:, None] % 10 < 6, tones, steps)
 
 
-def log(seed: int, seconds: float = 20.0, delay: float = 0.0, **changed) -> Recording:
+def log(
+    seed: int, seconds: float = 10.0, delay: float = 0.0, dead: float = 0.0, **changed
+) -> Recording:
     """A log by MuJoCo's own friction and servos at 1 ms, with a coarse encoder."""
     model = mujoco.MjModel.from_xml_string(ARM)
     for name, value in changed.items():
@@ -95,6 +98,7 @@ def log(seed: int, seconds: float = 20.0, delay: float = 0.0, **changed) -> Reco
         for i in range(parts):
             now = t[k] + i * model.opt.timestep - delay
             data.ctrl[:] = [np.interp(now, t, x) for x in command.T]
+            data.ctrl[0] -= np.clip(data.ctrl[0] - data.qpos[0], -dead, dead)
             mujoco.mj_step(model, data)
     measured = np.round(np.array(q) / TICK) * TICK
     joints = ("shoulder", "elbow")
@@ -103,11 +107,11 @@ def log(seed: int, seconds: float = 20.0, delay: float = 0.0, **changed) -> Reco
 
 @cache
 def found(folder, stiffness: float = 1.0, delay: float = 0.0):
-    """A fit of four logs; the elbow's servo may be softer than its file says."""
+    """A fit of three logs; the elbow's servo may be softer than its file says."""
     kp = np.array([25.0, 20.0 * stiffness])
     gain = np.zeros((2, 10))
     gain[:, 0] = kp
-    logs = [log(k, delay=delay, actuator_gainprm=gain) for k in range(4)]
+    logs = [log(k, delay=delay, actuator_gainprm=gain) for k in range(3)]
     return fit_servo(arm(folder), logs)
 
 
@@ -140,6 +144,27 @@ def test_a_late_command_is_found_with_its_delay(folder):
     for x in late.values():
         assert x.value == pytest.approx(0.06, abs=0.006)
     assert (fit.after < 0.35 * fit.before).all()
+
+
+def test_a_limit_of_torque_far_below_that_of_the_file_is_found(folder):
+    limits = np.array([[-4.0, 4.0], [-0.6, 0.6]])
+    logs = [log(k, seconds=8.0, actuator_forcerange=limits) for k in range(3)]
+    fit = fit_servo(arm(folder), logs)
+    (stall,) = (x for x in fit.findings if x.joint == "elbow" and x.quantity == "stall")
+    assert stall.value == pytest.approx(0.6, rel=0.1)
+    assert fit.after[1] < 0.5 * fit.before[1]
+
+
+def test_a_file_says_a_dead_band_as_far_as_it_can(folder):
+    logs = [log(k, seconds=6.0, dead=0.05) for k in range(2)]
+    fit = fit_servo(arm(folder), logs)
+    assert ("dead_band", "shoulder") in {(x.quantity, x.joint) for x in fit.findings}
+    assert fit.drive["dead_band"][0] == pytest.approx(0.05, rel=0.2)
+    assert (fit.written["dead_band"] == 0.0).all()
+    (said,) = (x for x in fit.notes if "no place for the dead band of shoulder" in x)
+    less = re.search(r"by ([\d.]+) instead of ([\d.]+) mrad", said)
+    assert less is not None and float(less[1]) > float(less[2])
+    assert float(less[2]) == pytest.approx(1000 * fit.after[0], abs=0.06)
 
 
 def replay(robot, stretch, **changed) -> np.ndarray:
@@ -231,7 +256,7 @@ def test_the_first_guess_is_within_a_factor_of_two(robot):
 
 def test_the_written_file_moves_as_the_servos_that_were_found(folder, tmp_path):
     fit = found(folder, delay=0.06)
-    write_servos(fit.robot, fit.drive, tmp_path / "fixed.xml")
+    fit.save(tmp_path / "fixed.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "fixed.xml"))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data = mujoco.MjData(model)
@@ -319,8 +344,8 @@ def test_coordinates_lead_back_to_the_numbers(numbers):
 
 
 def test_the_verbs_write_a_simulator_and_numbers(folder, tmp_path, capsys):
-    for k in range(3):
-        write(log(k, seconds=8.0), tmp_path / "logs" / f"{k}.csv")
+    for k in range(2):
+        write(log(k, seconds=6.0), tmp_path / "logs" / f"{k}.csv")
     robot, logs = arm(folder).path, str(tmp_path / "logs")
     fixed, numbers = tmp_path / "fixed.xml", tmp_path / "fit.json"
     asked = ["--robot", robot, "--recordings", logs]

@@ -156,7 +156,6 @@ def _diagnose_servos(
     from hybrid.report.diagnosis import CONTENT, PAGE
     from hybrid.report.servo import write_servo_page
     from hybrid.servo import fit_servo
-    from hybrid.servo.write import write_servos
 
     with screen.working(f"fitting the servos of {robot.name}") as tell:
         found = fit_servo(robot, recordings, known_mass=args.known_mass, progress=tell)
@@ -166,7 +165,7 @@ def _diagnose_servos(
         content = {**found.as_dict(), "provenance": how}
         write_json(folder / CONTENT, content)
         write_servo_page(folder / PAGE, found, replay, provenance=how)
-        write_servos(robot, found.drive, folder / SIMULATOR)
+        found.save(folder / SIMULATOR)
     write_record(args, how, found.as_dict())
     show_servos(found, screen)
     screen.say(f"Report: {args.out / PAGE}")

@@ -165,7 +165,6 @@ def _save_servos(
         HybridError: They replay unseen motion worse than the file's, as far as seen.
     """
     from hybrid.cli.screen import show_servos
-    from hybrid.servo.write import write_servos
 
     if found.after.mean() > found.before.mean() + found.floor.mean():
         raise HybridError(
@@ -174,7 +173,7 @@ def _save_servos(
             f"{1000 * found.before.mean():.1f}: nothing saved; valid are logs of more "
             "varied motion"
         )
-    write_servos(found.robot, found.drive, args.out)
+    found.save(args.out)
     write_record(args, how, found.as_dict())
     show_servos(found, screen)
     screen.say(f"simulator: {args.out}")

@@ -17,8 +17,7 @@ from hybrid.servo.drive import QUANTITIES
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hybrid.servo.replay import ServoReplay
-    from hybrid.servo.servo_fit import ServoFit
+    from hybrid.servo.servo_fit import ServoFit, ServoReplay
 
 
 def gap_table(fit: ServoFit) -> Table:

@@ -49,6 +49,7 @@ class DriveQuantity:
         least: Smallest value. Of presliding it is what a step of the replay resolves:
             stiffer bristles are unstable.
         shared: Whether it moves other joints as much as its own.
+        unsaid: Whether MJCF has no place for it.
     """
 
     name: str
@@ -59,6 +60,7 @@ class DriveQuantity:
     positive: bool = True
     least: float = -np.inf
     shared: bool = False
+    unsaid: bool = False
 
 
 QUANTITIES = (
@@ -74,8 +76,8 @@ QUANTITIES = (
     DriveQuantity("zero", "rad", "encoder_offset", 0.05, "", False),
     DriveQuantity("delay", "s", "command_latency", 0.03, "", False, 0.0),
     DriveQuantity("spring", "N·m/rad", "spring", 0.3, "torque", False, 0.0),
-    DriveQuantity("dead_band", "rad", "deadzone", 0.02, "", False, 0.0),
-    DriveQuantity("pace", "s/rad", "goal_speed", 1.0, "", False, 0.0),
+    DriveQuantity("dead_band", "rad", "deadzone", 0.02, "", False, 0.0, unsaid=True),
+    DriveQuantity("pace", "s/rad", "goal_speed", 1.0, "", False, 0.0, unsaid=True),
     DriveQuantity("lower", "rad", "contact", 0.5, "", False),
     DriveQuantity("upper", "rad", "contact", 0.5, "", False),
     DriveQuantity("mass", "", "payload", 0.3, shared=True),

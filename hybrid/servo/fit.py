@@ -1,192 +1,237 @@
-"""The most probable values of some numbers: Gauss–Newton on replays.
+"""Servos fitted to logs of command and position by replays.
 
-    J(x) = Σ_j w_j Σ_k ρ(e_jk) + ½ Σ ((x − x_file) / s)²
-
-e is what a replay misses of the measured position, w and ρ are of
-:class:`hybrid.servo.noise.Noise`. A servo moves its own joint before others: numbers of
-one kind are changed at all joints at once, and each joint shows its own slope; masses,
-which move all joints, are changed one by one. J is a sum over joints: each takes the
-step that suits it. The last slopes, which the covariance needs, are made one by one.
+Explanations compete by their evidence, see :mod:`hybrid.servo.search`. A number of the
+file is wrong with probability 1/(1 + e^−l), where l is the evidence lost with it back.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.servo.drive import QUANTITIES, Drive
-from hybrid.servo.noise import Noise
-from hybrid.servo.simulator import ServoSimulator
-from hybrid.servo.stretch import Stretch
+from hybrid.errors import RecordingError
+from hybrid.recording import Recording
+from hybrid.robot import Robot
+from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
+from hybrid.servo.evidence import Explanation
+from hybrid.servo.noise import resolution
+from hybrid.servo.problem import Estimate, Problem
+from hybrid.servo.search import Search
+from hybrid.servo.servo_fit import ServoFinding, ServoFit
+from hybrid.servo.simulator import ServoSimulator, converged, missed
+from hybrid.servo.start import best_start, first_guess
+from hybrid.servo.stretch import Stretch, chosen, stretches_of
+from hybrid.threads import one_thread
 
-_ENDS = 2e-3  # relative fall of the cost that is not worth another step
-_DAMPINGS = (0.01, 0.1, 1.0, 10.0, 100.0)
-_LARGEST = 1.0  # step of a logarithm; of other numbers in prior deviations
-_PROBE = 0.05  # the same for slopes
-LOGARITHMIC = np.array([q.positive for q in QUANTITIES])[:, None]
-SHARED = np.array([q.shared for q in QUANTITIES])
+_SECONDS, _EACH = 60.0, 5.0  # s of motion to fit, and of a part of it
+_TURNS = 20  # Gauss–Newton steps of a plain fit
+_NEAR = 2  # causes of a joint, up to which the file is looked at before a plain fit
+_WEIGHED = 120.0  # s of unseen motion, on which single numbers are weighed
+_UNSEEN = 4  # one recording in so many is kept aside
+_TAIL = 0.3  # of a single recording is kept aside
+_STILL = 3.0  # steps of the encoder: a joint that goes less far rests
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """Servos at which a search ended.
+@one_thread
+def fit_servo(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    *,
+    known_mass: Mapping[str, float] | None = None,
+    without: Sequence[tuple[int, int]] = (),
+    progress: Callable[[str], None] = lambda _: None,
+) -> ServoFit:
+    """Fit the servos of an arm to logs of command and position.
 
-    Attributes:
-        x: Coordinates, shape (len(QUANTITIES), n).
-        free: Which of them were fitted, P of them.
-        errors: What replays miss there, shape (M, n), [rad].
+    Whole recordings are kept aside and replayed at the end; of one or two recordings,
+    their last third.
+
+    Args:
+        robot: The arm; its servos are where the prior is.
+        recordings: Logs with command; torque is not used.
+        known_mass: Mass of the link that a joint moves, by the joint's name, [kg]. It
+            sets the scale of all torques: without one that is the file's masses.
+        without: Numbers known to be right: index of the quantity, and of the joint.
+        progress: Is told what is done.
+
+    Raises:
+        RecordingError: A log has no command, or no joint moves.
+        RobotError: A mass is known of a link that is not there.
     """
+    known = known_mass or {}
+    prior = Drive.declared(robot).at(mass=known_masses(robot, known))
+    struck = [*without, *((NAMES.index("mass"), robot.joints.index(x)) for x in known)]
+    learn, unseen = _split(stretches_of([x.in_order(robot.joints) for x in recordings]))
+    problem, start = _problem(robot, learn, prior)
+    progress("servos: plain fit")
+    simple = np.isin(NAMES, PLAIN)[:, None] & ~problem.resting
+    plain = problem.fitted(problem.at(start, simple), None, _TURNS)
+    search = Search(problem, plain.errors, struck, hint=plain.x, progress=progress)
+    return _result(robot, known, search, plain, _best(search, plain, simple), unseen)
 
-    x: Array
-    free: NDArray[np.bool_]
-    errors: Array
 
-    @property
-    def rms(self) -> Array:
-        """Error of replays, shape (n,), [rad]."""
-        return np.asarray(np.sqrt(np.mean(self.errors**2, axis=0)))
+def _result(
+    robot: Robot,
+    known: Mapping[str, float],
+    search: Search,
+    plain: Estimate,
+    best: Explanation,
+    unseen: Sequence[Stretch],
+) -> ServoFit:
+    """What was found, weighed on unseen motion."""
+    problem, found = search.problem, best.found
+    simulator, std = problem.simulator, np.zeros_like(problem.prior.values)
+    covariance = problem.covariance(found, search.noise)
+    std[found.free] = np.sqrt(np.diagonal(covariance))
+    estimates = plain, found, _written(search, best)
+    drives = [problem.prior.moved(each.x) for each in estimates]
+    (before,) = missed(simulator, unseen, [None])
+    between, after, written = missed(simulator, unseen, drives)
+    notes = _notes(robot, problem.resting, known)
+    return ServoFit(
+        robot=robot,
+        drive=drives[1],
+        written=drives[2],
+        plain_drive=drives[0],
+        std=std,
+        findings=_findings(robot, problem, best, std, unseen),
+        before=before,
+        plain=between,
+        after=after,
+        floor=resolution([*problem.stretches, *unseen]),
+        seconds=sum(x.duration for x in unseen),
+        unseen=tuple(x.source for x in unseen),
+        resting=tuple(robot.joints[j] for j in np.flatnonzero(problem.resting)),
+        scale=tuple(known),
+        notes=(*notes, *_unsaid(robot, drives[1], after, written)),
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """Logs, and what is known of servos before.
+def _problem(
+    robot: Robot, logs: Sequence[Stretch], prior: Drive
+) -> tuple[Problem, Array]:
+    """Logs to be replayed, and coordinates from which a plain fit starts."""
+    floor = resolution(logs)
+    travel = np.array([np.ptp(x.q, axis=0) for x in logs]).max(axis=0)
+    resting = travel < np.maximum(_STILL * np.sqrt(12.0) * floor, 1e-3)
+    if resting.all():
+        raise RecordingError("no joint moves; valid are logs of a moving arm")
+    parts, guess = chosen(logs, _SECONDS, _EACH), first_guess(robot, logs, prior)
+    start = best_start(ServoSimulator(robot), parts, guess, prior)
+    start = replace(start, values=np.where(resting, prior.values, start.values))
+    simulator = converged(robot, parts, start, floor)
+    ends = [(x.q.min(axis=0), x.q.max(axis=0)) for x in logs]
+    reached = np.array([np.min(ends, axis=(0, 1)), np.max(ends, axis=(0, 1))])
+    return Problem(simulator, parts, prior, resting, reached), start.coordinates
 
-    Attributes:
-        simulator: Replays.
-        stretches: Logs.
-        prior: Numbers of the robot file.
-    """
 
-    simulator: ServoSimulator
-    stretches: Sequence[Stretch]
-    prior: Drive
+def _best(search: Search, plain: Estimate, simple: NDArray[np.bool_]) -> Explanation:
+    """The best explanation of each joint, from the file or from a plain fit."""
+    near = search.grown(search.file(), _NEAR)
+    far = search.of(plain.x, simple & search.allowed)
+    noise = search.noise.reaching(np.minimum(near.found.rms, far.found.rms))
+    better = search.evidence(far, noise) > search.evidence(near, noise)
+    if better.any():
+        x = np.where(better, far.found.x, near.found.x)
+        mixed = search.of(x, np.where(better, far.causes, near.causes))
+        near = replace(mixed, equals=near.equals)
+    return search.pruned(search.grown(near))
 
-    @property
-    def measured(self) -> Array:
-        """Positions of all stretches, shape (M, n), [rad]."""
-        return np.concatenate([x.q for x in self.stretches])
 
-    @property
-    def pulled(self) -> Array:
-        """Commands less positions, shape (M, n), [rad]."""
-        return np.concatenate([x.command - x.q for x in self.stretches])
+def _written(search: Search, best: Explanation) -> Estimate:
+    """The most probable servos of those that MJCF has a place for."""
+    unsaid = np.array([x.unsaid for x in QUANTITIES])[:, None]
+    if not (best.causes & unsaid).any():
+        return best.found
+    x = np.where(unsaid, search.problem.prior.coordinates, best.found.x)
+    return search.of(x, best.causes & ~unsaid, _TURNS).found
 
-    @property
-    def step(self) -> Array:
-        """Prior deviations, or 1 of logarithms, shape (len(QUANTITIES), n)."""
-        return np.where(LOGARITHMIC, 1.0, self.prior.spread)
 
-    def errors(self, points: Sequence[Array]) -> list[Array]:
-        """What replays miss at some coordinates, shape (M, n) each, [rad]."""
-        drives = [self.prior.moved(x) for x in points]
-        found = self.simulator.replay(self.stretches, drives)
-        measured = self.measured
-        return [np.nan_to_num(np.concatenate(q) - measured, nan=1e3) for q in found]
+def _split(logs: list[Stretch]) -> tuple[list[Stretch], list[Stretch]]:
+    """What is fitted, and what is kept aside."""
+    if len(logs) >= 3:
+        unseen = logs[_UNSEEN // 2 :: _UNSEEN]
+        return [x for x in logs if x not in unseen], unseen
+    ends = [int((1 - _TAIL) * len(x.q)) for x in logs]
+    pairs = list(zip(logs, ends, strict=True))
+    return [x.cut(0, k) for x, k in pairs], [x.cut(k, len(x.q)) for x, k in pairs]
 
-    def at(self, x: Array, free: NDArray[np.bool_]) -> Estimate:
-        """Servos as they are, before a search."""
-        return Estimate(x, free, self.errors([x])[0])
 
-    def off(self, x: Array, free: NDArray[np.bool_]) -> Array:
-        """Half the squared distance from the prior at each joint, shape (n,)."""
-        z = np.where(free, (x - self.prior.coordinates) / self.prior.spread, 0.0)
-        return np.asarray(0.5 * (z**2).sum(axis=0))
+def _findings(
+    robot: Robot,
+    problem: Problem,
+    best: Explanation,
+    std: Array,
+    unseen: Sequence[Stretch],
+) -> tuple[ServoFinding, ...]:
+    """Numbers without which the logs are less probable, by what they are worth."""
+    x, prior, findings = best.found.x, problem.prior, []
+    places = np.argwhere(best.causes).tolist()
+    alone = [x.copy() for _ in places]
+    for (k, j), each in zip(places, alone, strict=True):
+        each[k, j] = prior.coordinates[k, j]
+    parts = chosen(unseen, _WEIGHED, _EACH)
+    drives = [prior.moved(each) for each in (x, *alone)]
+    errors = missed(problem.simulator, parts, drives)
+    for (k, j), error in zip(places, errors[1:], strict=True):
+        quantity, off = QUANTITIES[k], 1.96 * std[k, j]
+        ends = x[k, j] - off, x[k, j] + off
+        low, high = map(float, np.exp(ends) if quantity.positive else ends)
+        others = best.equals.get((k, j), ())
+        finding = ServoFinding(
+            effect=quantity.effect,
+            joint=robot.joints[j],
+            quantity=quantity.name,
+            unit=quantity.unit,
+            file=float(prior.values[k, j]),
+            value=float(drives[0].values[k, j]),
+            interval=(low, high),
+            probability=float(1.0 / (1.0 + np.exp(-best.losses[k, j]))),
+            equivalents=tuple(QUANTITIES[i].effect for i in others),
+            worth=float((error - errors[0])[j]),
+        )
+        findings.append(finding)
+    return tuple(sorted(findings, key=lambda f: -f.worth))
 
-    def cost(self, found: Estimate, noise: Noise) -> Array:
-        """Negative log posterior but for a constant, of each joint, shape (n,)."""
-        return noise.cost(found.errors) + self.off(found.x, found.free)
 
-    def slopes(self, found: Estimate, *, each: bool = False) -> Array:
-        """Change of errors per unit of every free coordinate, (P, M, n).
+def _unsaid(robot: Robot, drive: Drive, after: Array, written: Array) -> list[str]:
+    """What a written file leaves out, and what that costs on unseen motion."""
+    less = [
+        f"{1000 * x:.1f} instead of {1000 * y:.1f}"
+        for x, y in zip(written, after, strict=True)
+    ]
+    return [
+        f"MJCF has no place for the {each.name.replace('_', ' ')} of {joint}, "
+        f"{drive[each.name][j]:.3g} {each.unit}: replays of a written file miss by "
+        f"{less[j]} mrad there"
+        for each in QUANTITIES
+        for j, joint in enumerate(robot.joints)
+        if each.unsaid and drive[each.name][j] > 0
+    ]
 
-        Args:
-            found: Where.
-            each: Change one number after the other, and see it at all joints.
-        """
-        places = np.argwhere(found.free)
-        alone = SHARED[places[:, 0]] | each
-        groups = [place[None] for place in places[alone]]
-        kinds = np.unique(places[~alone, 0])
-        groups += [places[~alone & (places[:, 0] == k)] for k in kinds]
-        probe, moved = _PROBE * self.step, []
-        for group in groups:
-            y = found.x.copy()
-            y[group[:, 0], group[:, 1]] += probe[group[:, 0], group[:, 1]]
-            moved.append(y)
-        out = np.zeros((*found.free.shape, *found.errors.shape))
-        for group, after in zip(groups, self.errors(moved), strict=True):
-            change = after - found.errors
-            for k, j in group.tolist():
-                seen = slice(None) if SHARED[k] or each else j
-                out[k, j][:, seen] = change[:, seen] / probe[k, j]
-        return np.asarray(out[found.free])
 
-    def normal(
-        self,
-        found: Estimate,
-        slopes: Array,
-        noise: Noise,
-        spread: Array | None = None,
-    ) -> tuple[Array, Array]:
-        """Matrix and gradient of the log posterior.
-
-        Args:
-            found: Where.
-            slopes: From :meth:`slopes`, shape (P, M, n).
-            noise: How errors count.
-            spread: Prior deviations if not those of the file, (len(QUANTITIES), n).
-        """
-        spread = self.prior.spread if spread is None else spread
-        weight = noise.weights(found.errors)
-        flat = slopes.reshape(len(slopes), -1)
-        matrix = (flat * weight.ravel()) @ flat.T
-        gradient = flat @ (weight * found.errors).ravel()
-        inverse = 1.0 / spread[found.free] ** 2
-        matrix += np.diag(inverse)
-        away = (found.x - self.prior.coordinates)[found.free]
-        return matrix, gradient + inverse * away
-
-    def fitted(self, start: Estimate, noise: Noise | None, turns: int) -> Estimate:
-        """The most probable values of what is free.
-
-        Args:
-            start: Where the search begins.
-            noise: How errors count; None for as much as those of the step before.
-            turns: Most Gauss–Newton steps.
-        """
-        found, pulled = start, self.pulled
-        for _ in range(turns if start.free.any() else 0):
-            own = Noise.of(found.errors, pulled, self.stretches) if not noise else noise
-            before = self.cost(found, own).sum()
-            found = self._step(found, own)
-            if before - self.cost(found, own).sum() < _ENDS * before:
-                break
-        return found
-
-    def _step(self, found: Estimate, noise: Noise) -> Estimate:
-        """The best of several damped Gauss–Newton steps, at each joint."""
-        matrix, gradient = self.normal(found, self.slopes(found), noise)
-        most, tried = (_LARGEST * self.step)[found.free], []
-        for damping in _DAMPINGS:
-            damped = matrix + damping * np.diag(np.diagonal(matrix))
-            y = found.x.copy()
-            y[found.free] += np.clip(-np.linalg.solve(damped, gradient), -most, most)
-            tried.append(self.prior.moved(y).coordinates)
-        ends = [
-            replace(found, x=y, errors=e)
-            for y, e in zip(tried, self.errors(tried), strict=True)
-        ]
-        costs = np.array([self.cost(x, noise) for x in [found, *ends]])
-        points = np.array([found.x, *tried])
-        mixed = np.take_along_axis(points, costs.argmin(axis=0)[None, None, :], 0)[0]
-        ends.append(self.at(mixed, found.free))
-        return min([found, *ends], key=lambda x: float(self.cost(x, noise).sum()))
-
-    def covariance(self, found: Estimate, noise: Noise) -> Array:
-        """Posterior covariance of what is free, shape (P, P)."""
-        matrix, _ = self.normal(found, self.slopes(found, each=True), noise)
-        return np.asarray(np.linalg.inv(matrix))
+def _notes(
+    robot: Robot, resting: NDArray[np.bool_], known: Mapping[str, float]
+) -> list[str]:
+    """What these logs cannot tell."""
+    masses = ", ".join(f"{x:g} kg behind {name}" for name, x in known.items())
+    notes = [
+        f"torques are to the scale of a known mass: {masses}"
+        if known
+        else "without torque, every torque here rests on the masses of the file: if "
+        "these are off by a factor, so are stiffness, damping, friction and rotors"
+    ]
+    if not robot.chain.inertial[:, 0].any() or not robot.chain.gravity.any():
+        notes = ["the file has no weight: only ratios of these numbers are known"]
+    if resting.any():
+        names = ", ".join(robot.joints[j] for j in np.flatnonzero(resting))
+        notes.append(f"no log moves {names}: their numbers are the file's")
+    if not np.isfinite(robot.kp).all():
+        notes.append(
+            "the file declares no servo at some joints: a position servo is assumed"
+        )
+    return notes

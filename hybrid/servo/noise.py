@@ -2,7 +2,8 @@
 
     w = 1 / (σ² τ_e + (0.03 u)² τ_u + (1 ms · q̇)² τ_q̇)
 
-σ is the usual error of the best replays known, at least the resolution of the encoder.
+σ is the usual error of the replay that leaves least, σ²τ_e, at least the resolution of
+the encoder.
 u is the usual pull of the servo (command less position, a torque over its stiffness);
 known laws are never exact and leave about 3 % of it, and clocks are known to a
 millisecond. All last: τ samples count as one, the integrated autocorrelation. ρ is
@@ -40,27 +41,27 @@ class Noise:
     far: Array
 
     @classmethod
-    def of(cls, errors: Array, pulled: Array, stretches: Sequence[Stretch]) -> Noise:
+    def of(cls, errors: Array, floor: Array, inexact: Array) -> Noise:
         """Noise as it shows in the errors of a good replay, (M, n), [rad].
 
         Args:
             errors: What it misses.
-            pulled: Commands less positions, shape (M, n), [rad].
-            stretches: What was replayed.
+            floor: Least usual error, shape (n,), [rad].
+            inexact: Density of what laws and clocks leave out, shape (n,), [rad²].
         """
-        floor = np.maximum(resolution(stretches), 1e-4)
         usual = np.sqrt(np.mean(errors**2, axis=0))
         for _ in range(_ROUNDS):
             clipped = np.clip(errors, -_FAR * usual, _FAR * usual)
             usual = np.sqrt(np.mean(clipped**2, axis=0))
         usual = np.maximum(usual, floor)
         memory = np.array([_memory(x) for x in clipped.T])
-        speed = [np.gradient(x.q, x.step, axis=0) for x in stretches]
-        slow = _INEXACT * (pulled - pulled.mean(axis=0)), _CLOCK * np.concatenate(speed)
-        density = usual**2 * memory
-        for each in slow:
-            density += each.var(axis=0) * np.array([_memory(x) for x in each.T])
-        return cls(1.0 / density, _FAR * usual)
+        return cls(1.0 / (usual**2 * memory + inexact), _FAR * usual)
+
+    def least(self, other: Noise) -> Noise:
+        """The smaller of two at each joint."""
+        better = other.weight > self.weight
+        weight = np.where(better, other.weight, self.weight)
+        return Noise(weight, np.where(better, other.far, self.far))
 
     def reaching(self, rms: Array) -> Noise:
         """The same, but errors count in full as far as replays now usually miss.
@@ -78,6 +79,21 @@ class Noise:
     def weights(self, errors: Array) -> Array:
         """Weight of every error, shape (M, n), [1/rad²]."""
         return self.weight / (1.0 + (errors / self.far) ** 2)
+
+
+def inexactness(pulled: Array, stretches: Sequence[Stretch]) -> Array:
+    """Density of what laws and clocks leave out: (0.03 u)² τ_u + (1 ms · q̇)² τ_q̇.
+
+    Args:
+        pulled: Commands less positions u, shape (M, n), [rad].
+        stretches: What is replayed.
+    """
+    speed = [np.gradient(x.q, x.step, axis=0) for x in stretches]
+    law = _INEXACT * (pulled - pulled.mean(axis=0))
+    density = np.zeros(pulled.shape[1])
+    for each in (law, _CLOCK * np.concatenate(speed)):
+        density += each.var(axis=0) * np.array([_memory(x) for x in each.T])
+    return density
 
 
 def _memory(x: Array) -> float:

@@ -1,42 +1,73 @@
-"""Servos fitted to logs without torque, and what is wrong with those of the file.
-
-Explanations compete by their evidence, see :mod:`hybrid.servo.explain`. A number of the
-file is wrong with probability 1/(1 + e^−l), where l is the evidence lost with it back.
-"""
+"""Servos fitted to logs without torque, and what is wrong with those of the file."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.errors import RecordingError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
-from hybrid.servo.explain import Explanation, Search
-from hybrid.servo.finding import ServoFinding
-from hybrid.servo.fit import Estimate, Problem
-from hybrid.servo.noise import resolution
-from hybrid.servo.replay import ServoReplay
-from hybrid.servo.simulator import ServoSimulator, converged, missed
-from hybrid.servo.start import best_start, first_guess
-from hybrid.servo.stretch import Stretch, chosen, stretches_of
+from hybrid.servo.drive import QUANTITIES, Drive
+from hybrid.servo.simulator import ServoSimulator
+from hybrid.servo.stretch import stretches_of
 from hybrid.shown import Shown
-from hybrid.threads import one_thread
 
-_SECONDS, _EACH = 60.0, 10.0  # s of motion to fit, and of a part of it
-_TURNS = 20  # Gauss–Newton steps of a plain fit
-_WEIGHED = 120.0  # s of unseen motion, on which single numbers are weighed
-_UNSEEN = 4  # one recording in so many is kept aside
-_TAIL = 0.3  # of a single recording is kept aside
 _UNKNOWN = 4.0  # times the resolution of the encoder: more has a cause
-_STILL = 3.0  # steps of the encoder: a joint that goes less far rests
+
+
+@dataclass(frozen=True)
+class ServoFinding:
+    """One number of the file that is wrong.
+
+    Attributes:
+        effect: Effect of the library.
+        joint: Name of the joint.
+        quantity: What is wrong.
+        unit: Its unit.
+        file: What the file says.
+        value: What the logs say.
+        interval: 95 % of the posterior.
+        probability: That the file is wrong in this.
+        equivalents: Effects at the same joint that replay these logs as well.
+        worth: Error of unseen replays of this joint that comes back with the file's
+            number, the others making up for it as far as they can, [rad].
+    """
+
+    effect: str
+    joint: str
+    quantity: str
+    unit: str
+    file: float
+    value: float
+    interval: tuple[float, float]
+    probability: float
+    equivalents: tuple[str, ...]
+    worth: float
+
+
+@dataclass(frozen=True, eq=False)
+class ServoReplay:
+    """One log beside its replays, N samples.
+
+    Attributes:
+        t: Time, shape (N,), [s].
+        command: Commanded position, shape (N, n), [rad].
+        q: Measured position, shape (N, n), [rad].
+        before: What the file's servos make of it, shape (N, n), [rad].
+        after: What the servos found make of it, shape (N, n), [rad].
+        source: Where the log is from.
+    """
+
+    t: Array
+    command: Array
+    q: Array
+    before: Array
+    after: Array
+    source: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +77,7 @@ class ServoFit(Shown):
     Attributes:
         robot: The arm as its file has it.
         drive: Servos as found.
+        written: The same without what MJCF has no place for, others making up for it.
         plain_drive: Servos of a plain fit.
         std: Standard deviations: relative of positive numbers, else in the number's
             unit; shape (len(QUANTITIES), n).
@@ -65,6 +97,7 @@ class ServoFit(Shown):
 
     robot: Robot
     drive: Drive
+    written: Drive
     plain_drive: Drive
     std: Array
     findings: tuple[ServoFinding, ...]
@@ -120,45 +153,33 @@ class ServoFit(Shown):
         return ServoReplay(t, longest.command, longest.q, before, after, longest.source)
 
     def save(self, path: str | Path) -> None:
-        """Write the robot's own file with these servos, as MJCF."""
+        """Write the robot's own file with these servos, as far as MJCF can say them."""
         from hybrid.servo.write import write_servos
 
-        write_servos(self.robot, self.drive, path)
+        write_servos(self.robot, self.written, path)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
         joints = self.robot.joints
+        errors = {
+            "before": self.before,
+            "plain_fit": self.plain,
+            "after": self.after,
+            "noise": self.floor,
+        }
         return {
             "schema": "hybrid.servo/1",
             "robot": self.robot.name,
             "joints": list(joints),
             "sentence": self.sentence,
             "gap": [
-                {
-                    "joint": joint,
-                    "unit": "rad",
-                    "before": float(self.before[j]),
-                    "plain_fit": float(self.plain[j]),
-                    "after": float(self.after[j]),
-                    "noise": float(self.floor[j]),
-                }
+                {"joint": joint, "unit": "rad"}
+                | {name: float(x[j]) for name, x in errors.items()}
                 for j, joint in enumerate(joints)
             ],
             "findings": [asdict(x) for x in self.findings],
             "servos": [
-                {
-                    "joint": joint,
-                    **{
-                        x.name: {
-                            "value": float(self.drive[x.name][j]),
-                            "std": float(self.std[k, j]),
-                            "relative": x.positive,
-                            "unit": x.unit,
-                        }
-                        for k, x in enumerate(QUANTITIES)
-                    },
-                }
-                for j, joint in enumerate(joints)
+                {"joint": joint} | self._numbers(j) for j, joint in enumerate(joints)
             ],
             "seconds": self.seconds,
             "unseen": [Path(x).name for x in self.unseen],
@@ -167,175 +188,14 @@ class ServoFit(Shown):
             "notes": list(self.notes),
         }
 
-
-@one_thread
-def fit_servo(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    *,
-    known_mass: Mapping[str, float] | None = None,
-    without: Sequence[tuple[int, int]] = (),
-    progress: Callable[[str], None] = lambda _: None,
-) -> ServoFit:
-    """Fit the servos of an arm to logs of command and position.
-
-    Whole recordings are kept aside and replayed at the end; of one or two recordings,
-    their last third.
-
-    Args:
-        robot: The arm; its servos are where the prior is.
-        recordings: Logs with command; torque is not used.
-        known_mass: Mass of the link that a joint moves, by the joint's name, [kg]. It
-            sets the scale of all torques: without one that is the file's masses.
-        without: Numbers known to be right: index of the quantity, and of the joint.
-        progress: Is told what is done.
-
-    Raises:
-        RecordingError: A log has no command, or no joint moves.
-        RobotError: A mass is known of a link that is not there.
-    """
-    known = known_mass or {}
-    masses = known_masses(robot, known)
-    struck = [*without, *((NAMES.index("mass"), robot.joints.index(x)) for x in known)]
-    logs = stretches_of([x.in_order(robot.joints) for x in recordings])
-    learn, unseen = _split(logs)
-    rests = _resting(learn)
-    if len(rests) == robot.size:
-        raise RecordingError("no joint moves; valid are logs of a moving arm")
-    prior, floor = Drive.declared(robot).at(mass=masses), resolution(logs)
-    moving = ~np.isin(np.arange(robot.size), rests)
-    parts = chosen(learn, _SECONDS, _EACH)
-    start = best_start(
-        ServoSimulator(robot), parts, first_guess(robot, learn, prior), prior
-    )
-    start = Drive(np.where(moving, start.values, prior.values), prior.stall)
-    problem = Problem(converged(robot, parts, start, floor), parts, prior)
-    progress("servos: plain fit")
-    simple = moving & np.isin(NAMES, PLAIN)[:, None]
-    plain = problem.fitted(problem.at(start.coordinates, simple), None, _TURNS)
-    search = Search(
-        problem, plain.errors, moving, struck, hint=plain.x, progress=progress
-    )
-    best = _best(search, plain, simple)
-    found = problem.prior.moved(best.found.x)
-    simulator = problem.simulator
-    (before,) = missed(simulator, unseen, [None])
-    between, after = missed(simulator, unseen, [prior.moved(plain.x), found])
-    std = np.zeros_like(prior.values)
-    covariance = problem.covariance(best.found, search.noise)
-    std[best.found.free] = np.sqrt(np.diagonal(covariance))
-    return ServoFit(
-        robot=robot,
-        drive=found,
-        plain_drive=prior.moved(plain.x),
-        std=std,
-        findings=_findings(robot, prior, best, std, simulator, unseen),
-        before=before,
-        plain=between,
-        after=after,
-        floor=floor,
-        seconds=sum(x.duration for x in unseen),
-        unseen=tuple(x.source for x in unseen),
-        resting=tuple(robot.joints[j] for j in rests),
-        scale=tuple(known),
-        notes=_notes(robot, rests, known),
-    )
-
-
-def _best(search: Search, plain: Estimate, simple: NDArray[np.bool_]) -> Explanation:
-    """The best explanation of each joint, from the file or from a plain fit."""
-    near = search.grown(search.file())
-    far = search.of(plain.x, simple & search.allowed)
-    noise = search.noise.reaching(np.minimum(near.found.rms, far.found.rms))
-    better = search.evidence(far, noise) > search.evidence(near, noise)
-    if better.any():
-        far = search.pruned(search.grown(far))
-        better = search.evidence(far, noise) > search.evidence(near, noise)
-        x = np.where(better, far.found.x, near.found.x)
-        equals = {**far.equals, **near.equals}
-        near = search.of(x, np.where(better, far.causes, near.causes))
-        near = replace(near, equals=equals)
-        near = search.grown(near)
-    return search.pruned(near)
-
-
-def _split(logs: list[Stretch]) -> tuple[list[Stretch], list[Stretch]]:
-    """What is fitted, and what is kept aside."""
-    if len(logs) >= 3:
-        unseen = logs[_UNSEEN // 2 :: _UNSEEN]
-        return [x for x in logs if x not in unseen], unseen
-    ends = [int((1 - _TAIL) * len(x.q)) for x in logs]
-    pairs = list(zip(logs, ends, strict=True))
-    return [x.cut(0, k) for x, k in pairs], [x.cut(k, len(x.q)) for x, k in pairs]
-
-
-def _resting(logs: Sequence[Stretch]) -> list[int]:
-    travel = np.array([np.ptp(x.q, axis=0) for x in logs]).max(axis=0)
-    least = np.maximum(_STILL * np.sqrt(12.0) * resolution(logs), 1e-3)
-    return [int(j) for j in np.flatnonzero(travel < least)]
-
-
-def _findings(
-    robot: Robot,
-    prior: Drive,
-    best: Explanation,
-    std: Array,
-    simulator: ServoSimulator,
-    unseen: Sequence[Stretch],
-) -> tuple[ServoFinding, ...]:
-    """Numbers without which the logs are less probable, by what they are worth."""
-    x, file = best.found.x, prior.coordinates
-    places = np.argwhere(best.causes).tolist()
-    alone = [prior.moved(_with(x, file, k, j)) for k, j in places]
-    parts = chosen(unseen, _WEIGHED, _EACH)
-    errors = missed(simulator, parts, [prior.moved(x), *alone])
-    findings = []
-    for (k, j), error in zip(places, errors[1:], strict=True):
-        quantity, off = QUANTITIES[k], 1.96 * std[k, j]
-        ends = x[k, j] - off, x[k, j] + off
-        low, high = map(float, np.exp(ends) if quantity.positive else ends)
-        findings.append(
-            ServoFinding(
-                effect=quantity.effect,
-                joint=robot.joints[j],
-                quantity=quantity.name,
-                unit=quantity.unit,
-                file=float(prior.values[k, j]),
-                value=float(prior.moved(x).values[k, j]),
-                interval=(low, high),
-                probability=float(1.0 / (1.0 + np.exp(-best.losses[k, j]))),
-                equivalents=tuple(
-                    QUANTITIES[i].effect for i in best.equals.get((k, j), ())
-                ),
-                worth=float((error - errors[0])[j]),
-            )
-        )
-    return tuple(sorted(findings, key=lambda f: -f.worth))
-
-
-def _with(x: Array, file: Array, k: int, j: int) -> Array:
-    changed = x.copy()
-    changed[k, j] = file[k, j]
-    return changed
-
-
-def _notes(
-    robot: Robot, rests: Sequence[int], known: Mapping[str, float]
-) -> tuple[str, ...]:
-    masses = ", ".join(f"{x:g} kg behind {name}" for name, x in known.items())
-    notes = [
-        f"torques are to the scale of a known mass: {masses}"
-        if known
-        else "without torque, every torque here rests on the masses of the file: if "
-        "these are off by a factor, so are stiffness, damping, friction and rotors"
-    ]
-    if not robot.chain.inertial[:, 0].any() or not robot.chain.gravity.any():
-        notes = ["the file has no weight: only ratios of these numbers are known"]
-    if rests:
-        names = ", ".join(robot.joints[j] for j in rests)
-        notes.append(f"no log moves {names}: their numbers are the file's")
-    if not np.isfinite(robot.kp).all():
-        notes.append(
-            "the file declares no servo at some joints: a position servo is assumed"
-        )
-    return tuple(notes)
+    def _numbers(self, j: int) -> dict[str, Any]:
+        """All numbers of one servo."""
+        return {
+            x.name: {
+                "value": float(self.drive[x.name][j]),
+                "std": float(self.std[k, j]),
+                "relative": x.positive,
+                "unit": x.unit,
+            }
+            for k, x in enumerate(QUANTITIES)
+        }

@@ -6,26 +6,33 @@ import copy
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.robot import Robot
 from hybrid.servo.drive import Drive
+from hybrid.servo.model import bristles, declared_spec, install, servo_spec
 from hybrid.servo.stretch import Stretch
-
-if TYPE_CHECKING:
-    import mujoco
 
 _HALVINGS = 4  # of the step, at most
 _MODELS = 64  # that are kept compiled
+_FINE = 0.03  # of what a replay misses: a law leaves out as much
 _STEP = 0.005  # s: at most, of the physics
-# N·m/A at 1 Ω: so small that speed takes nothing off the torque at the limit.
-CONSTANT = 1e-3
-SOFT = 1e-6  # N·m/rad
-_CREEPS = 0.05  # rad/s: below, friction holds a joint
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """A stretch and servos, ready to be replayed."""
+
+    stretch: Stretch
+    parts: int  # physics steps between two samples
+    model: Any
+    state: Array
+    control: Array  # at every physics step, (·, n)
+    dead: Array
 
 
 class ServoSimulator:
@@ -53,39 +60,46 @@ class ServoSimulator:
         Returns:
             For each drive and each stretch positions, shape (N, n), [rad].
         """
-        steps = [max(1, int(np.ceil(x.step / self._longest))) for x in stretches]
-        longest = max((len(x.q) - 1) * k for x, k in zip(stretches, steps, strict=True))
-        count, n = len(drives) * len(stretches), self.robot.size
-        control = np.zeros((count, longest, n))
-        models: list[Any] = []
-        states = []
+        runs = []
         for drive in drives:
-            own: dict[float, Any] = {}
-            for stretch, k in zip(stretches, steps, strict=True):
-                model = own.get(step := round(stretch.step / k, 9))
-                if model is None:
-                    model = own[step] = self._model(drive, step)
-                late = np.zeros(n) if drive is None else drive["delay"]
-                pace = np.zeros(n) if drive is None else drive["pace"]
-                command = delayed(slowed(stretch, pace), late, k)
-                rows = control[len(models)]
-                rows[: len(command)], rows[len(command) :] = command, command[-1]
-                models.append(model)
-                states.append(self._state(model, drive, stretch, command[0]))
-        dead = np.zeros((len(drives), n))
-        for row, drive in zip(dead, drives, strict=True):
-            row[:] = 0.0 if drive is None else drive["dead_band"]
-        dead = np.repeat(dead, len(stretches), axis=0)
-        found = _rolled(models, np.array(states), control, dead)
-        moved = []
-        for i in range(len(drives)):
-            replayed = []
-            for s, (stretch, k) in enumerate(zip(stretches, steps, strict=True)):
-                after = found[i * len(stretches) + s, k - 1 :: k, 1 : 1 + n]
-                rows = after[: len(stretch.q) - 1]
-                replayed.append(np.vstack([stretch.q[:1], rows]))
-            moved.append(replayed)
-        return moved
+            models: dict[float, Any] = {}  # one for all stretches of a step
+            runs += [self._run(drive, stretch, models) for stretch in stretches]
+        longest = max(len(x.control) for x in runs)
+        ends = [x.control[-1:].repeat(longest - len(x.control), 0) for x in runs]
+        control = [
+            np.concatenate([x.control, end]) for x, end in zip(runs, ends, strict=True)
+        ]
+        found = _rolled(
+            [x.model for x in runs],
+            np.array([x.state for x in runs]),
+            np.array(control),
+            np.array([x.dead for x in runs]),
+        )
+        moved = [self._seen(*x) for x in zip(runs, found, strict=True)]
+        size = len(stretches)
+        return [moved[i : i + size] for i in range(0, len(moved), size)]
+
+    def _run(
+        self, drive: Drive | None, stretch: Stretch, models: dict[float, Any]
+    ) -> _Run:
+        """One stretch made ready."""
+        parts = max(1, int(np.ceil(stretch.step / self._longest)))
+        step, none = round(stretch.step / parts, 9), np.zeros(self.robot.size)
+        if step not in models:
+            models[step] = self._model(drive, step)
+        late, pace, dead = (
+            none if drive is None else drive[name]
+            for name in ("delay", "pace", "dead_band")
+        )
+        control = delayed(slowed(stretch, pace), late, parts)
+        state = self._state(models[step], drive, stretch, control[0])
+        return _Run(stretch, parts, models[step], state, control, dead)
+
+    def _seen(self, run: _Run, states: Array) -> Array:
+        """Positions at the times of the log, shape (N, n), [rad]."""
+        stretch, n = run.stretch, self.robot.size
+        after = states[run.parts - 1 : len(run.control) : run.parts, 1 : 1 + n]
+        return np.vstack([stretch.q[:1], after])
 
     def _model(self, drive: Drive | None, step: float) -> Any:
         turned = b"" if drive is None else np.r_[drive["zero"], drive["sign"]].tobytes()
@@ -180,26 +194,8 @@ def _quiet() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-def file_step(robot: Robot) -> float:
-    """Step with which the file's simulation runs, or MuJoCo's usual one, [s]."""
-    return float(robot.timestep) if np.isfinite(robot.timestep) else 0.002
-
-
-def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:
-    """Deflections that hold what servo and weight leave, shape (n,), [rad]."""
-    off = first - stretch.q[0]
-    pull = drive["stiffness"] * (
-        off - np.clip(off, -drive["dead_band"], drive["dead_band"])
-    )
-    rest = np.clip(pull, -drive["stall"], drive["stall"]) + drive["offset"] - weight
-    most = drive["coulomb"] + drive["stiction"]
-    sliding = np.sign(stretch.v) * drive["coulomb"]
-    held = np.clip(rest, -most, most)
-    return np.where(np.abs(stretch.v) > _CREEPS, sliding, held) / drive.bristle
-
-
 def converged(
-    robot: Robot, stretches: Sequence[Stretch], drive: Drive, error: Array
+    robot: Robot, stretches: Sequence[Stretch], drive: Drive, floor: Array
 ) -> ServoSimulator:
     """Replays with the longest step that is fine enough.
 
@@ -207,16 +203,19 @@ def converged(
         robot: The arm.
         stretches: What is replayed.
         drive: Servos like those that are sought.
-        error: What a replay may be off by, shape (n,), [rad].
+        floor: What a replay may be off by, shape (n,), [rad]; or by as little of what
+            it misses.
     """
     steps = [_STEP / 2**k for k in range(_HALVINGS)]
+    measured = np.concatenate([x.q for x in stretches])
     before: Array | None = None
     for step in steps:
         (moved,) = ServoSimulator(robot, step).replay(stretches, [drive])
         after = np.concatenate(moved)
         if before is not None:
             off = np.sqrt(np.mean((after - before) ** 2, axis=0))
-            if (off <= error).all():
+            miss = np.sqrt(np.mean((after - measured) ** 2, axis=0))
+            if (off <= np.maximum(floor, _FINE * miss)).all():
                 return ServoSimulator(robot, 2 * step)
         before = after
     return ServoSimulator(robot, steps[-1])
@@ -265,117 +264,3 @@ def slowed(stretch: Stretch, pace: Array) -> Stretch:
         command = command.copy() if command is stretch.command else command
         command[:, j] = goals
     return stretch if command is stretch.command else replace(stretch, command=command)
-
-
-def servo_spec(
-    robot: Robot, zero: Array | float = 0.0, sign: Array | float = 1.0
-) -> mujoco.MjSpec:
-    """An arm with a DC motor behind a position controller at every joint.
-
-    Args:
-        robot: The arm.
-        zero: Position of the file where the log says zero, shape (n,), [rad].
-        sign: −1 for axes that point the other way, shape (n,).
-    """
-    import mujoco
-
-    spec = robot.mujoco_spec()
-    shifts, signs = np.broadcast_arrays(zero, sign, np.empty(robot.size))[:2]
-    for joint, shift, way in zip(robot.joints, shifts, signs, strict=True):
-        own = spec.joint(joint)
-        own.ref, own.axis = -float(shift), float(way) * np.array(own.axis)
-        own.limited, own.range = True, np.array([-1.0, 1.0])
-        # Any values: they are set in the compiled model.
-        _actuator(spec, joint).set_to_dcmotor(
-            motorconst=[CONSTANT, CONSTANT],
-            resistance=1.0,
-            controller=[1.0, 0, 0, 0, 0, 0],
-            saturation=[1.0, 0, 0],
-            lugre=[1.0, 1.0, 1.0, 1.0, 1.0],
-            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_POS),
-        )
-    return spec
-
-
-def declared_spec(robot: Robot) -> mujoco.MjSpec:
-    """An arm with the position servos that its file declares, or usual ones."""
-    spec, drive = robot.mujoco_spec(), Drive.declared(robot)
-    servo = np.where(np.isfinite(robot.kd), robot.kd, 0.0)
-    for j, joint in enumerate(robot.joints):
-        actuator, most = _actuator(spec, joint), drive["stall"][j]
-        actuator.set_to_position(kp=drive["stiffness"][j], kv=servo[j])
-        actuator.forcerange, actuator.forcelimited = [-most, most], True
-        own = spec.joint(joint)
-        own.limited, own.range = True, np.array([drive["lower"][j], drive["upper"][j]])
-    return spec
-
-
-def _actuator(spec: Any, joint: str) -> Any:
-    import mujoco
-
-    kind = mujoco.mjtTrn.mjTRN_JOINT
-    return spec.add_actuator(name=joint, trntype=kind, target=joint)
-
-
-def install(model: Any, robot: Robot, drive: Drive) -> None:
-    """Set the numbers of servos in a compiled model, joints in the order of the arm.
-
-    Args:
-        model: MuJoCo model with a dcmotor at every joint.
-        robot: The arm.
-        drive: The servos.
-    """
-    model.actuator_gainprm[:, 1] = CONSTANT
-    model.actuator_gainprm[:, 4] = drive["stiffness"]
-    model.actuator_gainprm[:, 7] = drive["stall"] / CONSTANT
-    model.actuator_forcelimited[:] = 0
-    model.actuator_ctrllimited[:] = 0
-    model.actuator_biasprm[:, 3] = drive["coulomb"]
-    model.actuator_biasprm[:, 4] = drive["coulomb"] + drive["stiction"]
-    model.actuator_biasprm[:, 5] = drive["stribeck_speed"]
-    model.actuator_dynprm[:, 5] = drive.bristle
-    model.actuator_dynprm[:, 6] = bristle_damping(drive)
-    model.dof_frictionloss[:] = 0.0
-    servo, joint = dampings(robot, drive)
-    model.actuator_gainprm[:, 6], model.dof_damping[:] = servo, joint
-    model.dof_armature[:] = drive["armature"]
-    model.jnt_stiffness[:], model.qpos_spring[:] = springs(robot, drive)
-    model.jnt_range[:] = stops(drive)
-    if (drive["mass"] != 1.0).any():
-        import mujoco
-
-        model.body_mass[1:] *= drive["mass"]
-        model.body_inertia[1:] *= drive["mass"][:, None]
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-
-
-def dampings(robot: Robot, drive: Drive) -> tuple[Array, Array]:
-    """Damping of servos and of joints, (n,) each: shares as in the file.
-
-    Motion tells them apart only where a servo is at its limit.
-    """
-    servo = np.nan_to_num(robot.kd)
-    share = servo / np.maximum(servo + robot.damping, 1e-12)
-    return share * drive["damping"], (1 - share) * drive["damping"]
-
-
-def stops(drive: Drive) -> Array:
-    """Range of every joint as the log counts, shape (n, 2), [rad]."""
-    ends = np.stack([drive["lower"], drive["upper"]]) * drive["sign"]
-    return np.asarray((np.sort(ends, axis=0) - drive["zero"]).T)
-
-
-def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
-    """Stiffness [N·m/rad] and relaxed position [rad] of every joint's spring, (n,).
-
-    An offset of torque is a spring so soft that its torque does not change, or shifts
-    the one that the file declares.
-    """
-    stiffness = np.maximum(robot.stiffness, SOFT) + drive["spring"]
-    relaxed = drive["sign"] * robot.springref - drive["zero"]
-    return stiffness, relaxed + drive["offset"] / stiffness
-
-
-def bristle_damping(drive: Drive) -> Array:
-    """Damping σ₁ with which a rotor on bristles comes to rest, (n,), [N·m·s/rad]."""
-    return np.asarray(np.sqrt(drive.bristle * drive["armature"]))

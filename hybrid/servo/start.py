@@ -24,7 +24,8 @@ from hybrid.signals.filters import butterworth, central_difference
 
 _BAND = 4.0  # Hz: of what a coarse encoder leaves of an acceleration
 _CREEP = 0.02  # rad/s
-_DELAYS = tuple(0.01 * k for k in range(11))  # s
+_DELAYS = tuple(0.02 * k for k in range(6))  # s
+_STIFFER = (1.0, 2.0, 4.0)  # than guessed: friction passes for softness
 _LOADED = 0.1  # of the largest change of weight: less tells no stiffness
 _LEAST = 1e-3  # rad, s or s², of the stiffness: friction and rotors are not negative
 
@@ -87,8 +88,11 @@ def best_start(
     least = _LEAST * guess["stiffness"]
     tried, errors = [], []
     for delay in _DELAYS:
+        tried.append(declared.at(delay=delay))
         damping = np.maximum(guess["damping"] - guess["stiffness"] * delay, least)
-        tried += [guess.at(delay=delay, damping=damping), declared.at(delay=delay)]
+        for times in _STIFFER:
+            own = {"stiffness": guess["stiffness"] * times, "damping": damping}
+            tried.append(guess.at(delay=delay, **own))
     for moved in simulator.replay(stretches, tried):
         each = [q - x.q for q, x in zip(moved, stretches, strict=True)]
         errors.append(np.mean(np.concatenate(each) ** 2, axis=0))

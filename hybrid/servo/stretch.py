@@ -113,7 +113,8 @@ def chosen(stretches: Sequence[Stretch], seconds: float, each: float) -> list[St
     for stretch in stretches:
         samples = round(each / stretch.step)
         own = []
-        for first in range(0, len(stretch.q) - samples // 2, samples):
+        ends = max(1, len(stretch.q) - samples // 2)  # of a short log, all
+        for first in range(0, ends, samples):
             part = stretch.cut(first, samples)
             work = np.abs(np.diff(part.command, axis=0)).sum(axis=0) / scale
             own.append((float(np.sqrt(work).sum()), part))

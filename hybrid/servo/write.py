@@ -18,7 +18,7 @@ from hybrid.robot.edit.document import Document, element
 from hybrid.robot.edit.drives import actuator_tags
 from hybrid.robot.edit.mjcf import edit_mjcf, joint_tag, turn_unit
 from hybrid.servo.drive import Drive
-from hybrid.servo.simulator import (
+from hybrid.servo.model import (
     CONSTANT,
     bristle_damping,
     dampings,

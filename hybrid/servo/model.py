@@ -1,0 +1,152 @@
+"""An arm in MuJoCo with servos: each a DC motor behind a position controller."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.robot import Robot
+from hybrid.servo.drive import Drive
+from hybrid.servo.stretch import Stretch
+
+if TYPE_CHECKING:
+    import mujoco
+
+# N·m/A at 1 Ω: so small that speed takes nothing off the torque at the limit.
+CONSTANT = 1e-3
+_SOFT = 1e-6  # N·m/rad
+_CREEPS = 0.05  # rad/s: below, friction holds a joint
+
+
+def file_step(robot: Robot) -> float:
+    """Step with which the file's simulation runs, or MuJoCo's usual one, [s]."""
+    return float(robot.timestep) if np.isfinite(robot.timestep) else 0.002
+
+
+def servo_spec(
+    robot: Robot, zero: Array | float = 0.0, sign: Array | float = 1.0
+) -> mujoco.MjSpec:
+    """An arm with a DC motor behind a position controller at every joint.
+
+    Args:
+        robot: The arm.
+        zero: Position of the file where the log says zero, shape (n,), [rad].
+        sign: −1 for axes that point the other way, shape (n,).
+    """
+    import mujoco
+
+    spec = robot.mujoco_spec()
+    shifts, signs = np.broadcast_arrays(zero, sign, np.empty(robot.size))[:2]
+    for joint, shift, way in zip(robot.joints, shifts, signs, strict=True):
+        own = spec.joint(joint)
+        own.ref, own.axis = -float(shift), float(way) * np.array(own.axis)
+        own.limited, own.range = True, np.array([-1.0, 1.0])
+        # Any values: they are set in the compiled model.
+        _actuator(spec, joint).set_to_dcmotor(
+            motorconst=[CONSTANT, CONSTANT],
+            resistance=1.0,
+            controller=[1.0, 0, 0, 0, 0, 0],
+            saturation=[1.0, 0, 0],
+            lugre=[1.0, 1.0, 1.0, 1.0, 1.0],
+            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_POS),
+        )
+    return spec
+
+
+def declared_spec(robot: Robot) -> mujoco.MjSpec:
+    """An arm with the position servos that its file declares, or usual ones."""
+    spec, drive = robot.mujoco_spec(), Drive.declared(robot)
+    servo = np.where(np.isfinite(robot.kd), robot.kd, 0.0)
+    for j, joint in enumerate(robot.joints):
+        actuator, most = _actuator(spec, joint), drive["stall"][j]
+        actuator.set_to_position(kp=drive["stiffness"][j], kv=servo[j])
+        actuator.forcerange, actuator.forcelimited = [-most, most], True
+        own = spec.joint(joint)
+        own.limited, own.range = True, np.array([drive["lower"][j], drive["upper"][j]])
+    return spec
+
+
+def _actuator(spec: Any, joint: str) -> Any:
+    import mujoco
+
+    kind = mujoco.mjtTrn.mjTRN_JOINT
+    return spec.add_actuator(name=joint, trntype=kind, target=joint)
+
+
+def install(model: Any, robot: Robot, drive: Drive) -> None:
+    """Set the numbers of servos in a compiled model, joints in the order of the arm.
+
+    Args:
+        model: MuJoCo model with a dcmotor at every joint.
+        robot: The arm.
+        drive: The servos.
+    """
+    model.actuator_gainprm[:, 1] = CONSTANT
+    model.actuator_gainprm[:, 4] = drive["stiffness"]
+    model.actuator_gainprm[:, 7] = drive["stall"] / CONSTANT
+    model.actuator_forcelimited[:] = 0
+    model.actuator_ctrllimited[:] = 0
+    model.actuator_biasprm[:, 3] = drive["coulomb"]
+    model.actuator_biasprm[:, 4] = drive["coulomb"] + drive["stiction"]
+    model.actuator_biasprm[:, 5] = drive["stribeck_speed"]
+    model.actuator_dynprm[:, 5] = drive.bristle
+    model.actuator_dynprm[:, 6] = bristle_damping(drive)
+    model.dof_frictionloss[:] = 0.0
+    servo, joint = dampings(robot, drive)
+    model.actuator_gainprm[:, 6], model.dof_damping[:] = servo, joint
+    model.dof_armature[:] = drive["armature"]
+    model.jnt_stiffness[:], model.qpos_spring[:] = springs(robot, drive)
+    model.jnt_range[:] = stops(drive)
+    if (drive["mass"] != 1.0).any():
+        import mujoco
+
+        model.body_mass[1:] *= drive["mass"]
+        model.body_inertia[1:] *= drive["mass"][:, None]
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def dampings(robot: Robot, drive: Drive) -> tuple[Array, Array]:
+    """Damping of servos and of joints, (n,) each: shares as in the file.
+
+    Motion tells them apart only where a servo is at its limit.
+    """
+    servo = np.nan_to_num(robot.kd)
+    share = servo / np.maximum(servo + robot.damping, 1e-12)
+    return share * drive["damping"], (1 - share) * drive["damping"]
+
+
+def stops(drive: Drive) -> Array:
+    """Range of every joint as the log counts, shape (n, 2), [rad]."""
+    ends = np.stack([drive["lower"], drive["upper"]]) * drive["sign"]
+    return np.asarray((np.sort(ends, axis=0) - drive["zero"]).T)
+
+
+def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
+    """Stiffness [N·m/rad] and relaxed position [rad] of every joint's spring, (n,).
+
+    An offset of torque is a spring so soft that its torque does not change, or shifts
+    the one that the file declares.
+    """
+    stiffness = np.maximum(robot.stiffness, _SOFT) + drive["spring"]
+    relaxed = drive["sign"] * robot.springref - drive["zero"]
+    return stiffness, relaxed + drive["offset"] / stiffness
+
+
+def bristle_damping(drive: Drive) -> Array:
+    """Damping σ₁ with which a rotor on bristles comes to rest, (n,), [N·m·s/rad]."""
+    return np.asarray(np.sqrt(drive.bristle * drive["armature"]))
+
+
+def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:
+    """Deflections that hold what servo and weight leave, shape (n,), [rad]."""
+    off = first - stretch.q[0]
+    pull = drive["stiffness"] * (
+        off - np.clip(off, -drive["dead_band"], drive["dead_band"])
+    )
+    rest = np.clip(pull, -drive["stall"], drive["stall"]) + drive["offset"] - weight
+    most = drive["coulomb"] + drive["stiction"]
+    sliding = np.sign(stretch.v) * drive["coulomb"]
+    held = np.clip(rest, -most, most)
+    return np.where(np.abs(stretch.v) > _CREEPS, sliding, held) / drive.bristle
