@@ -30,7 +30,7 @@ from hybrid.threads import one_thread
 _SECONDS, _EACH = 60.0, 5.0  # s of motion to fit, and of a part of it
 _TURNS = 20  # Gauss–Newton steps of a plain fit
 _NEAR = 2  # causes of a joint, up to which the file is looked at before a plain fit
-_WEIGHED = 120.0  # s of unseen motion, on which single numbers are weighed
+_WEIGHED = 120.0  # s of other motion, on which single numbers are weighed
 _UNSEEN = 4  # one recording in so many is kept aside
 _TAIL = 0.3  # of a single recording is kept aside
 _STILL = 3.0  # steps of the encoder: a joint that goes less far rests
@@ -70,7 +70,10 @@ def fit_servo(
     progress("servos: plain fit")
     simple = np.isin(NAMES, PLAIN)[:, None] & ~problem.resting
     plain = problem.fitted(problem.at(start, simple), None, _TURNS)
-    search = Search(problem, plain.errors, struck, hint=plain.x, progress=progress)
+    aside = chosen(learn, _SECONDS + _WEIGHED, _EACH)[len(problem.stretches) :]
+    search = Search(
+        problem, plain.errors, aside, struck, hint=plain.x, progress=progress
+    )
     return _result(robot, known, search, plain, _best(search, plain, simple), unseen)
 
 

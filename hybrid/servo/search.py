@@ -20,6 +20,8 @@ from hybrid.servo.evidence import COST, Curvature, Explanation, evidence
 from hybrid.servo.moves import Move, Probes, promising
 from hybrid.servo.noise import Noise
 from hybrid.servo.problem import SHARED, Problem
+from hybrid.servo.simulator import missed
+from hybrid.servo.stretch import Stretch
 
 # Shapes of friction have no number in the file; they are no cause of their own.
 _SHAPES = np.isin(NAMES, ("stribeck_speed", "presliding"))[:, None]
@@ -40,6 +42,7 @@ class Search:
     Args:
         problem: The logs.
         errors: What good replays miss, shape (M, n), [rad].
+        aside: Parts of the logs that are not fitted: there a number must not harm.
         known: Numbers that are no candidates.
         hint: Coordinates that may hold, shape (len(QUANTITIES), n).
         progress: Is told what is done.
@@ -49,12 +52,14 @@ class Search:
         self,
         problem: Problem,
         errors: Array,
+        aside: Sequence[Stretch] = (),
         known: Sequence[Place] = (),
         *,
         hint: Array,
         progress: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.problem, self.hint, self.progress = problem, hint, progress
+        self.aside = aside
         self.noise = problem.noise(errors)
         self.shapes = _SHAPES & ~problem.resting
         self.allowed = ~_SHAPES & ~problem.resting
@@ -105,6 +110,7 @@ class Search:
             tried.append(self.of(x, causes, _TURNS))
         gain = np.array([self.evidence(x, noise) - before for x in tried])
         more = [(x.causes & ~now.causes).any(axis=0) for x in tried]
+        gain = np.where(self._harmless(now, tried), gain, np.minimum(gain, 0.0))
         single = np.where(more, gain, 0.0).max(axis=0)
         if SHARED[trials[0][0].k] and gain[0].sum() > max(single.max(), 0.0):
             return tried[0]
@@ -114,6 +120,17 @@ class Search:
         which = np.where(sure, gain.argmax(axis=0), -1)
         after = self._mixed(now, tried, which, noise)
         return after and replace(after, equals=self._equals(now, tried, which, noise))
+
+    def _harmless(
+        self, now: Explanation, tried: Sequence[Explanation]
+    ) -> NDArray[np.bool_]:
+        """Where trials miss no more of the parts set aside, shape (trials, n)."""
+        if not self.aside:
+            return np.ones((len(tried), len(self.hint.T)), dtype=bool)
+        prior = self.problem.prior
+        drives = [prior.moved(x.found.x) for x in (now, *tried)]
+        before, *after = missed(self.problem.simulator, self.aside, drives)
+        return np.asarray(np.array(after) <= before)
 
     def _trials(self, now: Explanation) -> list[list[Move]]:
         """Numbers to be fitted: one that moves all joints, or one at every joint."""
