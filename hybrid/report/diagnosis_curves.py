@@ -34,9 +34,8 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
         i: The joint.
 
     Returns:
-        JSON-ready: ``name``, ``noise`` and its ``unit``; ``time`` with one curve for
-        the simulator as it stands, with its own numbers corrected, and with the
-        findings added; ``marks``, where the samples of each recording begin; ``over``,
+        JSON-ready: ``name``, ``noise`` and its ``unit``; ``time``, abscissa and
+        gap, today and with the findings; ``marks``, where recordings begin; ``over``,
         values of position, speed, acceleration and load; ``clouds``, one for each
         finding that acts here: what is left without it, and its fitted law, at those
         values.
@@ -44,13 +43,6 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
     gap, scored, m = result.gap, result.scored, result.gap.sampled
     order = np.argsort(scored.evidence.rows[i])
     rows = scored.evidence.rows[i][order]
-    left = {
-        "today": gap.left[rows, i],
-        "corrected": scored.before[i][order],
-        "after": scored.after[i][order],
-    }
-    if not scored.terms:  # both are the same
-        del left["corrected" if result.effects else "after"]
     t, marks = _one_after_another(
         m.t, gap.trajectory, rows, [x.source for x in gap.motions]
     )
@@ -66,7 +58,7 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
         "name": gap.robot.joints[i],
         "unit": force,
         "noise": result.diagnosis.noise_floor[i],
-        "time": {name: thin(t, y, rows) for name, y in left.items()},
+        "time": thin(t, [gap.left[rows, i], scored.after[i][order]], rows),
         "marks": marks,
         "over": {
             name: {"x": _short(x[spots]), "unit": unit}
@@ -78,29 +70,37 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
     }
 
 
-def thin(x: Array, y: Array, rows: Index, most: int = MOST_POINTS) -> dict[str, Any]:
-    """A curve with its ends and the lowest and the highest point of each stretch.
+def thin(
+    x: Array, curves: Sequence[Array], rows: Index, most: int = MOST_POINTS
+) -> list[list[float | None]]:
+    """Curves with their ends and the lowest and the highest point of each stretch.
 
-    No peak is lost. Where samples are left out in between, ``None`` breaks the line.
+    No peak is lost. Where samples are left out in between, ``None`` breaks the lines.
 
     Args:
         x: Abscissa, shape (N,).
-        y: Ordinate, shape (N,).
+        curves: Ordinates, each of shape (N,).
         rows: Number of each sample, shape (N,).
-        most: Most points that are kept.
+        most: Most points that are kept of a curve.
+
+    Returns:
+        The abscissa and each ordinate, at the same points.
     """
-    kept = np.arange(len(y))
-    if len(y) > most:
-        edges = np.linspace(0, len(y), most // 2).astype(int)
-        ends = zip(edges[:-1], edges[1:], strict=True)
-        pairs = [(a + y[a:b].argmin(), a + y[a:b].argmax()) for a, b in ends]
-        kept = np.unique([(0, len(y) - 1), *pairs])
+    kept = np.arange(len(x))
+    if len(x) > most:
+        edges = np.linspace(0, len(x), most // 2).astype(int)
+        ends = [*zip(edges[:-1], edges[1:], strict=True)]
+        pairs = [
+            (a + y[a:b].argmin(), a + y[a:b].argmax()) for a, b in ends for y in curves
+        ]
+        kept = np.unique([(0, len(x) - 1), *pairs])
     stretch = np.cumsum(np.diff(rows, prepend=rows[:1]) > 1)[kept]
-    xs, ys = _short(x[kept]), _short(y[kept])
+    xs, *ys = (_short(values[kept]) for values in (x, *curves))
     for at in np.flatnonzero(np.diff(stretch))[::-1] + 1:
-        xs.insert(at, None)
-        ys.insert(at, None)
-    return {"x": xs, "y": ys}
+        xs.insert(at, xs[at])
+        for y in ys:
+            y.insert(at, None)
+    return [xs, *ys]
 
 
 def _one_after_another(
@@ -187,7 +187,7 @@ def rms_table(result: Result) -> list[dict[str, float]]:
     """RMS gap of each joint on samples that no step has seen, [N·m].
 
     Returns:
-        For each joint ``today``, ``corrected``, ``after``, ``noise``, and ``torque``,
+        For each joint ``today``, ``after``, ``noise``, and ``torque``,
         the RMS of what was measured; zeros where no such sample moves.
     """
     gap, scored = result.gap, result.scored
@@ -197,7 +197,6 @@ def rms_table(result: Result) -> list[dict[str, float]]:
         table.append(
             {
                 "today": _rms(gap.left[rows, i]),
-                "corrected": _rms(scored.before[i]),
                 "after": _rms(scored.after[i]),
                 "noise": result.diagnosis.noise_floor[i],
                 "torque": _rms(measured[rows, i]),

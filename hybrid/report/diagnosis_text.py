@@ -29,6 +29,30 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     }[diagnosis.verdict]
 
 
+def headline(diagnosis: Diagnosis) -> str:
+    """The effects with their joints, and what is left, in a few words."""
+    named = [
+        f"{effect_name(f.effect) if k == 0 else f.effect.replace('_', ' ')} "
+        f"at {words(f.joints)}"
+        for k, f in enumerate(diagnosis.findings)
+    ]
+    rest = diagnosis.unexplained
+    left = f"{rest:.0%} of the gap is left" if rest >= 0.005 else "noise is left"
+    where = _few(gap_joints(diagnosis), between=", ")
+    return {
+        "no_gap": "The simulator fits the robot",
+        "not_excited": "The recordings move the arm too little to tell",
+        "unexplained": f"A gap at {where}, and no known cause",
+    }.get(diagnosis.verdict, f"{_few(named, between=', ')}; {left}")
+
+
+def gap_joints(diagnosis: Diagnosis) -> list[str]:
+    """Joints with a gap, widest over its noise first."""
+    gaps = zip(diagnosis.rms, diagnosis.noise_floor, diagnosis.joints, strict=True)
+    over = [(rms / max(noise, 1e-12), joint) for rms, noise, joint in gaps]
+    return [joint for ratio, joint in sorted(over, reverse=True) if ratio > _ABOVE]
+
+
 def verdict_lines(diagnosis: Diagnosis) -> list[str]:
     """The diagnosis in at most ten lines: what, where, how sure, what to run next."""
     places, left = _places(diagnosis), _left(diagnosis)
@@ -46,16 +70,13 @@ def verdict_lines(diagnosis: Diagnosis) -> list[str]:
 
 def _places(diagnosis: Diagnosis) -> Iterator[str]:
     """The joints that have a gap, widest over its noise first, and under what."""
-    forces = diagnosis.units or (_TORQUE,) * len(diagnosis.joints)
-    gaps = zip(
-        diagnosis.joints, diagnosis.rms, diagnosis.noise_floor, forces, strict=True
-    )
-    over = [(rms / max(noise, 1e-12), j, rms, noise, u) for j, rms, noise, u in gaps]
+    joints = diagnosis.joints
+    forces = diagnosis.units or (_TORQUE,) * len(joints)
     named = [
-        f"{joint} {number(rms)}{'' if unit == _TORQUE else _BOUND + unit} "
-        f"(noise {number(noise)})"
-        for ratio, joint, rms, noise, unit in sorted(over, reverse=True)
-        if ratio > _ABOVE
+        f"{joint} {number(diagnosis.rms[k])}"
+        f"{'' if forces[k] == _TORQUE else _BOUND + forces[k]} "
+        f"(noise {number(diagnosis.noise_floor[k])})"
+        for joint, k in ((x, joints.index(x)) for x in gap_joints(diagnosis))
     ]
     if diagnosis.verdict in ("no_gap", "not_excited") or not named:
         return
@@ -152,6 +173,12 @@ def region_name(region: Region) -> str:
     if region.variable == "direction":
         return f"{region.joint}, {range_name(region)}"
     return f"{region.joint}, {region.variable.replace('_', ' ')} {range_name(region)}"
+
+
+def region_share(region: Region) -> str:
+    """Its share of the gap with the interval."""
+    low, high = region.interval
+    return f"{region.share:.0%} of the gap, 95% interval {low:.0%} to {high:.0%}"
 
 
 def range_name(region: Region) -> str:
