@@ -30,20 +30,24 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """The effects with their joints, and what is left, in a few words."""
+    """The first effects with their joints, and what is left, in a few words."""
     named = [
-        f"{effect_name(f.effect) if k == 0 else f.effect.replace('_', ' ')} "
-        f"at {words(f.joints)}"
-        for k, f in enumerate(diagnosis.findings)
+        f"{f.effect.replace('_', ' ')} at {_joints(f.joints)}"
+        for f in diagnosis.findings
     ]
     rest = diagnosis.unexplained
     left = f"{rest:.0%} of the gap is left" if rest >= 0.005 else "noise is left"
-    where = _few(gap_joints(diagnosis), between=", ")
-    return {
-        "no_gap": "The simulator fits the robot",
-        "not_excited": "The recordings move the arm too little to tell",
-        "unexplained": f"A gap at {where}, and no known cause",
+    text = {
+        "no_gap": "the simulator fits the robot",
+        "not_excited": "the recordings move the arm too little to tell",
+        "unexplained": f"no known cause of the gap at {_joints(gap_joints(diagnosis))}",
     }.get(diagnosis.verdict, f"{_few(named, between=', ')}; {left}")
+    return text[:1].upper() + text[1:]
+
+
+def _joints(names: Sequence[str]) -> str:
+    """Two joints by name, more by number."""
+    return words(names) if len(names) <= 2 else f"{len(names)} joints"
 
 
 def gap_joints(diagnosis: Diagnosis) -> list[str]:

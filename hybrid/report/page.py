@@ -116,9 +116,17 @@ def render_template(
 
 
 def _line(x: Any) -> str:
-    """A value for the foot of a page: what it holds, one after another."""
+    """A value for the foot of a page: names and what they stand for, or a list.
+
+    Of what is in a list, such as a file and its hash, the values suffice.
+    """
     if isinstance(x, Mapping):
-        return " ".join(f"{k} {_line(value)}" for k, value in x.items())
+        return ", ".join(f"{name} {value}" for name, value in x.items())
     if isinstance(x, Sequence) and not isinstance(x, str):
-        return ", ".join(map(_line, x))
+        return ", ".join(
+            " ".join(map(str, each.values()))
+            if isinstance(each, Mapping)
+            else str(each)
+            for each in x
+        )
     return str(x)

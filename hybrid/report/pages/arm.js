@@ -8,7 +8,7 @@ function drawArm(svg, { joints, ends, radius }, gaps, pick) {
   const middle = low.map((x, k) => (x + high[k]) / 2);
   const reach = Math.max(1e-3, ...radius) + Math.max(
     ...points.map((p) => Math.hypot(...p.map((x, k) => x - middle[k]))));
-  const scale = 165 / reach;  // a sphere around the arm fills the picture
+  const scale = 175 / reach;  // a sphere around the arm fills the picture
   const links = ends.length ? ends.map(([a, b], k) => [a, b, radius[k]])
     : joints.slice(1).map((b, k) => [joints[k], b, 0.05 * reach]);
   const view = { turn: -0.7, lift: 0.35 };
@@ -44,7 +44,7 @@ function drawArm(svg, { joints, ends, radius }, gaps, pick) {
   function circles() {
     const places = [];
     joints.slice(1).map(seen).forEach(([x, y], k) => {
-      const size = 9 + 8 * gaps[k];
+      const size = 11 + 8 * gaps[k];
       const close = () => places.find((p) => Math.hypot(p.x - x, p.y - y) < 0.8 * (p.size + size));
       for (let other = close(); other; other = close()) x = other.x + 0.81 * (other.size + size);
       places.push({ x, y, size });
@@ -52,7 +52,7 @@ function drawArm(svg, { joints, ends, radius }, gaps, pick) {
     places.forEach(({ x, y, size }, k) => {
       const group = add("g", { class: "axis", transform: `translate(${x.toFixed(1)} ${y.toFixed(1)})` });
       add("circle", { r: size, style: `--shade:${Math.round(100 * gaps[k])}%` }, group);
-      add("text", { y: 4 }, group).textContent = k + 1;
+      add("text", { y: 5 }, group).textContent = k + 1;
       group.onclick = () => pick(k);
     });
   }

@@ -4,7 +4,7 @@ const { joints, inks, first, after, arm, gaps } = JSON.parse(document.getElement
 const PRINTED = 640;  // pixels: the width of a printed page
 const all = (selector, root = document) => [...root.querySelectorAll(selector)];
 const words = (id) => id.replaceAll("_", " ");
-const written = (_, x) => (x == null ? "–" : String(+x.toPrecision(4)).replace("-", "−"));
+const written = (_, x) => (x == null ? "" : String(+x.toPrecision(4)).replace("-", "−"));
 /** A colour for a canvas, which knows no variables. */
 const ink = (name) => name.startsWith("--")
   ? getComputedStyle(document.documentElement).getPropertyValue(name).trim() : name;
@@ -28,7 +28,7 @@ function ground(u, noise, marks) {
   const at = (value, scale) => u.valToPos(value, scale, true);
   pen.save();
   pen.beginPath();
-  pen.rect(left, top, width, height);
+  pen.rect(left, 0, width, top + height);
   pen.clip();
   pen.fillStyle = ink("--faint");
   pen.fillRect(left, at(noise, "y"), width, at(-noise, "y") - at(noise, "y"));
@@ -37,9 +37,9 @@ function ground(u, noise, marks) {
   pen.font = `${11 * devicePixelRatio}px sans-serif`;
   for (const { x, name } of marks) {
     pen.fillStyle = ink("--line");
-    pen.fillRect(at(x, "x"), top, devicePixelRatio, height);
+    pen.fillRect(at(x, "x"), 0, devicePixelRatio, top + height);
     pen.fillStyle = ink("--soft");
-    pen.fillText(name, at(x, "x") + 4 * devicePixelRatio, top + 11 * devicePixelRatio);
+    pen.fillText(name, at(x, "x") + 4 * devicePixelRatio, 11 * devicePixelRatio);
   }
   pen.restore();
 }
@@ -58,7 +58,8 @@ function plot(parent, data, curves, axes, { height, dots, noise = 0, marks = [] 
   }));
   const fill = (_, k) => (curves[k - 1]?.[1] ?? "").replace(/^--.*/, "var($&)");
   const u = new uPlot({
-    width: host.clientWidth || PRINTED, height, series: [{ label: axes[0], value: written }, ...series],
+    width: host.clientWidth || PRINTED, height, padding: [marks.length ? 20 : 8, 8, 0, 0],
+    series: [{ label: axes[0].split(/[,[]/)[0], value: written }, ...series],
     scales: { x: { time: false, range } },
     axes: [axis(axes[0], 30), axis(axes[1], 46)], cursor: { y: false, points: { show: !dots } },
     legend: { markers: { width: 0, fill } },
@@ -130,11 +131,14 @@ function pick(k) {
   document.getElementById("joint").scrollIntoView();
 }
 
+/** For print, all joints and all that was folded; afterwards the one looked at. */
 function spread(on) {
+  const looked = current;
   document.documentElement.classList.toggle("printed", on);
-  joints.forEach((_, k) => { show(k); fit(k); });
-  all(".joint").forEach((host) => { host.hidden = !on; });
-  if (!on) show(current);
+  all("details").forEach((more) => { more.open = on; });
+  joints.forEach((_, k) => show(k));
+  show(looked);
+  if (on) all(".joint").forEach((host) => { host.hidden = false; });
 }
 
 all("[data-pick]").forEach((button) => button.addEventListener("click",
