@@ -32,10 +32,13 @@ def test_joints_keep_their_distance():
     np.testing.assert_allclose(lengths, lengths[:1].repeat(5, axis=0), atol=1e-9)
 
 
-@pytest.mark.parametrize("file", ["gone.xml", "scara.xml"])
-def test_an_arm_whose_file_is_another_by_now_is_its_joints(file):
-    robot = replace(Robot.load(MODELS / "planar.xml"), path=str(MODELS / file))
-    postures = Postures.of(robot, np.zeros((1, 2)))
+@pytest.mark.parametrize("renamed", [False, True])
+def test_an_arm_whose_file_is_gone_or_another_by_now_is_its_joints(tmp_path, renamed):
+    robot, path = Robot.load(MODELS / "planar.xml"), tmp_path / "arm.xml"
+    if renamed:
+        text = (MODELS / "planar.xml").read_text("utf-8")
+        path.write_text(text.replace("elbow", "another"), "utf-8")
+    postures = Postures.of(replace(robot, path=str(path)), np.zeros((1, 2)))
     assert postures.ends.shape == (1, 0, 2, 3) and postures.radius.shape == (0,)
     assert postures.joints.shape == (1, 3, 3)
 

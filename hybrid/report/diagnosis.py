@@ -30,6 +30,7 @@ PAGE, CONTENT = "report.html", "diagnosis.json"
 
 _SMALL = 0.005  # a share that would be shown as 0%
 
+_HATCHED = "repeating-linear-gradient(45deg,var(--grey) 0 3px,var(--faint) 3px 7px)"
 _BLUE, _GOLDEN = 255.0, 137.5  # degrees of hue: of the first colour, between two
 _LIGHTNESS = (0.52, 0.66)  # by turns, to tell colours apart without their hue
 
@@ -111,34 +112,22 @@ def _arm(result: Result) -> dict[str, Any]:
     }
 
 
-def _shares(diagnosis: Diagnosis, inks: Sequence[str]) -> list[dict[str, Any]]:
-    """Parts of the explainable gap, in per cent: each finding's, and the rest."""
-    explained = 1.0 - diagnosis.unexplained
-    parts: list[dict[str, Any]] = [
-        {"name": effect_name(f.effect), "ink": ink, "part": 100 * f.share * explained}
-        for f, ink in zip(diagnosis.findings, inks, strict=True)
-    ]
-    if diagnosis.unexplained >= _SMALL:
-        rest = {"name": "unexplained", "ink": "", "part": 100 * diagnosis.unexplained}
-        parts.append(rest)
-    return parts
+def _shares(diagnosis: Diagnosis, inks: Sequence[str]) -> list[tuple[str, str, float]]:
+    """Name, colour and part of the explainable gap: each finding's, and the rest."""
+    rest = diagnosis.unexplained
+    found = zip(diagnosis.findings, inks, strict=True)
+    parts = [(effect_name(f.effect), ink, f.share * (1 - rest)) for f, ink in found]
+    return [*parts, ("unexplained", _HATCHED, rest)] if rest >= _SMALL else parts
 
 
-def _remainder(result: Result) -> list[dict[str, str]]:
-    """Joints where structure is left, and what a flexible regression says of it."""
-    found = result.account
+def _remainder(result: Result) -> list[tuple[str, float, str]]:
+    """Joints where structure is left: of the gap, and what it depends on."""
+    found, joints = result.account, result.diagnosis.joints
     whole = float((found.explained + found.missed).sum())
     if not (whole > 0 and result.diagnosis.unexplained >= _SMALL):
         return []
-    parts = zip(
-        result.diagnosis.joints, found.missed / whole, found.depends, strict=True
-    )
-    rows = sorted(parts, key=lambda x: -x[1])
-    return [
-        {"joint": joint, "share": f"{part:.0%}", "depends": depends}
-        for joint, part, depends in rows
-        if part >= _SMALL
-    ]
+    parts = zip(joints, found.missed / whole, found.depends, strict=True)
+    return sorted((x for x in parts if x[1] >= _SMALL), key=lambda x: -x[1])
 
 
 def _widest(result: Result) -> int:

@@ -191,18 +191,15 @@ def rms_table(result: Result) -> list[dict[str, float]]:
         the RMS of what was measured; zeros where no such sample moves.
     """
     gap, scored = result.gap, result.scored
-    measured = gap.measured
-    table = []
-    for i, rows in enumerate(scored.evidence.rows):
-        table.append(
-            {
-                "today": _rms(gap.left[rows, i]),
-                "after": _rms(scored.after[i]),
-                "noise": result.diagnosis.noise_floor[i],
-                "torque": _rms(measured[rows, i]),
-            }
-        )
-    return table
+    return [
+        {
+            "today": _rms(gap.left[rows, i]),
+            "after": _rms(scored.after[i]),
+            "noise": result.diagnosis.noise_floor[i],
+            "torque": _rms(gap.measured[rows, i]),
+        }
+        for i, rows in enumerate(scored.evidence.rows)
+    ]
 
 
 def _rms(x: Array) -> float:

@@ -135,18 +135,13 @@ function pick(k) {
 function spread(on) {
   const looked = current;
   document.documentElement.classList.toggle("printed", on);
-  all("details").forEach((more) => { more.open = on; });
   joints.forEach((_, k) => show(k));
   show(looked);
-  if (on) all(".joint").forEach((host) => { host.hidden = false; });
+  if (on) all(".joint, details").forEach((part) => Object.assign(part, { hidden: false, open: true }));
 }
 
 all("[data-pick]").forEach((button) => button.addEventListener("click",
   () => (button.classList.contains("name") ? pick : show)(+button.dataset.pick)));
-all("[data-layer]").forEach((button) => button.addEventListener("click", () => {
-  document.body.classList.toggle("show-beside", button.dataset.layer === "beside");
-  all("[data-layer]").forEach((other) => other.setAttribute("aria-pressed", other === button));
-}));
 addEventListener("resize", () => fit(current));
 addEventListener("beforeprint", () => spread(true));
 addEventListener("afterprint", () => spread(false));
