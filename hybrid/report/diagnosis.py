@@ -66,7 +66,7 @@ def render_diagnosis(result: Result) -> str:
         "first": _widest(result),
         "after": "with the findings" if result.effects else "its own numbers corrected",
         "arm": _arm(result),
-        "gaps": [row["width"]["today"] / 100 for row in rows],
+        "gaps": [row["above"] for row in rows],
     }
     return render_template(
         "diagnosis.html",
@@ -98,7 +98,10 @@ def _overview(result: Result) -> tuple[list[dict[str, Any]], float]:
         # Bars are relative to the torque: a wrist is as visible as a shoulder.
         whole = longest * row["torque"] or np.inf
         width = {k: 100 * min(1.0, x / whole) for k, x in row.items()}
-        rows.append({**row, "joint": joint, "unit": unit, "width": width})
+        above = np.sqrt(max(0.0, width["today"] ** 2 - width["noise"] ** 2)) / 100
+        rows.append(
+            {**row, "joint": joint, "unit": unit, "width": width, "above": above}
+        )
     return rows, longest
 
 

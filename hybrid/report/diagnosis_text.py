@@ -32,20 +32,21 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 def headline(diagnosis: Diagnosis) -> str:
     """The first effects with their joints, and what is left, in a few words."""
     named = [
-        f"{f.effect.replace('_', ' ')} at {_joints(f.joints)}"
+        f"{f.effect.replace('_', ' ')} at {joints_named(f.joints)}"
         for f in diagnosis.findings
     ]
     rest = diagnosis.unexplained
+    where = joints_named(gap_joints(diagnosis))
     left = f"{rest:.0%} of the gap is left" if rest >= 0.005 else "noise is left"
     text = {
         "no_gap": "the simulator fits the robot",
         "not_excited": "the recordings move the arm too little to tell",
-        "unexplained": f"no known cause of the gap at {_joints(gap_joints(diagnosis))}",
+        "unexplained": f"no known cause of the gap at {where}",
     }.get(diagnosis.verdict, f"{_few(named, between=', ')}; {left}")
     return text[:1].upper() + text[1:]
 
 
-def _joints(names: Sequence[str]) -> str:
+def joints_named(names: Sequence[str]) -> str:
     """Two joints by name, more by number."""
     return words(names) if len(names) <= 2 else f"{len(names)} joints"
 

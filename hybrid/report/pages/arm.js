@@ -8,7 +8,7 @@ function drawArm(svg, { joints, ends, radius }, gaps, pick) {
   const middle = low.map((x, k) => (x + high[k]) / 2);
   const reach = Math.max(1e-3, ...radius) + Math.max(
     ...points.map((p) => Math.hypot(...p.map((x, k) => x - middle[k]))));
-  const scale = 175 / reach;  // a sphere around the arm fills the picture
+  const scale = 160 / reach;  // a sphere around the arm fills the picture
   const links = ends.length ? ends.map(([a, b], k) => [a, b, radius[k]])
     : joints.slice(1).map((b, k) => [joints[k], b, 0.05 * reach]);
   const view = { turn: -0.7, lift: 0.35 };
