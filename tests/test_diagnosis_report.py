@@ -85,6 +85,7 @@ class TestPage:
         alike = replace(first, alternatives=(first.effect, "spring", "torque_offset"))
         words = plain(render_diagnosis(told(planar(), findings=(alike, *rest))))
         assert "Cannot be told from spring or torque offset by these" in words
+        assert "at shoulder (or spring or torque offset):" in words
 
     def test_what_stays_unexplained_is_said_openly(self):
         found = replace(planar().account, ceiling=np.zeros(2), depends=("time", "load"))
@@ -296,6 +297,9 @@ class TestVerdict:
         text = "\n".join(verdict_lines(found))
         assert "shoulder 4 → 1.2; no known cause at elbow 1.9;" in text
         assert "least squares alone leaves less at shoulder 0.9" in text
+        words = plain(render_diagnosis(replace(planar(), diagnosis=found)))
+        assert "No known cause at elbow 1.9 [N·m]." in words
+        assert "Least squares alone leaves less at shoulder 0.9 [N·m]." in words
 
     def test_the_headline_names_effects_joints_and_what_is_left(self):
         found = planar().diagnosis

@@ -63,7 +63,7 @@ def render_diagnosis(result: Result) -> str:
         "inks": {
             f.effect: ink for f, ink in zip(diagnosis.findings, inks, strict=True)
         },
-        "first": _widest(result),
+        "first": int((result.account.explained + result.account.missed).argmax()),
         "after": "with the findings" if result.effects else "its own numbers corrected",
         "arm": _arm(result),
         "gaps": [row["above"] for row in rows],
@@ -131,12 +131,6 @@ def _remainder(result: Result) -> list[tuple[str, float, str]]:
         return []
     parts = zip(joints, found.missed / whole, found.depends, strict=True)
     return sorted((x for x in parts if x[1] >= _SMALL), key=lambda x: -x[1])
-
-
-def _widest(result: Result) -> int:
-    """The joint with most of the gap above noise: the one to look at first."""
-    above = result.account.explained + result.account.missed
-    return int(above.argmax())
 
 
 def _inks(count: int) -> list[str]:

@@ -47,12 +47,12 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
         m.t, gap.trajectory, rows, [x.source for x in gap.motions]
     )
     spots = np.arange(0, len(rows), max(1, -(-len(rows) // MOST_POINTS)))
-    turn, force = units(gap.robot, [i])
+    at, (turn, force) = rows[spots], units(gap.robot, [i])
     over = {
-        "position": (m.q[rows, i], turn),
-        "speed": (m.v[rows, i], f"{turn}/s"),
-        "acceleration": (m.a[rows, i], f"{turn}/s²"),
-        "load": (gap.load[rows, i], force),
+        "position": (m.q[at, i], turn),
+        "speed": (m.v[at, i], f"{turn}/s"),
+        "acceleration": (m.a[at, i], f"{turn}/s²"),
+        "load": (gap.load[at, i], force),
     }
     return {
         "name": gap.robot.joints[i],
@@ -60,12 +60,9 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
         "noise": result.diagnosis.noise_floor[i],
         "time": thin(t, [gap.left[rows, i], scored.after[i][order]], rows),
         "marks": marks,
-        "over": {
-            name: {"x": _short(x[spots]), "unit": unit}
-            for name, (x, unit) in over.items()
-        },
+        "over": {name: {"x": _short(x), "unit": u} for name, (x, u) in over.items()},
         "clouds": _clouds(
-            scored, i, order[spots], {name: x[spots] for name, (x, _) in over.items()}
+            scored, i, order[spots], {k: x for k, (x, _) in over.items()}
         ),
     }
 
@@ -121,27 +118,17 @@ def _one_after_another(
 def _clouds(
     scored: Explanation, i: int, spots: Index, over: Mapping[str, Array]
 ) -> list[dict[str, Any]]:
-    clouds = []
-    after = scored.after[i][spots]
+    def cloud(effect: str, law: Array, shown: Array) -> dict[str, Any]:
+        own = {"effect": effect, "y": _short(after + law), "law": _short(law)}
+        return {**own, "order": _clearest(over, shown)}
+
+    found, after = [], scored.after[i][spots]
     for effect, members in _by_effect(scored).items():
         here = [_weight(scored, members, j) for j in range(len(scored.after))]
         if here[i] > _TOUCHES * max(here):
             law = _law(scored, members, i)[spots]
-            clouds.append(
-                {
-                    "effect": effect,
-                    "y": _short(after + law),
-                    "law": _short(law),
-                    "order": _clearest(over, law),
-                }
-            )
-    rest = {
-        "effect": "",
-        "y": _short(after),
-        "law": [],
-        "order": _clearest(over, after),
-    }
-    return clouds or [rest]
+            found.append(cloud(effect, law, law))
+    return found or [cloud("", np.zeros(len(after)), after)]
 
 
 def _clearest(over: Mapping[str, Array], y: Array) -> list[str]:

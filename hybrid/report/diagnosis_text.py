@@ -92,32 +92,43 @@ def _places(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"Densest: {region_name(first)}, {first.share:.0%} of the whole gap"
 
 
+def _unseen(diagnosis: Diagnosis) -> Iterator[tuple[str, str, dict[str, float]]]:
+    """Joint, end of a number, and the gaps on unseen motion; widest first."""
+    unseen, joints = diagnosis.unseen, diagnosis.joints
+    if unseen is None or not diagnosis.findings:
+        return
+    units = diagnosis.units or (_TORQUE,) * len(joints)
+    names = ("before", "after", "least_squares", "noise")
+    for i in np.argsort(-np.nan_to_num(unseen.before)).tolist():
+        if np.isfinite(unseen.after[i]):
+            end = "" if units[i] == _TORQUE else _BOUND + units[i]
+            yield joints[i], end, {name: getattr(unseen, name)[i] for name in names}
+
+
+def cautions(diagnosis: Diagnosis) -> list[str]:
+    """Where the findings leave a gap, or more than least squares alone, if anywhere."""
+    named = {joint for f in diagnosis.findings for joint in f.joints}
+    unknown, worse = list[str](), list[str]()
+    for joint, end, x in _unseen(diagnosis):
+        if joint not in named and x["after"] > _ABOVE * x["noise"]:
+            unknown.append(f"{joint} {number(x['after'])}{end}")
+        if x["after"] > _ABOVE * x["least_squares"]:
+            worse.append(f"{joint} {number(x['least_squares'])}{end}")
+    said = {"no known cause": unknown, "least squares alone leaves less": worse}
+    return [f"{k} at {_few(x, between=', ')}" for k, x in said.items() if x]
+
+
 def _left(diagnosis: Diagnosis) -> Iterator[str]:
     """What the findings leave on unseen motion, joint by joint, and where none is."""
-    if diagnosis.unseen is None or not diagnosis.findings:
-        return
-    joints, unseen = diagnosis.joints, diagnosis.unseen
-    units = diagnosis.units or (_TORQUE,) * len(joints)
-    ends = ["" if unit == _TORQUE else _BOUND + unit for unit in units]
     named = {joint for f in diagnosis.findings for joint in f.joints}
-    falls, unknown, worse = list[str](), list[str](), list[str]()
-    order = np.argsort(-np.nan_to_num(unseen.before)).tolist()
-    for i in (k for k in order if np.isfinite(unseen.after[k])):
-        before, after, usual = (
-            getattr(unseen, x)[i] for x in ("before", "after", "least_squares")
-        )
-        if joints[i] in named:
-            falls.append(f"{joints[i]} {number(before)} → {number(after)}{ends[i]}")
-        elif after > _ABOVE * unseen.noise[i]:
-            unknown.append(f"{joints[i]} {number(after)}{ends[i]}")
-        if after > _ABOVE * usual:
-            worse.append(f"{joints[i]} {number(usual)}{ends[i]}")
-    parts = [_few(falls, between=", ")]
-    if unknown:
-        parts.append(f"no known cause at {_few(unknown, between=', ')}")
-    if worse:
-        parts.append(f"least squares alone leaves less at {_few(worse, between=', ')}")
-    yield f"On unseen motion, in {_TORQUE}: {'; '.join(x for x in parts if x)}"
+    falls = [
+        f"{joint} {number(x['before'])} → {number(x['after'])}{end}"
+        for joint, end, x in _unseen(diagnosis)
+        if joint in named
+    ]
+    parts = [_few(falls, between=", "), *cautions(diagnosis)]
+    if any(parts):
+        yield f"On unseen motion, in {_TORQUE}: {'; '.join(x for x in parts if x)}"
 
 
 def _entry(number: int, f: Finding) -> Iterator[str]:
