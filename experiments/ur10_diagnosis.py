@@ -1,8 +1,8 @@
 """A diagnosis of a real arm: what does its page say first?
 
 A UR10 moved for twelve seconds; its simulator is its ROS description, which has
-no friction. What appears is the verdict; with Chromium, the first screen of the page goes
-to the folder of ``--out``. The README shows the one of ``--out docs/images``.
+no friction. What appears is the verdict; with Chromium, the first screen of the page
+goes to the folder of ``--out``. The README shows the one of ``--out docs/images``.
 
     python experiments/ur10_diagnosis.py
 """
