@@ -382,6 +382,8 @@ async function act() {
   out.turned = svg.innerHTML !== picture;
   press(svg, "ArrowRight");
   out.turnedBack = svg.innerHTML === picture;
+  svg.dispatchEvent(new PointerEvent("pointermove", { buttons: 1, movementX: 30 }));
+  out.dragged = svg.innerHTML !== picture;
   out.ground = getComputedStyle(document.body).backgroundColor;
   dispatchEvent(new Event("beforeprint"));
   const joint = [...document.querySelectorAll(".joint")];
@@ -446,6 +448,7 @@ def test_the_page_works_in_a_browser(browser, page, tmp_path, size, scheme, grou
     assert found["drawn"] > 2  # shades: nothing drawn has one
     assert found["hidden"] == ["false", False]
     assert found["circles"] == 2 and found["turned"] and found["turnedBack"]
+    assert found["dragged"]
     assert found["ground"] == ground and found["paper"] == "rgb(255, 255, 255)"
     assert found["printed"] and found["back"] == [1]
     assert found["width"] <= 0, "the page is wider than its window"

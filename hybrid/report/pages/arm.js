@@ -11,7 +11,8 @@ function drawArm(svg, { joints, ends, radius }, gaps, pick) {
   const scale = 160 / reach;  // a sphere around the arm fills the picture
   const links = ends.length ? ends.map(([a, b], k) => [a, b, radius[k]])
     : joints.slice(1).map((b, k) => [joints[k], b, 0.05 * reach]);
-  const view = { turn: -0.7, lift: 0.35 };
+  const [base, tip] = [joints[0], joints.at(-1)];
+  const view = { turn: 0.3 - Math.atan2(tip[1] - base[1], tip[0] - base[0]), lift: 0.35 };  // reaches right
 
   /** From metres to right, down and away, in picture units. */
   function seen(point) {
