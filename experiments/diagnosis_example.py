@@ -63,31 +63,34 @@ def table(findings: list[dict]) -> Table:
     return Table(tuple(header.split()), tuple(rows))
 
 
-def photograph(browser: str, out: Path, name: str, scratch: Path) -> None:
-    """A picture of the whole page, without the empty space below it, in few colours."""
-    page, shot = (out / "report.html").resolve(), scratch / "s.png"
-    width, height = SIZES[name]
-    flags = f"--headless --no-sandbox --hide-scrollbars --window-size={width},{height}"
-    flags += f" --screenshot={shot} --user-data-dir={scratch}/profile {page.as_uri()}"
-    subprocess.run([browser, *flags.split()], check=True, stderr=-3)
-    image = Image.open(shot).convert("RGB")
-    bottom = min(ImageChops.invert(image).getbbox()[3] + 40, height)
-    few = image.crop((0, 0, width, bottom)).quantize(48)
-    few.save(out / f"{name}.png", optimize=True)
+def photograph(page: Path, target: Path, size: tuple[int, int]) -> None:
+    """A picture of a page in a window of some pixels, cut below; needs Chromium."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        return
+    with TemporaryDirectory() as scratch:
+        shot = Path(scratch) / "shot.png"
+        flags = f"--headless --no-sandbox --hide-scrollbars --screenshot={shot}"
+        flags += f" --window-size={size[0]},{size[1]} --user-data-dir={scratch}/profile"
+        flags += f" --virtual-time-budget=4000 {page.resolve().as_uri()}"
+        subprocess.run([browser, *flags.split()], check=True, stderr=-3)
+        image = Image.open(shot).convert("RGB")
+    bottom = min(ImageChops.invert(image).getbbox()[3] + 40, size[1])
+    few = image.crop((0, 0, size[0], bottom)).quantize(200, Image.Quantize.MAXCOVERAGE)
+    few.save(target, optimize=True)
 
 
 def main() -> None:
     """Simulate, diagnose, compare with the truth, and photograph."""
     out: Path = command_line(__doc__, "diagnosis_example").parse_args().out
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
     with TemporaryDirectory() as scratch:
         record(Path(scratch))
         args = f"--robot={ARM}", f"--recordings={scratch}", f"--out={out}"
         hybrid(["diagnose", *args])
-        found = json.loads((out / "diagnosis.json").read_text("utf-8"))["findings"]
-        (out / "table.md").write_text(markdown_table(table(found)), "utf-8")
-        for name in SIZES if browser else ():
-            photograph(browser, out, name, Path(scratch))
+    found = json.loads((out / "diagnosis.json").read_text("utf-8"))["findings"]
+    (out / "table.md").write_text(markdown_table(table(found)), "utf-8")
+    for name, size in SIZES.items():
+        photograph(out / "report.html", out / f"{name}.png", size)
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from hybrid.report.diagnosis_curves import MOST_POINTS, joint_curves, rms_table,
 from hybrid.report.diagnosis_evidence import evidence_matrix
 from hybrid.report.diagnosis_text import (
     MOST_LINES,
+    headline,
     range_name,
     region_name,
     shrink_sentence,
@@ -67,7 +68,8 @@ class TestPage:
         assert content == json.loads(json.dumps(expected))
 
     def test_it_names_nothing_outside_itself(self, page):
-        assert not re.search(r"""https?://(?!www\.w3\.org)|src=|@import|url\(""", page)
+        known = r"www\.w3\.org|github\.com/leeoniya/uPlot"  # a namespace, a comment
+        assert not re.search(rf"https?://(?!{known})|src=|@import|url\(", page)
         assert "default-src 'none'" in page
 
     def test_it_tells_of_every_finding_in_words_and_in_numbers(self, page):
@@ -83,6 +85,7 @@ class TestPage:
         alike = replace(first, alternatives=(first.effect, "spring", "torque_offset"))
         words = plain(render_diagnosis(told(planar(), findings=(alike, *rest))))
         assert "Cannot be told from spring or torque offset by these" in words
+        assert "at shoulder (or spring or torque offset):" in words
 
     def test_what_stays_unexplained_is_said_openly(self):
         found = replace(planar().account, ceiling=np.zeros(2), depends=("time", "load"))
@@ -117,7 +120,7 @@ class TestPage:
         )
         assert "motion gap over 0.5 s 0.012 → 0.003 rad, 75% less" in words
         assert "interval −1 to 80%" in words
-        assert "a velocity ladder — tells stribeck from coulomb; expected" in words
+        assert "A velocity ladder — tells stribeck from coulomb; expected" in words
         assert "14 times the noise ( next.csv )" in words
         assert "the clock jumps" in words and "elbow above 3 rad/s" in words
 
@@ -142,15 +145,19 @@ class TestPage:
         assert "unexplained 100%" in words and "Remedy" not in words
 
     def test_a_name_cannot_break_out_of_the_page(self):
-        nasty = "</script><b>&"
+        nasty = "</script><img src=x onerror=alert()>&"
         joints = (nasty, "elbow")
         page = render_diagnosis(told(planar(), robot=nasty, joints=joints))
-        assert nasty not in page and "&lt;/script&gt;&lt;b&gt;&amp;" in page
+        assert nasty not in page and "&lt;/script&gt;&lt;img src=x" in page
 
     def test_the_foot_names_each_file_with_its_hash(self):
         files = [{"file": "arm.xml", "sha256": "a" * 64}]
         words = plain(render_diagnosis(told(planar(), provenance={"inputs": files})))
         assert f"inputs arm.xml {'a' * 64}" in words
+
+    def test_there_are_as_many_colours_as_findings(self):
+        page = render_diagnosis(told(planar(), findings=many(12)))
+        assert len(set(re.findall(r"--own:(oklch\([^)]*\))", page))) == 12
 
 
 class TestCurves:
@@ -187,9 +194,10 @@ class TestCurves:
     def test_no_curve_is_long(self):
         for i in range(2):
             curves = joint_curves(planar(), i)
-            lines = [curve["y"] for curve in curves["time"].values()]
-            lines += [cloud["y"] for cloud in curves["clouds"]]
-            assert all(np.size(y) - y.count(None) <= MOST_POINTS for y in lines)
+            clouds = [cloud["y"] for cloud in curves["clouds"]]
+            assert all(len(y) <= MOST_POINTS for y in clouds)
+            _, *lines = curves["time"]
+            assert all(len(y) - y.count(None) <= 2 * MOST_POINTS for y in lines)
 
     @given(
         arrays(float, st.integers(0, 300), elements=st.integers(-999, 999)),
@@ -197,17 +205,21 @@ class TestCurves:
     )
     def test_thinning_keeps_order_and_peaks(self, y, most):
         t = np.arange(len(y)) / 8
-        curve = thin(t, y, np.arange(len(y)), most)
-        assert len(curve["y"]) <= max(most, 4)
-        assert curve["x"] == sorted(curve["x"])
-        if len(y):
-            assert (min(curve["y"]), max(curve["y"])) == (y.min(), y.max())
+        other = np.cos(y)
+        ts, *curves = thin(t, [y, other], np.arange(len(y)), most)
+        assert len(ts) <= max(2 * most, 4)
+        assert ts == sorted(ts)
+        for thinned, whole in zip(curves, (y, other), strict=True):
+            ends = np.array(
+                [f(x) for f in (min, max) for x in (thinned, whole) if len(x)]
+            )
+            np.testing.assert_allclose(ends[::2], ends[1::2], rtol=1e-3)
 
     def test_a_line_breaks_where_samples_are_left_out(self):
         rows = np.array([0, 1, 5, 6])
-        curve = thin(rows / 4, np.ones(4), rows)
-        assert curve["x"] == [0.0, 0.25, None, 1.25, 1.5]
-        assert curve["y"] == [1.0, 1.0, None, 1.0, 1.0]
+        t, y = thin(rows / 4, [np.ones(4)], rows)
+        assert t == [0.0, 0.25, 1.25, 1.25, 1.5]
+        assert y == [1.0, 1.0, None, 1.0, 1.0]
 
 
 class TestEvidence:
@@ -226,7 +238,12 @@ class TestEvidence:
     def test_every_row_is_as_wide_as_the_arm(self):
         for _, cells in evidence_matrix(planar()).rows:
             assert sum(cell.width for cell in cells) == 2
-            assert all(0 <= x <= 1 for cell in cells for x in cell.shade)
+
+    def test_more_evidence_is_darker(self):
+        matrix = evidence_matrix(planar())
+        alone = sorted(cell.alone for _, cells in matrix.rows for cell in cells)
+        shades = [matrix.shade(x) for x in alone]
+        assert shades == sorted(shades) and shades[0] == 0.0 < shades[-1] <= 60.0
 
 
 def many(count: int) -> tuple[Finding, ...]:
@@ -280,6 +297,20 @@ class TestVerdict:
         text = "\n".join(verdict_lines(found))
         assert "shoulder 4 → 1.2; no known cause at elbow 1.9;" in text
         assert "least squares alone leaves less at shoulder 0.9" in text
+        words = plain(render_diagnosis(replace(planar(), diagnosis=found)))
+        assert "No known cause at elbow 1.9 [N·m]." in words
+        assert "Least squares alone leaves less at shoulder 0.9 [N·m]." in words
+
+    def test_the_headline_names_effects_joints_and_what_is_left(self):
+        found = planar().diagnosis
+        text = headline(found)
+        assert text == "Torque ripple at shoulder, stribeck at elbow; noise is left"
+        several = replace(many(1)[0], joints=("a", "b", "c"))
+        some = replace(found, findings=(several, *many(3)), unexplained=0.31)
+        assert headline(some).startswith("Coulomb at 3 joints, coulomb at joint_0, ")
+        assert headline(some).endswith(" and 1 more; 31% of the gap is left")
+        nothing = replace(found, findings=(), verdict="unexplained", unexplained=1.0)
+        assert headline(nothing) == "No known cause of the gap at shoulder and elbow"
 
     def test_it_says_what_cannot_be_told_apart(self):
         text = "\n".join(verdict_lines(replace(planar().diagnosis, findings=many(1))))
@@ -315,49 +346,58 @@ class TestVerdict:
         assert value_cells(value)[1] == "−1.0 to 1.0, not determined"
 
 
-# Picks every joint, zooms by key and by pointer, hides a curve, changes the matrix.
+# Picks every joint, zooms by key, hides a curve, turns the arm, changes the matrix.
 ACTIONS = """
 const out = { errors: [], joints: [] };
 addEventListener("error", (event) => out.errors.push(event.message));
 const click = (selector) => document.querySelector(selector).click();
 const visible = () => [...document.querySelectorAll(".joint:not([hidden])")];
-const labels = (plot) => [...plot.querySelectorAll("text")].map((x) => x.textContent);
-const press = (plot, key) =>
-  plot.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
+const press = (node, key) =>
+  node.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
 const number = document.querySelectorAll(".picker [data-pick]").length;
 for (let k = 0; k < number; k++) {
   click(`.picker [data-pick="${k}"]`);
   out.joints.push([visible().length, visible()[0].querySelector("h3").textContent,
-    visible()[0].querySelectorAll("svg path").length]);
+    visible()[0].querySelectorAll("canvas").length]);
 }
-const plot = visible()[0].querySelector(".plot");
-const before = labels(plot).join();
-press(plot, "+");
-out.zoomed = labels(plot).join() !== before && !document.getElementById("whole").hidden;
-click("#whole");
-out.whole = labels(plot).join() === before;
-const box = plot.firstChild.getBoundingClientRect();
-plot.firstChild.setPointerCapture = () => {};
-const at = (kind, part) => plot.firstChild.dispatchEvent(new PointerEvent(kind, {
-  bubbles: true, pointerId: 1, clientX: box.left + part * box.width, clientY: box.top,
-}));
-at("pointerdown", 0.4); at("pointermove", 0.5); at("pointerup", 0.6);
-out.dragged = labels(plot).join() !== before;
-press(plot, "0");
-click(".joint:not([hidden]) .key");
-out.hidden = plot.querySelectorAll("path").length;
-click('[data-layer="beside"]');
-const style = (selector) => getComputedStyle(document.querySelector(selector)).display;
-out.layers = [style(".layer.alone"), style(".layer.beside")];
-dispatchEvent(new Event("beforeprint"));
-const joint = [...document.querySelectorAll(".joint")];
-out.printed = joint.every((x) => !x.hidden && x.querySelector("path"));
-dispatchEvent(new Event("afterprint"));
-out.back = visible().length;
-out.width = document.documentElement.scrollWidth - innerWidth;
-out.requests = performance.getEntriesByType("resource").length;
-document.body.innerHTML = "";
-document.body.append(JSON.stringify(out));
+const framed = visible()[0].querySelector(".plot"), chart = plots[number - 1][0];
+const span = () => chart.scales.x.max - chart.scales.x.min;
+const settled = () => new Promise((done) => setTimeout(done, 50));
+const drawn = ({ ctx }) =>
+  new Set(ctx.getImageData(0, 0, ctx.canvas.width, ctx.canvas.height).data).size;
+async function act() {
+  await settled();
+  const before = span();
+  press(framed, "+"); await settled();
+  out.zoomed = span() / before;
+  press(framed, "0"); await settled();
+  out.whole = span() / before;
+  out.drawn = drawn(chart);
+  const name = framed.querySelector("[role=button]");
+  press(name, "Enter"); await settled();
+  out.hidden = [name.getAttribute("aria-pressed"), chart.series[1].show];
+  const svg = document.getElementById("arm"), picture = svg.innerHTML;
+  out.circles = svg.querySelectorAll("circle").length;
+  press(svg, "ArrowLeft");
+  out.turned = svg.innerHTML !== picture;
+  press(svg, "ArrowRight");
+  out.turnedBack = svg.innerHTML === picture;
+  svg.dispatchEvent(new PointerEvent("pointermove", { buttons: 1, movementX: 30 }));
+  out.dragged = svg.innerHTML !== picture;
+  out.ground = getComputedStyle(document.body).backgroundColor;
+  dispatchEvent(new Event("beforeprint"));
+  const joint = [...document.querySelectorAll(".joint")];
+  out.printed = joint.every((x) => !x.hidden && x.querySelector("canvas"));
+  out.paper = getComputedStyle(document.body).backgroundColor;
+  dispatchEvent(new Event("afterprint"));
+  out.back = visible().map((x) => joint.indexOf(x));
+  out.width = document.documentElement.scrollWidth - innerWidth;
+  out.requests = performance.getEntriesByType("resource").length;
+  out.images = document.images.length;
+  document.body.innerHTML = "";
+  document.body.append(JSON.stringify(out));
+}
+act();
 """
 
 
@@ -369,7 +409,7 @@ def browser() -> str:
     return found
 
 
-def opened(browser, folder, page, size) -> tuple[dict, list[str]]:
+def opened(browser, folder, page, size, scheme) -> tuple[dict, list[str]]:
     """What a page did in a browser, and the lines of its console."""
     path = folder / f"{size}.html"
     path.write_text(
@@ -378,7 +418,8 @@ def opened(browser, folder, page, size) -> tuple[dict, list[str]]:
     done = subprocess.run(
         [browser, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom",
          "--enable-logging=stderr", f"--window-size={size}", "--no-first-run",
-         f"--user-data-dir={folder / 'profile'}", path.as_uri()],
+         "--virtual-time-budget=10000", f"--user-data-dir={folder / 'profile'}",
+         f"--blink-settings=preferredColorScheme={scheme}", path.as_uri()],
         capture_output=True, timeout=120,
     )  # fmt: skip
     dom, log = done.stdout.decode(), done.stderr.decode(errors="replace")
@@ -389,19 +430,37 @@ def opened(browser, folder, page, size) -> tuple[dict, list[str]]:
     ]
 
 
-@pytest.mark.parametrize("size", ["1200,900", "390,800"])
-def test_the_page_works_in_a_browser(browser, page, tmp_path, size):
-    found, console = opened(browser, tmp_path, page, size)
+@pytest.mark.parametrize(
+    ("size", "scheme", "ground"),
+    [("1200,900", 1, "rgb(255, 255, 255)"), ("500,800", 0, "rgb(26, 26, 26)")],
+    ids=["light desk", "dark phone"],
+)
+def test_the_page_works_in_a_browser(browser, page, tmp_path, size, scheme, ground):
+    found, console = opened(browser, tmp_path, page, size, scheme)
     assert console == [] and found["errors"] == []
     assert found["requests"] == 0
-    assert [x[:2] for x in found["joints"]] == [
-        [1, "shoulder: gap over time"],
-        [1, "elbow: gap over time"],
+    # A picture over time, and four of a law.
+    assert found["joints"] == [
+        [1, "shoulder: gap over time", 5],
+        [1, "elbow: gap over time", 5],
     ]
-    # Two curves over time, and four clouds with a law each.
-    assert all(paths == 2 + 4 * 2 for *_, paths in found["joints"])
-    assert found["zoomed"] and found["whole"] and found["dragged"]
-    assert found["hidden"] == 1
-    assert found["layers"] == ["none", "block"]
-    assert found["printed"] and found["back"] == 1
+    assert found["zoomed"] == pytest.approx(0.6) and found["whole"] == 1
+    assert found["drawn"] > 2  # shades: nothing drawn has one
+    assert found["hidden"] == ["false", False]
+    assert found["circles"] == 2 and found["turned"] and found["turnedBack"]
+    assert found["dragged"]
+    assert found["ground"] == ground and found["paper"] == "rgb(255, 255, 255)"
+    assert found["printed"] and found["back"] == [1]
     assert found["width"] <= 0, "the page is wider than its window"
+
+
+def test_the_name_of_a_joint_does_nothing_in_a_browser(browser, tmp_path):
+    result, nasty = planar(), "</script><img src=x onerror=alert()>"
+    robot, joints = result.gap.robot, (nasty, "elbow")
+    named = replace(robot, chain=replace(robot.chain, joints=joints))
+    evil = replace(told(result, joints=joints), gap=replace(result.gap, robot=named))
+    page = render_diagnosis(evil)
+    found, console = opened(browser, tmp_path, page, "1200,900", 1)
+    assert console == [] and found["errors"] == []
+    assert found["images"] == 0
+    assert found["joints"][0][1] == f"{nasty}: gap over time"

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -95,7 +96,7 @@ def test_pictures_are_drawn_and_the_animation_plays_in_real_time(folder):
 
 
 def test_an_arm_without_geometry_is_drawn_as_lines(tmp_path):
-    robot = Robot.load(PLANAR)
+    robot = replace(Robot.load(PLANAR), path="")
     poses = np.array([[0.0, 0.0], [0.5, -0.5]])
     reference = static_poses(robot, poses, hold=0.2, rate=100.0)
     figure = postures_figure(robot, reference, count=3)

@@ -18,7 +18,7 @@ from hybrid.cli.options import (
     whole,
     write_record,
 )
-from hybrid.errors import HybridError, RobotError
+from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
     from hybrid.cli.screen import Screen
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from hybrid.excitation.constraints import Constraint
     from hybrid.excitation.criteria import Criterion
     from hybrid.robot import Robot
-    from hybrid.robot.geometry import Capsules
 
 HELP = """design the motion that reveals the parameters
 writes DIR/reference_1.csv ... (time, position, speed, acceleration), DIR/design.json
@@ -156,20 +155,9 @@ def _draw(args: Namespace, found: Design, limits: Limits) -> None:
     robot, reference = found.robot, found.trajectories[0].reference(50.0)
     save_figure(motion_figure(reference, robot.joints, limits), motion)
     save_figure(information_figure(found), information)
-    capsules = _capsules(robot)
-    save_figure(postures_figure(robot, reference, capsules=capsules), postures)
+    save_figure(postures_figure(robot, reference), postures)
     if args.gif:
-        save_animation(robot, reference, animation, capsules=capsules)
-
-
-def _capsules(robot: Robot) -> Capsules | None:
-    """What covers the links; an arm without geometry is drawn as lines."""
-    from hybrid.robot.geometry import capsules_from_robot
-
-    try:
-        return capsules_from_robot(robot)
-    except RobotError:
-        return None
+        save_animation(robot, reference, animation)
 
 
 def _tell(args: Namespace, screen: Screen, found: Design) -> None:

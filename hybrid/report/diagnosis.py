@@ -8,38 +8,31 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from markupsafe import Markup
 
 from hybrid.diagnosis.gap.units import units
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
+from hybrid.report import diagnosis_text
+from hybrid.report.arm import Postures
 from hybrid.report.diagnosis_curves import joint_curves, rms_table
 from hybrid.report.diagnosis_evidence import evidence_matrix
-from hybrid.report.diagnosis_text import (
-    effect_name,
-    effects_listed,
-    number,
-    pushes,
-    range_name,
-    region_name,
-    shrink_sentence,
-    value_cells,
-    verdict_sentence,
-    words,
-)
+from hybrid.report.diagnosis_text import effect_name
 from hybrid.report.output import provenance, write_results
 from hybrid.report.page import render_template
 
 if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.diagnosis import Advice, Diagnosis, Finding, Shrink
+    from hybrid.diagnosis.answer.diagnosis import Diagnosis
     from hybrid.diagnosis.answer.result import Result
 
 PAGE, CONTENT = "report.html", "diagnosis.json"
 
 _SMALL = 0.005  # a share that would be shown as 0%
 
-# Told apart by colour-blind readers, and by lightness in print.
-_INKS = ("#08519c", "#e69f00", "#56b4e9", "#009e73", "#cc79a7", "#5a5a5a")
+_HATCHED = "repeating-linear-gradient(45deg,var(--grey) 0 3px,var(--faint) 3px 7px)"
+_BLUE, _GOLDEN = 255.0, 137.5  # degrees of hue: of the first colour, between two
+_LIGHTNESS = (0.52, 0.66)  # by turns, to tell colours apart without their hue
 
 
 def write_diagnosis(result: Result, directory: str | Path) -> None:
@@ -61,152 +54,91 @@ def write_diagnosis(result: Result, directory: str | Path) -> None:
 
 def render_diagnosis(result: Result) -> str:
     """The page that :func:`write_diagnosis` writes."""
-    diagnosis = result.diagnosis
+    diagnosis, matrix = result.diagnosis, evidence_matrix(result)
     curves = [joint_curves(result, i) for i in range(len(diagnosis.joints))]
+    rows, longest = _overview(result)
+    inks, known = _inks(len(diagnosis.findings)), effect_classes()
+    drawn = {
+        "joints": curves,
+        "inks": {
+            f.effect: ink for f, ink in zip(diagnosis.findings, inks, strict=True)
+        },
+        "first": int((result.account.explained + result.account.missed).argmax()),
+        "after": "with the findings" if result.effects else "its own numbers corrected",
+        "arm": _arm(result),
+        "gaps": [row["above"] for row in rows],
+    }
     return render_template(
         "diagnosis.html",
         title=f"{diagnosis.robot}: simulator against robot",
-        lead=verdict_sentence(diagnosis),
+        lead=diagnosis_text.verdict_sentence(diagnosis),
+        said=diagnosis_text,
         diagnosis=diagnosis,
-        rows=_overview(result),
-        shares=_shares(diagnosis),
-        findings=[_finding(f, _ink(k)) for k, f in enumerate(diagnosis.findings)],
+        rows=rows,
+        longest=longest,
+        shares=_shares(diagnosis, inks),
+        inks=inks,
+        laws={f.effect: known.get(f.effect) for f in diagnosis.findings},
         remainder=_remainder(result),
-        matrix=evidence_matrix(result),
+        matrix=matrix,
         late=bool(result.late),
-        regions=_regions(diagnosis),
-        variables=list(dict.fromkeys(r.variable for r in diagnosis.where)),
-        advice=[_advice(x) for x in diagnosis.advice],
-        pushes=list(pushes(diagnosis)),
-        effect_name=effect_name,
-        number=number,
-        data=_embedded(
-            {"joints": curves, "inks": _inks(diagnosis), "first": _widest(result)}
-        ),
-        provenance=_readable(diagnosis.provenance),
+        data=_embedded(drawn),
+        provenance=diagnosis.provenance,
     )
 
 
-def _overview(result: Result) -> list[dict[str, Any]]:
-    """Each joint's gap, as a part of the largest relative gap."""
-    table = rms_table(result)
+def _overview(result: Result) -> tuple[list[dict[str, Any]], float]:
+    """Each joint's gap, as a part of the largest relative gap; and that."""
+    table, joints = rms_table(result), result.diagnosis.joints
     shares = [max(x["today"], x["after"]) / x["torque"] for x in table if x["torque"]]
-    widest = max(shares, default=1.0)
-    return [
-        {
-            "joint": joint,
-            "unit": units(result.gap.robot, [i])[1],
-            "rms": {k: number(row[k]) for k in row},
-            "percent": number(100 * row["today"] / row["torque"])
-            if row["torque"]
-            else "",
-            # Bars are relative to the torque: a wrist is as visible as a shoulder.
-            "width": {
-                k: 100 * min(1.0, row[k] / row["torque"] / widest)
-                if row["torque"]
-                else 0
-                for k in ("today", "after", "noise")
-            },
-        }
-        for i, (joint, row) in enumerate(
-            zip(result.diagnosis.joints, table, strict=True)
+    longest = max(shares, default=1.0) or 1.0
+    rows: list[dict[str, Any]] = []
+    for i, (joint, row) in enumerate(zip(joints, table, strict=True)):
+        unit = units(result.gap.robot, [i])[1]
+        # Bars are relative to the torque: a wrist is as visible as a shoulder.
+        whole = longest * row["torque"] or np.inf
+        width = {k: 100 * min(1.0, x / whole) for k, x in row.items()}
+        above = np.sqrt(max(0.0, width["today"] ** 2 - width["noise"] ** 2)) / 100
+        rows.append(
+            {**row, "joint": joint, "unit": unit, "width": width, "above": above}
         )
-    ]
+    return rows, longest
 
 
-def _shares(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Parts of the explainable gap, in per cent: each finding's, and the rest."""
-    explained = 1.0 - diagnosis.unexplained
-    parts: list[dict[str, Any]] = [
-        {"name": effect_name(f.effect), "ink": _ink(k), "part": f.share * explained}
-        for k, f in enumerate(diagnosis.findings)
-    ]
-    if diagnosis.unexplained >= _SMALL:
-        parts.append({"name": "unexplained", "ink": "", "part": diagnosis.unexplained})
-    return [{**x, "part": 100 * x["part"]} for x in parts]
+def _arm(result: Result) -> dict[str, Any]:
+    """The arm as it stands first in the recordings, in [m]."""
+    postures = Postures.of(result.gap.robot, result.gap.sampled.q[:1])
+    return {
+        "joints": postures.joints[0].round(4).tolist(),
+        "ends": postures.ends[0].round(4).tolist(),
+        "radius": postures.radius.round(4).tolist(),
+    }
 
 
-def _remainder(result: Result) -> list[dict[str, str]]:
-    """Joints where structure is left, and what a flexible regression says of it."""
-    found = result.account
+def _shares(diagnosis: Diagnosis, inks: Sequence[str]) -> list[tuple[str, str, float]]:
+    """Name, colour and part of the explainable gap: each finding's, and the rest."""
+    rest = diagnosis.unexplained
+    found = zip(diagnosis.findings, inks, strict=True)
+    parts = [(effect_name(f.effect), ink, f.share * (1 - rest)) for f, ink in found]
+    return [*parts, ("unexplained", _HATCHED, rest)] if rest >= _SMALL else parts
+
+
+def _remainder(result: Result) -> list[tuple[str, float, str]]:
+    """Joints where structure is left: of the gap, and what it depends on."""
+    found, joints = result.account, result.diagnosis.joints
     whole = float((found.explained + found.missed).sum())
     if not (whole > 0 and result.diagnosis.unexplained >= _SMALL):
         return []
-    parts = zip(
-        result.diagnosis.joints, found.missed / whole, found.depends, strict=True
-    )
-    rows = sorted(parts, key=lambda x: -x[1])
+    parts = zip(joints, found.missed / whole, found.depends, strict=True)
+    return sorted((x for x in parts if x[1] >= _SMALL), key=lambda x: -x[1])
+
+
+def _inks(count: int) -> list[str]:
+    """As many colours; steps of the golden angle keep their hues apart."""
     return [
-        {"joint": joint, "share": f"{part:.0%}", "depends": depends}
-        for joint, part, depends in rows
-        if part >= _SMALL
+        f"oklch({_LIGHTNESS[k % 2]} 0.14 {(_BLUE + _GOLDEN * k) % 360:.0f})"
+        for k in range(count)
     ]
-
-
-def _finding(f: Finding, ink: str) -> dict[str, Any]:
-    cls = effect_classes().get(f.effect)
-    return {
-        "name": effect_name(f.effect),
-        "ink": ink,
-        "joints": words(f.joints),
-        "share": f"{f.share:.0%}",
-        "sentence": f.sentence,
-        "alike": effects_listed(f.alternatives[1:], "or"),
-        "shrink": [_shrink(kind, s) for kind, s in f.shrink.items()],
-        "parameters": [(v.joint, v.name, *value_cells(v)) for v in f.parameters],
-        "remedy": f.remedy,
-        "equation": cls.equation if cls else "",
-        "source": cls.source if cls else "",
-    }
-
-
-def _shrink(kind: str, s: Shrink) -> dict[str, Any]:
-    """A sentence, and how much is left, in per cent, with its interval."""
-    low, high = (100 * min(1.0, max(0.0, 1.0 - x)) for x in reversed(s.interval))
-    left = 100 * min(1.0, s.after / s.before) if s.before > 0 else 0.0
-    return {"text": shrink_sentence(kind, s), "left": left, "low": low, "high": high}
-
-
-def _regions(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    widest = max((r.interval[1] for r in diagnosis.where), default=0.0) or 1.0
-    return [
-        {
-            "name": region_name(r),
-            "joint": r.joint,
-            "variable": r.variable,
-            "range": range_name(r),
-            "share": f"{r.share:.0%}",
-            "interval": f"{r.interval[0]:.0%} to {r.interval[1]:.0%}",
-            "shade": round(100 * max(0.0, min(1.0, r.share))),
-            "width": 100 * max(0.0, r.share) / widest,
-            "low": 100 * max(0.0, r.interval[0]) / widest,
-            "high": 100 * r.interval[1] / widest,
-        }
-        for r in diagnosis.where
-    ]
-
-
-def _advice(x: Advice) -> dict[str, str]:
-    return {
-        "experiment": x.experiment,
-        "splits": effects_listed(x.splits, "from"),
-        "separation": number(x.separation, 2),
-        "file": x.file,
-    }
-
-
-def _widest(result: Result) -> int:
-    """The joint with most of the gap above noise: the one to look at first."""
-    above = result.account.explained + result.account.missed
-    return int(above.argmax())
-
-
-def _ink(k: int) -> str:
-    return _INKS[k % len(_INKS)]
-
-
-def _inks(diagnosis: Diagnosis) -> dict[str, str]:
-    return {f.effect: _ink(k) for k, f in enumerate(diagnosis.findings)}
 
 
 def _embedded(content: Mapping[str, Any]) -> Markup:
@@ -215,18 +147,3 @@ def _embedded(content: Mapping[str, Any]) -> Markup:
         content, allow_nan=False, ensure_ascii=False, separators=(",", ":")
     )
     return Markup(text.replace("<", "\\u003c"))
-
-
-def _readable(made: Mapping[str, Any]) -> dict[str, Any]:
-    """Provenance for the foot of a page: a file and its hash are one entry."""
-
-    def entry(x: Any) -> Any:
-        if isinstance(x, Mapping):
-            return " ".join(map(str, x.values()))
-        return x
-
-    def plain(x: Any) -> Any:
-        several = isinstance(x, Sequence) and not isinstance(x, str)
-        return [entry(item) for item in x] if several else x
-
-    return {name: plain(x) for name, x in made.items()}

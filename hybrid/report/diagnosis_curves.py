@@ -34,9 +34,8 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
         i: The joint.
 
     Returns:
-        JSON-ready: ``name``, ``noise`` and its ``unit``; ``time`` with one curve for
-        the simulator as it stands, with its own numbers corrected, and with the
-        findings added; ``marks``, where the samples of each recording begin; ``over``,
+        JSON-ready: ``name``, ``noise`` and its ``unit``; ``time``, abscissa and
+        gap, today and with the findings; ``marks``, where recordings begin; ``over``,
         values of position, speed, acceleration and load; ``clouds``, one for each
         finding that acts here: what is left without it, and its fitted law, at those
         values.
@@ -44,63 +43,61 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
     gap, scored, m = result.gap, result.scored, result.gap.sampled
     order = np.argsort(scored.evidence.rows[i])
     rows = scored.evidence.rows[i][order]
-    left = {
-        "today": gap.left[rows, i],
-        "corrected": scored.before[i][order],
-        "after": scored.after[i][order],
-    }
-    if not scored.terms:  # both are the same
-        del left["corrected" if result.effects else "after"]
     t, marks = _one_after_another(
         m.t, gap.trajectory, rows, [x.source for x in gap.motions]
     )
     spots = np.arange(0, len(rows), max(1, -(-len(rows) // MOST_POINTS)))
-    turn, force = units(gap.robot, [i])
+    at, (turn, force) = rows[spots], units(gap.robot, [i])
     over = {
-        "position": (m.q[rows, i], turn),
-        "speed": (m.v[rows, i], f"{turn}/s"),
-        "acceleration": (m.a[rows, i], f"{turn}/s²"),
-        "load": (gap.load[rows, i], force),
+        "position": (m.q[at, i], turn),
+        "speed": (m.v[at, i], f"{turn}/s"),
+        "acceleration": (m.a[at, i], f"{turn}/s²"),
+        "load": (gap.load[at, i], force),
     }
     return {
         "name": gap.robot.joints[i],
         "unit": force,
         "noise": result.diagnosis.noise_floor[i],
-        "time": {name: thin(t, y, rows) for name, y in left.items()},
+        "time": thin(t, [gap.left[rows, i], scored.after[i][order]], rows),
         "marks": marks,
-        "over": {
-            name: {"x": _short(x[spots]), "unit": unit}
-            for name, (x, unit) in over.items()
-        },
+        "over": {name: {"x": _short(x), "unit": u} for name, (x, u) in over.items()},
         "clouds": _clouds(
-            scored, i, order[spots], {name: x[spots] for name, (x, _) in over.items()}
+            scored, i, order[spots], {k: x for k, (x, _) in over.items()}
         ),
     }
 
 
-def thin(x: Array, y: Array, rows: Index, most: int = MOST_POINTS) -> dict[str, Any]:
-    """A curve with its ends and the lowest and the highest point of each stretch.
+def thin(
+    x: Array, curves: Sequence[Array], rows: Index, most: int = MOST_POINTS
+) -> list[list[float | None]]:
+    """Curves with their ends and the lowest and the highest point of each stretch.
 
-    No peak is lost. Where samples are left out in between, ``None`` breaks the line.
+    No peak is lost. Where samples are left out in between, ``None`` breaks the lines.
 
     Args:
         x: Abscissa, shape (N,).
-        y: Ordinate, shape (N,).
+        curves: Ordinates, each of shape (N,).
         rows: Number of each sample, shape (N,).
-        most: Most points that are kept.
+        most: Most points that are kept of a curve.
+
+    Returns:
+        The abscissa and each ordinate, at the same points.
     """
-    kept = np.arange(len(y))
-    if len(y) > most:
-        edges = np.linspace(0, len(y), most // 2).astype(int)
-        ends = zip(edges[:-1], edges[1:], strict=True)
-        pairs = [(a + y[a:b].argmin(), a + y[a:b].argmax()) for a, b in ends]
-        kept = np.unique([(0, len(y) - 1), *pairs])
+    kept = np.arange(len(x))
+    if len(x) > most:
+        edges = np.linspace(0, len(x), most // 2).astype(int)
+        ends = [*zip(edges[:-1], edges[1:], strict=True)]
+        pairs = [
+            (a + y[a:b].argmin(), a + y[a:b].argmax()) for a, b in ends for y in curves
+        ]
+        kept = np.unique([(0, len(x) - 1), *pairs])
     stretch = np.cumsum(np.diff(rows, prepend=rows[:1]) > 1)[kept]
-    xs, ys = _short(x[kept]), _short(y[kept])
+    xs, *ys = (_short(values[kept]) for values in (x, *curves))
     for at in np.flatnonzero(np.diff(stretch))[::-1] + 1:
-        xs.insert(at, None)
-        ys.insert(at, None)
-    return {"x": xs, "y": ys}
+        xs.insert(at, xs[at])
+        for y in ys:
+            y.insert(at, None)
+    return [xs, *ys]
 
 
 def _one_after_another(
@@ -121,27 +118,17 @@ def _one_after_another(
 def _clouds(
     scored: Explanation, i: int, spots: Index, over: Mapping[str, Array]
 ) -> list[dict[str, Any]]:
-    clouds = []
-    after = scored.after[i][spots]
+    def cloud(effect: str, law: Array, shown: Array) -> dict[str, Any]:
+        own = {"effect": effect, "y": _short(after + law), "law": _short(law)}
+        return {**own, "order": _clearest(over, shown)}
+
+    found, after = [], scored.after[i][spots]
     for effect, members in _by_effect(scored).items():
         here = [_weight(scored, members, j) for j in range(len(scored.after))]
         if here[i] > _TOUCHES * max(here):
             law = _law(scored, members, i)[spots]
-            clouds.append(
-                {
-                    "effect": effect,
-                    "y": _short(after + law),
-                    "law": _short(law),
-                    "order": _clearest(over, law),
-                }
-            )
-    rest = {
-        "effect": "",
-        "y": _short(after),
-        "law": [],
-        "order": _clearest(over, after),
-    }
-    return clouds or [rest]
+            found.append(cloud(effect, law, law))
+    return found or [cloud("", np.zeros(len(after)), after)]
 
 
 def _clearest(over: Mapping[str, Array], y: Array) -> list[str]:
@@ -187,23 +174,19 @@ def rms_table(result: Result) -> list[dict[str, float]]:
     """RMS gap of each joint on samples that no step has seen, [N·m].
 
     Returns:
-        For each joint ``today``, ``corrected``, ``after``, ``noise``, and ``torque``,
+        For each joint ``today``, ``after``, ``noise``, and ``torque``,
         the RMS of what was measured; zeros where no such sample moves.
     """
     gap, scored = result.gap, result.scored
-    measured = gap.measured
-    table = []
-    for i, rows in enumerate(scored.evidence.rows):
-        table.append(
-            {
-                "today": _rms(gap.left[rows, i]),
-                "corrected": _rms(scored.before[i]),
-                "after": _rms(scored.after[i]),
-                "noise": result.diagnosis.noise_floor[i],
-                "torque": _rms(measured[rows, i]),
-            }
-        )
-    return table
+    return [
+        {
+            "today": _rms(gap.left[rows, i]),
+            "after": _rms(scored.after[i]),
+            "noise": result.diagnosis.noise_floor[i],
+            "torque": _rms(gap.measured[rows, i]),
+        }
+        for i, rows in enumerate(scored.evidence.rows)
+    ]
 
 
 def _rms(x: Array) -> float:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _LITTLE = 3.0  # nats: a row with less is only named
 _DECADE = float(np.log(10.0))
+_DARKEST = 60.0  # per cent: black text is legible on it
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,6 @@ class Cell:
         beside: Evidence for it beside the findings; for a finding what its removal
             would lose.
         named: Whether it is a finding.
-        shade: Darkness 0 to 1 of ``alone`` and of ``beside``.
     """
 
     width: int
@@ -35,7 +35,6 @@ class Cell:
     alone: float
     beside: float
     named: bool
-    shade: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -44,6 +43,12 @@ class Matrix:
 
     rows: tuple[tuple[str, tuple[Cell, ...]], ...]
     silent: tuple[str, ...]
+
+    def shade(self, evidence: float) -> float:
+        """Darkness of a cell in per cent, by the logarithm: evidence spans decades."""
+        cells = [cell for _, row in self.rows for cell in row]
+        top = max(max(cell.alone, cell.beside) for cell in cells)
+        return float(_DARKEST * np.log1p(evidence) / np.log1p(top)) if top else 0.0
 
 
 def evidence_matrix(result: Result) -> Matrix:
@@ -79,7 +84,7 @@ def evidence_matrix(result: Result) -> Matrix:
     loud = [e for e in order if any(map(_speaks, cells[e].values()))]
     rows = tuple((e, tuple(_filled(cells[e], len(joints)))) for e in loud)
     silent = tuple(sorted(e for e in order if e not in loud))
-    return Matrix(_shaded(rows), silent)
+    return Matrix(rows, silent)
 
 
 def _late(result: Result, j: int) -> Cell:
@@ -115,17 +120,3 @@ def _filled(row: dict[int, Cell], size: int) -> Iterator[Cell]:
         cell = row.get(column, Cell(1, "", 0.0, 0.0, False))
         yield cell
         column += cell.width
-
-
-def _shaded(
-    rows: tuple[tuple[str, tuple[Cell, ...]], ...],
-) -> tuple[tuple[str, tuple[Cell, ...]], ...]:
-    """Darkness by the logarithm: evidence spans decades."""
-    cells = [c for _, row in rows for c in row]
-    top = np.log1p(max((max(c.alone, c.beside) for c in cells), default=1.0))
-
-    def shade(c: Cell) -> Cell:
-        both = float(np.log1p(c.alone) / top), float(np.log1p(c.beside) / top)
-        return Cell(c.width, c.joints, c.alone, c.beside, c.named, both)
-
-    return tuple((effect, tuple(map(shade, row))) for effect, row in rows)

@@ -29,6 +29,35 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     }[diagnosis.verdict]
 
 
+def headline(diagnosis: Diagnosis) -> str:
+    """The first effects with their joints, and what is left, in a few words."""
+    named = [
+        f"{f.effect.replace('_', ' ')} at {joints_named(f.joints)}"
+        for f in diagnosis.findings
+    ]
+    rest = diagnosis.unexplained
+    where = joints_named(gap_joints(diagnosis))
+    left = f"{rest:.0%} of the gap is left" if rest >= 0.005 else "noise is left"
+    text = {
+        "no_gap": "the simulator fits the robot",
+        "not_excited": "the recordings move the arm too little to tell",
+        "unexplained": f"no known cause of the gap at {where}",
+    }.get(diagnosis.verdict, f"{_few(named, between=', ')}; {left}")
+    return text[:1].upper() + text[1:]
+
+
+def joints_named(names: Sequence[str]) -> str:
+    """Two joints by name, more by number."""
+    return words(names) if len(names) <= 2 else f"{len(names)} joints"
+
+
+def gap_joints(diagnosis: Diagnosis) -> list[str]:
+    """Joints with a gap, widest over its noise first."""
+    gaps = zip(diagnosis.rms, diagnosis.noise_floor, diagnosis.joints, strict=True)
+    over = [(rms / max(noise, 1e-12), joint) for rms, noise, joint in gaps]
+    return [joint for ratio, joint in sorted(over, reverse=True) if ratio > _ABOVE]
+
+
 def verdict_lines(diagnosis: Diagnosis) -> list[str]:
     """The diagnosis in at most ten lines: what, where, how sure, what to run next."""
     places, left = _places(diagnosis), _left(diagnosis)
@@ -46,16 +75,13 @@ def verdict_lines(diagnosis: Diagnosis) -> list[str]:
 
 def _places(diagnosis: Diagnosis) -> Iterator[str]:
     """The joints that have a gap, widest over its noise first, and under what."""
-    forces = diagnosis.units or (_TORQUE,) * len(diagnosis.joints)
-    gaps = zip(
-        diagnosis.joints, diagnosis.rms, diagnosis.noise_floor, forces, strict=True
-    )
-    over = [(rms / max(noise, 1e-12), j, rms, noise, u) for j, rms, noise, u in gaps]
+    joints = diagnosis.joints
+    forces = diagnosis.units or (_TORQUE,) * len(joints)
     named = [
-        f"{joint} {number(rms)}{'' if unit == _TORQUE else _BOUND + unit} "
-        f"(noise {number(noise)})"
-        for ratio, joint, rms, noise, unit in sorted(over, reverse=True)
-        if ratio > _ABOVE
+        f"{joint} {number(diagnosis.rms[k])}"
+        f"{'' if forces[k] == _TORQUE else _BOUND + forces[k]} "
+        f"(noise {number(diagnosis.noise_floor[k])})"
+        for joint, k in ((x, joints.index(x)) for x in gap_joints(diagnosis))
     ]
     if diagnosis.verdict in ("no_gap", "not_excited") or not named:
         return
@@ -66,32 +92,43 @@ def _places(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"Densest: {region_name(first)}, {first.share:.0%} of the whole gap"
 
 
+def _unseen(diagnosis: Diagnosis) -> Iterator[tuple[str, str, dict[str, float]]]:
+    """Joint, end of a number, and the gaps on unseen motion; widest first."""
+    unseen, joints = diagnosis.unseen, diagnosis.joints
+    if unseen is None or not diagnosis.findings:
+        return
+    units = diagnosis.units or (_TORQUE,) * len(joints)
+    names = ("before", "after", "least_squares", "noise")
+    for i in np.argsort(-np.nan_to_num(unseen.before)).tolist():
+        if np.isfinite(unseen.after[i]):
+            end = "" if units[i] == _TORQUE else _BOUND + units[i]
+            yield joints[i], end, {name: getattr(unseen, name)[i] for name in names}
+
+
+def cautions(diagnosis: Diagnosis) -> list[str]:
+    """Where the findings leave a gap, or more than least squares alone, if anywhere."""
+    named = {joint for f in diagnosis.findings for joint in f.joints}
+    unknown, worse = list[str](), list[str]()
+    for joint, end, x in _unseen(diagnosis):
+        if joint not in named and x["after"] > _ABOVE * x["noise"]:
+            unknown.append(f"{joint} {number(x['after'])}{end}")
+        if x["after"] > _ABOVE * x["least_squares"]:
+            worse.append(f"{joint} {number(x['least_squares'])}{end}")
+    said = {"no known cause": unknown, "least squares alone leaves less": worse}
+    return [f"{k} at {_few(x, between=', ')}" for k, x in said.items() if x]
+
+
 def _left(diagnosis: Diagnosis) -> Iterator[str]:
     """What the findings leave on unseen motion, joint by joint, and where none is."""
-    if diagnosis.unseen is None or not diagnosis.findings:
-        return
-    joints, unseen = diagnosis.joints, diagnosis.unseen
-    units = diagnosis.units or (_TORQUE,) * len(joints)
-    ends = ["" if unit == _TORQUE else _BOUND + unit for unit in units]
     named = {joint for f in diagnosis.findings for joint in f.joints}
-    falls, unknown, worse = list[str](), list[str](), list[str]()
-    order = np.argsort(-np.nan_to_num(unseen.before)).tolist()
-    for i in (k for k in order if np.isfinite(unseen.after[k])):
-        before, after, usual = (
-            getattr(unseen, x)[i] for x in ("before", "after", "least_squares")
-        )
-        if joints[i] in named:
-            falls.append(f"{joints[i]} {number(before)} → {number(after)}{ends[i]}")
-        elif after > _ABOVE * unseen.noise[i]:
-            unknown.append(f"{joints[i]} {number(after)}{ends[i]}")
-        if after > _ABOVE * usual:
-            worse.append(f"{joints[i]} {number(usual)}{ends[i]}")
-    parts = [_few(falls, between=", ")]
-    if unknown:
-        parts.append(f"no known cause at {_few(unknown, between=', ')}")
-    if worse:
-        parts.append(f"least squares alone leaves less at {_few(worse, between=', ')}")
-    yield f"On unseen motion, in {_TORQUE}: {'; '.join(x for x in parts if x)}"
+    falls = [
+        f"{joint} {number(x['before'])} → {number(x['after'])}{end}"
+        for joint, end, x in _unseen(diagnosis)
+        if joint in named
+    ]
+    parts = [_few(falls, between=", "), *cautions(diagnosis)]
+    if any(parts):
+        yield f"On unseen motion, in {_TORQUE}: {'; '.join(x for x in parts if x)}"
 
 
 def _entry(number: int, f: Finding) -> Iterator[str]:
@@ -152,6 +189,12 @@ def region_name(region: Region) -> str:
     if region.variable == "direction":
         return f"{region.joint}, {range_name(region)}"
     return f"{region.joint}, {region.variable.replace('_', ' ')} {range_name(region)}"
+
+
+def region_share(region: Region) -> str:
+    """Its share of the gap with the interval."""
+    low, high = region.interval
+    return f"{region.share:.0%} of the gap, 95% interval {low:.0%} to {high:.0%}"
 
 
 def range_name(region: Region) -> str:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.excitation.clearance import ends_in_world, frames
 from hybrid.files import atomic_path
 from hybrid.names import figure_text
+from hybrid.report.arm import Postures
 from hybrid.report.style import (
     BLUE,
     GREY,
@@ -25,7 +24,6 @@ from hybrid.report.style import (
     new_figure,
     panels,
 )
-from hybrid.robot.geometry import Capsules
 from hybrid.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -125,7 +123,6 @@ def postures_figure(
     robot: Robot,
     reference: Reference,
     *,
-    capsules: Capsules | None = None,
     count: int = 8,
 ) -> Figure:
     """The arm at times evenly spread over a motion.
@@ -133,16 +130,15 @@ def postures_figure(
     Args:
         robot: The arm.
         reference: Its motion.
-        capsules: What covers its links, to be drawn around them.
         count: Number of pictures.
     """
     samples = np.linspace(0, len(reference.t) - 1, count).round().astype(int)
-    scene = _Scene(robot, reference.q[samples], capsules)
+    postures = Postures.of(robot, reference.q[samples])
     rows = -(-count // _COLUMNS)
     figure = new_figure(0.1 + 1.9 * rows)
     for k, sample in enumerate(samples):
         axes: Any = figure.add_subplot(rows, _COLUMNS, k + 1, projection="3d")
-        scene.draw(axes, k)
+        _draw(axes, postures, k)
         axes.set_title(f"{reference.t[sample]:.1f} s", fontsize=8, y=0.95)
     return figure
 
@@ -152,7 +148,6 @@ def save_animation(
     reference: Reference,
     path: str | Path,
     *,
-    capsules: Capsules | None = None,
     rate: float = 10.0,
 ) -> None:
     """Write the motion as an animated GIF that plays in real time.
@@ -161,19 +156,18 @@ def save_animation(
         robot: The arm.
         reference: Its motion.
         path: GIF file.
-        capsules: What covers its links, to be drawn around them.
         rate: Pictures per second, [Hz].
     """
     from PIL import Image
 
     t = np.arange(0.0, float(reference.t[-1]), 1.0 / rate)
-    scene = _Scene(robot, reference.at(t)[0], capsules)
+    postures = Postures.of(robot, reference.at(t)[0])
     figure = new_figure(0.75 * WIDTH)
     axes: Any = figure.add_subplot(projection="3d")
     pictures = []
     for k, now in enumerate(t):
         axes.clear()
-        scene.draw(axes, k)
+        _draw(axes, postures, k)
         axes.set_title(f"{now:.1f} s", fontsize=9, y=0.97)
         buffer = BytesIO()
         figure.savefig(buffer, format="png", dpi=_DOTS)
@@ -189,40 +183,20 @@ def save_animation(
         )
 
 
-class _Scene:
-    """Lines that show an arm in K postures, and the box that holds them all."""
-
-    def __init__(self, robot: Robot, q: Array, capsules: Capsules | None) -> None:
-        origins = frames(robot.chain, q)[1].transpose(1, 0, 2)  # (K, n, 3)
-        base = np.zeros((len(q), 1, 3))
-        self._joints = np.concatenate([base, origins], axis=1)
-        self._bodies = np.zeros((len(q), 0, 2, 3))
-        self._radius = np.zeros(0)
-        if capsules is not None:
-            self._bodies = ends_in_world(robot.chain, capsules, q)
-            self._radius = capsules.radius
-        points = np.concatenate(
-            [self._joints.reshape(-1, 3), self._bodies.reshape(-1, 3)]
+def _draw(axes: Any, postures: Postures, k: int) -> None:
+    """Posture ``k`` on 3-D axes, in a box that holds them all."""
+    center, size = postures.box
+    inch = min(axes.get_position().size * axes.figure.get_size_inches())
+    points_per_metre = 72 * inch / (2 * size)
+    for body, radius in zip(postures.ends[k], postures.radius, strict=True):
+        thick = min(2 * radius * points_per_metre, _THICKEST)
+        axes.plot(
+            *body.T, color=GREY, alpha=0.35, linewidth=thick, solid_capstyle="round"
         )
-        low, high = points.min(axis=0), points.max(axis=0)
-        self._size = max(0.55 * float((high - low).max()), 1e-3)
-        self._middle = (low + high) / 2
-
-    def draw(self, axes: Any, k: int) -> None:
-        """Posture ``k`` on 3-D axes."""
-        inch = min(axes.get_position().size * axes.figure.get_size_inches())
-        points_per_metre = 72 * inch / (2 * self._size)
-        for body, radius in zip(self._bodies[k], self._radius, strict=True):
-            thick = min(2 * radius * points_per_metre, _THICKEST)
-            axes.plot(
-                *body.T, color=GREY, alpha=0.35, linewidth=thick,
-                solid_capstyle="round",
-            )  # fmt: skip
-        axes.plot(*self._joints[k].T, "o-", color=BLUE, linewidth=1.5, markersize=2.5)
-        axes.plot(*self._joints[k, -1:].T, "o", color=RED, markersize=3.5)
-        for axis, middle in zip("xyz", self._middle, strict=True):
-            limits = middle - self._size, middle + self._size
-            getattr(axes, f"set_{axis}lim")(*limits)
-            getattr(axes, f"{axis}axis").set_ticklabels([])
-            getattr(axes, f"{axis}axis").set_tick_params(length=0)
-        axes.set_box_aspect((1, 1, 1))
+    axes.plot(*postures.joints[k].T, "o-", color=BLUE, linewidth=1.5, markersize=2.5)
+    axes.plot(*postures.joints[k, -1:].T, "o", color=RED, markersize=3.5)
+    for axis, middle in zip("xyz", center, strict=True):
+        getattr(axes, f"set_{axis}lim")(middle - size, middle + size)
+        getattr(axes, f"{axis}axis").set_ticklabels([])
+        getattr(axes, f"{axis}axis").set_tick_params(length=0)
+    axes.set_box_aspect((1, 1, 1))

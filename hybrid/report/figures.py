@@ -62,14 +62,12 @@ def torque_figure(
         above.plot(t, measured[:, j], color=PALE, linewidth=2.2, label="measured")
         for (name, torque), ink in zip(predicted.items(), inks, strict=True):
             above.plot(t, torque[:, j], color=ink, linewidth=0.9, label=name)
-            left = measured[:, j] - torque[:, j]
-            below.plot(t, left, color=ink, linewidth=0.7)
+            below.plot(t, measured[:, j] - torque[:, j], color=ink, linewidth=0.7)
         for axes in (above, below):
             clean(axes, grid="y")
             axes.margins(x=0)
-        above.set_title(
-            figure_text(joints[j]), loc="left", fontsize=9, fontweight="bold"
-        )
+        name = figure_text(joints[j])
+        above.set_title(name, loc="left", fontsize=9, fontweight="bold")
         above.set_ylabel("torque\n[N·m]")
         below.set_ylabel("residual\n[N·m]")
     finish(figure, [below for _, below in cells], "time [s]")

@@ -157,7 +157,7 @@ def heat_figure(fleet: Fleet) -> Figure:
     axes.set_yticks(range(len(arms)), [figure_text(x) for x in arms], fontsize=7)
     axes.tick_params(length=0)
     bar = figure.colorbar(image, ax=axes, shrink=0.6)
-    bar.set_label("from the fleet's median [σ between arms]", fontsize=7)
+    bar.set_label("σ from the median", fontsize=7)
     bar.ax.tick_params(labelsize=7)
     return figure
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
     from matplotlib.figure import Figure
 
-_TEMPLATES = Path(__file__).parent
+_TEMPLATES = Path(__file__).parent / "pages"
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def render_page(
 def render_template(
     name: str, *, provenance: Mapping[str, Any] | None = None, **content: Any
 ) -> str:
-    """A page from a template in this folder; strings are escaped.
+    """A page from a template; strings are escaped.
 
     Args:
         name: File name of the template.
@@ -111,16 +111,22 @@ def render_template(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made = list(_flat(provenance or {}))
+    made = [(name, _line(x)) for name, x in (provenance or {}).items()]
     return environment.get_template(name).render(provenance=made, **content)
 
 
-def _flat(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Names and values for the foot; a mapping inside becomes one line."""
-    for name, value in content.items():
-        if isinstance(value, Mapping):
-            yield name, ", ".join(f"{k} {x}" for k, x in value.items())
-        elif isinstance(value, (list, tuple)):
-            yield name, ", ".join(map(str, value))
-        else:
-            yield name, str(value)
+def _line(x: Any) -> str:
+    """A value for the foot of a page: names and what they stand for, or a list.
+
+    Of what is in a list, such as a file and its hash, the values suffice.
+    """
+    if isinstance(x, Mapping):
+        return ", ".join(f"{name} {value}" for name, value in x.items())
+    if isinstance(x, Sequence) and not isinstance(x, str):
+        return ", ".join(
+            " ".join(map(str, each.values()))
+            if isinstance(each, Mapping)
+            else str(each)
+            for each in x
+        )
+    return str(x)

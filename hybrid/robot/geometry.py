@@ -128,6 +128,8 @@ def _from_mjcf(robot: Robot) -> Iterator[Piece]:
     model: Any = compiled(robot.path)
     data = mujoco.MjData(model)
     names = joint_names(model)
+    if not set(robot.joints) <= set(names):
+        raise RobotError(f"{Path(robot.path).name} has not all joints of {robot.name}")
     data.qpos[:] = mujoco_start(model, robot.held)
     data.qpos[model.jnt_qposadr[[names.index(x) for x in robot.joints]]] = 0.0
     mujoco.mj_kinematics(model, data)
