@@ -24,7 +24,7 @@ from hybrid.model.declared import declared_effects
 from hybrid.recording import Recording
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import OUTLYING, settle, without_folds
-from hybrid.regression.problem import build_problem
+from hybrid.regression.problem import build_problem, part
 from hybrid.robot import Robot
 from hybrid.signals import (
     Motion,
@@ -152,19 +152,8 @@ def thinned(motion: Motion, cutoff: float) -> Motion:
     factor = int(motion.rate / (_WORKING_RATE * cutoff))
     if factor < 2:
         return motion
-    few = slice(None, None, factor)
-    warm = motion.temperature
-    return replace(
-        motion,
-        t=motion.t[few],
-        q=motion.q[few],
-        v=motion.v[few],
-        a=motion.a[few],
-        tau=Sampler(motion.rate, _ALIAS_FREE * cutoff, factor)(motion.tau),
-        mask=motion.mask[few],
-        temperature=None if warm is None else warm[few],
-        asked=None if motion.asked is None else motion.asked[few],
-    )
+    tau = Sampler(motion.rate, _ALIAS_FREE * cutoff, factor)(motion.tau)
+    return replace(part(motion, slice(None, None, factor)), tau=tau)
 
 
 def linear_effects(robot: Robot) -> list[Effect]:

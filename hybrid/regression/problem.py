@@ -207,8 +207,8 @@ class Problem:
 
 
 def part(motion: Motion, samples: slice) -> Motion:
-    """Some consecutive samples of a motion."""
-    warm = None if motion.temperature is None else motion.temperature[samples]
+    """Some samples of a motion."""
+    warm, asked = motion.temperature, motion.asked
     return replace(
         motion,
         t=motion.t[samples],
@@ -217,7 +217,8 @@ def part(motion: Motion, samples: slice) -> Motion:
         a=motion.a[samples],
         tau=motion.tau[samples],
         mask=motion.mask[samples],
-        temperature=warm,
+        temperature=None if warm is None else warm[samples],
+        asked=None if asked is None else asked[samples],
     )
 
 

@@ -167,7 +167,7 @@ class Evidence(Products):
 
         Squares of the gap over their noise, and weighed by it as a process.
         """
-        normals = [self._of_fold(index, f) for f in range(len(self.folds))]
+        normals = [self.normal(index, np.array([f])) for f in range(len(self.folds))]
         A, b = (np.sum(x, axis=0) for x in zip(*normals, strict=True))
         prior = np.diag(self.precision[index])
         gains = np.array([np.linalg.solve(A - G + prior, b - c) for G, c in normals])
@@ -179,17 +179,6 @@ class Evidence(Products):
             raw = self._coloured(i, left)
             lost += raw @ raw / self.noise[i], left @ left * self._weight(i)
         return lost
-
-    def _of_fold(self, index: Index, fold: int) -> tuple[Array, Array]:
-        """Normal matrix and vector of some columns on one fold."""
-        A, b = np.zeros((len(index), len(index))), np.zeros(len(index))
-        for i, edges in enumerate(self._edges):
-            here, at = self._here(i, index)
-            own = slice(*edges[fold : fold + 2])
-            columns, left = self._columns[i][own, here], self._white[i][own]
-            A[np.ix_(at, at)] += columns.T @ columns * self._weight(i)
-            b[at] += columns.T @ left * self._weight(i)
-        return A, b
 
     def screen(
         self,

@@ -164,18 +164,17 @@ class Products:
                 gram, moment = self._multiplied(i)
                 gram, moment = gram[np.ix_(here, here)], moment[here]
             else:
-                columns, left = self._columns[i][:, here], self._white[i]
-                if folds is not None:
-                    use = self._among(i, folds)
-                    columns, left = columns[use], left[use]
+                use = self._among(i, folds)
+                columns = self._columns[i][np.ix_(use, here)]
+                left = self._white[i][use]
                 gram, moment = columns.T @ columns, columns.T @ left
             A[np.ix_(at, at)] += gram * self._weight(i)
             b[at] += moment * self._weight(i)
         return A, b
 
-    def _among(self, i: int, folds: Index) -> NDArray[np.bool_]:
+    def _among(self, i: int, folds: Index | None) -> NDArray[np.bool_]:
         number = np.repeat(np.arange(len(self.folds)), self.count[i])
-        return np.isin(number, folds)
+        return np.isin(number, number if folds is None else folds)
 
     def beside(
         self, base: Index, wanted: Index, places: Mapping[int, Index]
