@@ -136,7 +136,7 @@ def test_the_simulator_it_writes_can_be_loaded(answered):
 def test_a_simulator_that_cannot_be_written_is_a_warning(
     diagnose, tmp_path, capsys, monkeypatch
 ):
-    def refused(*_):
+    def refused(*_, **__):
         raise EffectError("hose cannot be simulated")
 
     monkeypatch.setattr(
@@ -157,7 +157,7 @@ def test_much_that_the_simulator_has_not_is_said_in_few_words(
     notes = tuple(f"torque_ripple of joint_{k}" for k in range(9))
     whole = fixed.write_fixed
     monkeypatch.setattr(
-        fixed, "write_fixed", lambda *given: replace(whole(*given), notes=notes)
+        fixed, "write_fixed", lambda *given, **more: replace(whole(*given, **more), notes=notes)
     )
     run(f"{diagnose} --out {tmp_path}/out")
     last = capsys.readouterr().out.splitlines()[-1]
@@ -176,6 +176,7 @@ def test_it_says_how_the_result_came_about(diagnose, logs, tmp_path):
         "hold": {},
         "map": None,
         "cutoff": 9,
+        "known_mass": {},
     }
     hashes = {x["file"]: x["sha256"] for x in how["inputs"]}
     assert hashes["planar.xml"] == sha256(Path(PLANAR))

@@ -24,7 +24,7 @@ class Counterbalance(JointEffect):
 
     id = "counterbalance"
     port = Port.ENVIRONMENT
-    becomes = "crank_ratio", "lower", ""
+    becomes = "crank_ratio", "lower", "torque_ripple"
     gains = (
         Quantity("spring", "N·m", 0.05, 0.0, 5.0, per=(1, 0)),
         Quantity("preload", "N·m", 0.1, -5.0, 5.0, per=(1, 0)),

@@ -46,6 +46,7 @@ class Pool:
         self.tried: list[Term] = []
         self._contacts = None if Contact.id in without else Contacts(self.gap)
         self._take(candidates(self.gap, without))
+        self._take([x for j in range(self.gap.robot.size) for x in self._ripples(j, [1])])
 
     def _take(self, found: Sequence[Candidate]) -> None:
         blocks: list[Columns] = []
@@ -69,25 +70,25 @@ class Pool:
         """
         if TorqueRipple.id in self.without:
             return
-        known = {
-            (t.place, *t.candidate.effect.shape_values.values()) for t in self.tried
-        }
         solution = self.evidence.solve(base)
-        sampled, found = self.gap.sampled, []
+        sampled, found = self.gap.sampled, list[Candidate]()
         for j, rows in enumerate(self.evidence.rows):
-            if (
-                sum(place == (TorqueRipple.id, (j,)) for place, *_ in known)
-                >= _MOST_RIPPLES
-            ):
-                continue
             left = self.evidence.residual(j, solution.index, solution.gains)
             q, v = sampled.q[rows, j], sampled.v[rows, j]
-            for k in ripple_orders(left, q, v, self.gap.cutoff, count):
-                effect = TorqueRipple((j,), {"periods": float(k)})
-                new = candidate(self.gap, effect)
-                if (new.place, float(k)) not in known:
-                    found.append(new)
+            orders = ripple_orders(left, q, v, self.gap.cutoff, count)
+            found += self._ripples(j, orders.tolist())
         self._take(found)
+
+    def _ripples(self, joint: int, orders: Sequence[int]) -> list[Candidate]:
+        """Ripples of some orders at a joint that are not in yet, up to a number."""
+        if TorqueRipple.id in self.without:
+            return []
+        place = TorqueRipple.id, (joint,)
+        known = {x.effect.values["periods"] for x in self.at(place)}
+        room = max(0, _MOST_RIPPLES - len(known))
+        new = [float(k) for k in orders if k not in known][:room]
+        effects = (TorqueRipple((joint,), {"periods": k}) for k in new)
+        return [candidate(self.gap, effect) for effect in effects]
 
     def take_contacts(self, base: Index, *, sure: bool = True) -> None:
         """Take in contacts where most is left, in units of noise, by some columns.
