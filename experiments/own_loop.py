@@ -77,8 +77,11 @@ class OwnLoop:
 
     @property
     def named(self) -> list[tuple[str, str]]:
-        """Kind of each fault, and name of its joint."""
-        return [(f.kind, self.robot.joints[f.j]) for f in self.faults]
+        """Kind of each fault, and name of its joint; what is carried is at the last."""
+        return [
+            (f.kind, self.robot.joints[-1 if f.kind == "payload" else f.j])
+            for f in self.faults
+        ]
 
     def _inertia(self, robot: Robot) -> np.ndarray:
         model = robot.mujoco_spec().compile()

@@ -80,9 +80,8 @@ def test_it_is_named_at_every_joint_with_whatever_else_is_there(rubs, tmp_path):
     cells = dict(evidence_matrix(result).rows)[Delay.id]
     assert [c.joints for c in cells] == list(robot.joints)
     assert all(c.named and min(c.alone, c.beside) > 1.0 for c in cells)
-    t, today, after = map(np.asarray, joint_curves(result, 0)["time"])
-    assert t.shape == today.shape == after.shape
-    assert np.std(after) < np.std(today)
+    _, today, after = np.array(joint_curves(result, 0)["time"], dtype=float)
+    assert np.nanstd(after) < np.nanstd(today)
     write_fixed(result, tmp_path)
     written = DynamicModel.load(tmp_path / MODEL).effects
     assert sorted(e.joints[0] for e in written if e.id == Delay.id) == [*range(6)]
