@@ -18,7 +18,7 @@ from blind.measures import (
 from blind.score import Named
 from test_benchmark import row
 
-from hybrid.diagnosis.explanations.prior import Prior
+from hybrid.diagnosis.prior import Prior
 
 BY_NAME = {m.name: m for m in MEASURES}
 ABSTAIN = (

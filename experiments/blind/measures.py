@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from blind.score import EQUIVALENT
-from hybrid.diagnosis.explanations.prior import Prior
+from hybrid.diagnosis.prior import Prior
 
 Row = Mapping[str, Any]
 

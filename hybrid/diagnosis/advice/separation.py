@@ -22,9 +22,9 @@ from hybrid.diagnosis.evidence.bayes import heavy_tailed
 from hybrid.diagnosis.evidence.candidates import Candidate, scale_of, with_gains
 from hybrid.diagnosis.evidence.shapes import fit_shapes, nudges, price
 from hybrid.diagnosis.evidence.term import Term
-from hybrid.diagnosis.explanations.prior import Prior
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import Columns
+from hybrid.diagnosis.prior import Prior
 from hybrid.effects import Effect
 from hybrid.effects.torque_ripple import TorqueRipple
 

@@ -15,18 +15,20 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.candidates import Candidate, candidate
+from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.gap.background import background, rest
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.diagnosis.gap.measure import measure_gap
+from hybrid.diagnosis.prior import Prior
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.payload import Payload
+from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.identification.preparation import FEWEST_PERIODS
@@ -34,17 +36,10 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
-_BESIDE = (Viscous, Coulomb, TorqueOffset)
+_BESIDE = (Viscous, Coulomb, TorqueOffset, TorqueGain)
 _LOWER = 0.5  # of the cut-off: noise of positions grows with the cube of frequency
-_OFF = 0.01  # one standard deviation of the background, relative
-_OPEN = 0.1  # s, and seconds of a servo's damping: the same of what is asked for
-_TELLING = 0.2  # standard deviation of a joint's answer, of what it may be
-_AGREES = 0.5  # of what it may be
-_FEWEST, _MOST = 2, 0.6  # of the joints that tell, at least; and that part
-_NEAR = 0.15  # of a time that all joints share; a step that is farther off is not it
-_SURE = 4.0  # standard deviations
-_PROMPT = 1e-3  # s; less than that, or than most of a sample, no log is late by
-_OFTEN = 0.8  # of the folds
+_OPEN = 0.1  # s, one standard deviation of an age, and of a damping's step
+_ALIKE = 0.1  # of a time that joints share, by which columns of first order are off
 _LATEST = Delay.gains[0].upper  # s
 
 
@@ -126,7 +121,10 @@ class Convention:
 def find_convention(
     gap: Gap, recordings: Sequence[Recording | Motion], *, clocks: bool = True
 ) -> Convention:
-    """What most joints agree on, of the few ways in which a loop may log.
+    """The most probable of the few ways in which a loop may log.
+
+    Torque of each joint has an age, and a servo's torque is of a step before: none of
+    either, that of one joint alone, of each joint its own, or what all of them share.
 
     Args:
         gap: The gap with the log taken at its word.
@@ -138,115 +136,129 @@ def find_convention(
     lower = max(_LOWER * gap.cutoff, FEWEST_PERIODS / shortest)
     measured = partial(measure_gap, robot, cutoff=lower)
     gap = measured(recordings)
-    joints = [j for j in range(robot.size) if gap.moving[:, j].any()]
-    if not joints:
+    if not gap.moving.any():
         return Convention()
     steps = sorted(x for x in {1.0 / gap.motions[0].rate, robot.timestep} if x > 0)
-    kd = np.where(robot.kd > 0, robot.kd, 0.0)[joints]
-    late = step = 0.0
-    for loaded in (False, True):
-        ages, rotors = _answers(gap, joints, kd, loaded)
-        late = late or _agreed(*ages, steps)
-        step = step or _agreed(*rotors, steps)
-    if step and _carries(gap, joints):
-        step = 0.0
-    found = Convention(late, step)
-    time, std = _shared(*ages) if clocks else (0.0, 0.0)
-    least = max(_PROMPT, (1.0 - _NEAR) / gap.motions[0].rate)
-    usual = any(abs(time - x) < max(_SURE * std, _NEAR * x) for x in steps)
-    if not least < time < _LATEST or usual or not _holds(gap, joints, kd):
-        return found
+    asked = _Asked(gap)
+    # Within a sample nobody knows when torque was read.
+    least = 1.0 / gap.motions[0].rate if clocks else _LATEST
+    age, damped = asked.most_probable(steps, least)
+    late, step = age.shared, damped.shared
+    if not (late or step) or not asked.hold():
+        return Convention()
+    if not late or late in steps:
+        return Convention(late, step)
     # That took torque to change evenly over the time; what is left of it is small.
-    shift = Convention(time, step, std)
+    shift = Convention(late, step, asked.shared(step)[1])
     shifted = measured([shift.in_step(x) for x in recordings])
-    (left, own), _ = _answers(shifted, joints, kd, loaded=True)
-    more, std = _mean(left, own)
-    return Convention(time + more, step, std)
+    more, std = _Asked(shifted).shared(step)
+    return Convention(late + more, step, std)
 
 
-def _carries(gap: Gap, joints: Sequence[int]) -> bool:
-    """Whether something that the arm carries explains more than an implicit step."""
-    evidence, rigid, found = _beside(gap, joints)
-    found.append(candidate(gap, Payload(tuple(range(gap.robot.size)))))
-    damped = {
-        j: gap.robot.kd[j] * gap.columns(Armature((j,)))[j]
-        for j in joints if gap.robot.kd[j] > 0
-    }  # fmt: skip
-    blocks = [*(gap.columns(c.effect) for c in found), damped]
-    *others, load, step = evidence.add(
-        blocks, [*(c.std for c in found), np.array([_OPEN])]
-    )
-    evidence.estimate_noise(np.arange(evidence.size))
-    base = np.concatenate([rigid, *others])
-    carried, stepped = (
-        evidence.solve(np.concatenate([base, x])).evidence for x in (load, step)
-    )
-    return carried > stepped
+@dataclass(frozen=True)
+class _Guess:
+    """What may be of some times, one of each joint, [s].
+
+    Attributes:
+        cost: Odds against it, [nat].
+        root: A root of their covariance, shape (p, k).
+        shared: What all of them are about, or zero.
+    """
+
+    cost: float
+    root: Array
+    shared: float = 0.0
 
 
-def _beside(gap: Gap, joints: Sequence[int]) -> tuple[Evidence, Index, list[Candidate]]:
-    """Evidence with the background in it, and effects that may be there as well."""
-    evidence = Evidence(gap)
-    numbers = np.concatenate(evidence.add(*background(gap)))
-    evidence.spread(numbers, _OFF)
-    rigid = np.concatenate([numbers, *evidence.add(*rest(gap))])
-    found = [candidate(gap, kind((j,))) for kind in _BESIDE for j in joints]
-    return evidence, rigid, found
-
-
-def _answers(
-    gap: Gap, joints: Sequence[int], kd: Array, loaded: bool
-) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Age of each joint's torque, and its extra rotor over its servo's damping, [s].
+class _Asked:
+    """Evidence for the age of each joint's torque, and for its servo's step.
 
     Args:
-        gap: The gap.
-        joints: The joints that move.
-        kd: Damping of their servos, shape (J,), [N·m·s/rad]; zero without one.
-        loaded: Whether the arm may carry something unknown.
-
-    Returns:
-        Values and standard deviations of both.
+        gap: The gap, of the lower band.
     """
-    evidence, own = _asked(gap, joints, kd, loaded)
-    found = evidence.solve(np.arange(evidence.size))
-    value, std = found.gains[own], np.sqrt(np.diag(found.covariance)[own])
-    n, kd = len(joints), kd[kd > 0]
-    return (value[:n], std[:n]), (value[n:] / kd, std[n:] / kd)
 
-
-def _holds(gap: Gap, joints: Sequence[int], kd: Array) -> bool:
-    """Whether ages of torque found on other folds lower the squares of most of them.
-
-    What happens once may look like an age.
-    """
-    evidence, own = _asked(gap, joints, kd, loaded=True)
-    every, ages = np.arange(evidence.size), own[: len(joints)]
-    left = [
-        (evidence.squares(x, evidence.by_fold(x)) / evidence.noise[:, None]).sum(axis=0)
-        for x in (np.setdiff1d(every, ages), every)
-    ]
-    return bool(np.mean(left[1] < left[0]) >= _OFTEN)
-
-
-def _asked(
-    gap: Gap, joints: Sequence[int], kd: Array, loaded: bool
-) -> tuple[Evidence, Index]:
-    """Evidence for ages and rotors beside all else, and their columns."""
-    robot, (evidence, _, beside) = gap.robot, _beside(gap, joints)
-    servo = [j for j, k in zip(joints, kd, strict=True) if k > 0]
-    # A rotor that the file lacks is no age of torque.
-    beside += [candidate(gap, Armature((j,))) for j in joints if j not in servo]
-    kd = kd[kd > 0]
-    if loaded:
+    def __init__(self, gap: Gap) -> None:
+        robot, prior = gap.robot, Prior()
+        joints = [j for j in range(robot.size) if gap.moving[:, j].any()]
+        servo = [j for j in joints if robot.kd[j] > 0]
+        evidence, self._cause = Evidence(gap), prior.cause
+        numbers = np.concatenate(evidence.add(*background(gap)))
+        evidence.spread(numbers, prior.file[0])
+        evidence.add(*rest(gap))
+        beside = [candidate(gap, kind((j,))) for kind in _BESIDE for j in joints]
+        # A rotor that the file lacks is no age of torque.
+        rotors = set(joints) - set(servo)
+        beside += [candidate(gap, Armature((j,))) for j in rotors]
         beside.append(candidate(gap, Payload(tuple(range(robot.size)))))
-    evidence.add([gap.columns(c.effect) for c in beside], [c.std for c in beside])
-    asked = [_older(gap, j) for j in joints]
-    asked += [gap.columns(Armature((j,))) for j in servo]
-    open_ = np.array([*np.full(len(joints), _OPEN), *(_OPEN * kd)])
-    own = np.concatenate(evidence.add(asked, list(open_[:, None])))
-    evidence.estimate_noise(np.arange(evidence.size))
-    return evidence, own
+        evidence.add([gap.columns(c.effect) for c in beside], [c.std for c in beside])
+        self._base = np.arange(evidence.size)
+        damped = [{j: robot.kd[j] * gap.columns(Armature((j,)))[j]} for j in servo]
+        ages = [_older(gap, j) for j in joints]
+        open_ = [np.array([_OPEN])] * len(joints + servo)
+        evidence.add([*ages, *damped], open_)
+        self._evidence, self._sizes = evidence, (len(joints), len(servo))
+        every = np.arange(evidence.size)
+        evidence.estimate_noise(every)
+        A, b = evidence.normal(every)
+        k = len(self._base)
+        A[:k, :k] += np.diag(evidence.precision[:k])
+        asked = np.column_stack([A[k:, k:], b[k:]])
+        known = np.column_stack([A[:k, k:], b[:k]])
+        left = asked - A[k:, :k] @ np.linalg.solve(A[:k, :k], known)
+        self._H, self._s = left[:, :-1], left[:, -1]
+
+    def _worth(self, *guesses: _Guess) -> float:
+        """Evidence for what ages and steps may be, [nat]."""
+        mean = np.repeat([g.shared for g in guesses], self._sizes)
+        root = block_diag(*(g.root for g in guesses))
+        left = root.T @ (self._s - self._H @ mean)
+        A = np.eye(root.shape[1]) + root.T @ self._H @ root
+        known = mean @ self._s - 0.5 * mean @ self._H @ mean
+        more = 0.5 * left @ np.linalg.solve(A, left) - 0.5 * np.linalg.slogdet(A)[1]
+        return float(known + more - sum(g.cost for g in guesses))
+
+    def _guesses(self, size: int, steps: Sequence[float]) -> list[_Guess]:
+        """Nothing, a step, the time of one joint alone, or of each its own."""
+        unit = np.eye(size)
+        found = [_Guess(0.0, unit[:, :0]), _Guess(size * self._cause, _OPEN * unit)]
+        found += [_Guess(self._cause, _ALIKE * x * unit, x) for x in steps]
+        alone = (unit[:, [j]] for j in range(size))
+        return found + [_Guess(self._cause, _OPEN * x) for x in alone]
+
+    def most_probable(
+        self, steps: Sequence[float], least: float
+    ) -> tuple[_Guess, _Guess]:
+        """What ages and steps most probably are.
+
+        Args:
+            steps: Those of the loop, [s].
+            least: Shortest time that all torque may be late by besides, [s].
+        """
+        ages, damped = (self._guesses(x, steps) for x in self._sizes)
+        pairs = [(x, y) for x in ages for y in damped]
+        for y in damped:
+            time, _ = self.shared(y.shared)
+            if least < time < _LATEST:
+                own = _ALIKE * time * np.eye(self._sizes[0])
+                root = np.column_stack([np.full(len(own), _OPEN), own])
+                pairs.append((_Guess(self._cause, root, time), y))
+        return max(pairs, key=lambda x: self._worth(*x))
+
+    def shared(self, step: float) -> tuple[float, float]:
+        """Time that all torque is late by beside a step, and its deviation, [s]."""
+        ones = np.repeat([1.0, 0.0], self._sizes)
+        more = self._H @ np.repeat([0.0, step], self._sizes)
+        weight = ones @ self._H @ ones + _OPEN**-2
+        return float(ones @ (self._s - more) / weight), float(weight**-0.5)
+
+    def hold(self) -> bool:
+        """Whether ages and steps found on other folds lower the squares on most.
+
+        What happens once may look like either.
+        """
+        every = np.arange(self._evidence.size)
+        now, then = map(self._evidence.left_out, (self._base, every))
+        return bool(np.all(then < now))
 
 
 def _older(gap: Gap, joint: int) -> Columns:
@@ -257,33 +269,3 @@ def _older(gap: Gap, joint: int) -> Columns:
         torque = body.load[:, joint] + rotor * motion.a[:, joint]
         parts.append(-sampler(np.gradient(torque, motion.t))[:, None])
     return {joint: np.concatenate(parts)}
-
-
-def _agreed(value: Array, std: Array, steps: Sequence[float]) -> float:
-    """Which of some times most joints that can tell agree on; zero if none."""
-    for step in steps:
-        telling = std < _TELLING * step
-        agree = telling & (np.abs(value - step) < _AGREES * step)
-        if agree.sum() >= max(_FEWEST, _MOST * telling.sum()):
-            return step
-    return 0.0
-
-
-def _shared(value: Array, std: Array) -> tuple[float, float]:
-    """A time that all joints share which can tell, and its deviation, [s].
-
-    Zero if they are late by different times, or not surely late.
-    """
-    time, spread = _mean(value, std)
-    telling = std < _TELLING * abs(time)
-    off = np.abs(value - time) < np.maximum(_SURE * std, _NEAR * time)
-    few = telling.sum() < min(_FEWEST + 1, len(value)) or len(value) < _FEWEST
-    if few or time < _SURE * spread or not off[telling].all():
-        return 0.0, 0.0
-    return time, spread
-
-
-def _mean(value: Array, std: Array) -> tuple[float, float]:
-    """Mean by certainty, and its standard deviation."""
-    weight = std**-2.0
-    return float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)

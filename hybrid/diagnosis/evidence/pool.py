@@ -46,7 +46,9 @@ class Pool:
         self.tried: list[Term] = []
         self._contacts = None if Contact.id in without else Contacts(self.gap)
         self._take(candidates(self.gap, without))
-        self._take([x for j in range(self.gap.robot.size) for x in self._ripples(j, [1])])
+        self._take(
+            [x for j in range(self.gap.robot.size) for x in self._ripples(j, [1])]
+        )
 
     def _take(self, found: Sequence[Candidate]) -> None:
         blocks: list[Columns] = []

@@ -11,9 +11,9 @@ from hybrid.diagnosis.evidence.candidates import Place
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.prior import Prior
 from hybrid.diagnosis.explanations.unknown import WAVES, unknown_laws, waves
 from hybrid.diagnosis.gap.gap import Columns
+from hybrid.diagnosis.prior import Prior
 
 
 class Laws:

@@ -38,12 +38,12 @@ from hybrid.diagnosis.explanations.belief import Belief, beliefs
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.elsewhere import Elsewhere
 from hybrid.diagnosis.explanations.laws import Laws
-from hybrid.diagnosis.explanations.prior import Prior
 from hybrid.diagnosis.explanations.proposal import Proposal
 from hybrid.diagnosis.explanations.weight import weigh
 from hybrid.diagnosis.gap.background import background, clocks, rest
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.diagnosis.gap.split import between
+from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 
 _RIPPLES = 9  # orders at each joint, of which noise is estimated

@@ -9,7 +9,7 @@ from hybrid.diagnosis.evidence.bayes import memory
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise import LAGS, autocovariance, floored
 from hybrid.diagnosis.evidence.products import Index
-from hybrid.diagnosis.explanations.prior import Prior
+from hybrid.diagnosis.prior import Prior
 
 
 def weigh(
