@@ -16,14 +16,14 @@ from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.gap.background import background, clocks, rest
 
 if TYPE_CHECKING:
-    from hybrid.diagnosis.explanations.search import Search
+    from hybrid.diagnosis.explanations.posterior import Posterior
 
 
 class Elsewhere:
     """Background and causes of a search on other samples, each evaluated once.
 
     Args:
-        search: The search.
+        search: The posterior whose samples others were learnt from.
         use: The samples, shape (M,).
 
     Attributes:
@@ -33,7 +33,7 @@ class Elsewhere:
         use: The samples.
     """
 
-    def __init__(self, search: Search, use: NDArray[np.bool_]) -> None:
+    def __init__(self, search: Posterior, use: NDArray[np.bool_]) -> None:
         self._search, self.use, gap = search, use, search.gap
         self.evidence = Evidence(gap, use)
         self.evidence.noise = search.evidence.noise

@@ -1,17 +1,8 @@
 """The most probable explanation of a gap.
 
-An explanation is a set of causes. Its score is the log marginal likelihood of the gap,
-with all gains integrated out under their priors, less the odds against each cause:
-
-    log p(gap | causes) + Σ log p(cause).
-
-Causes are effects of the library at places of the arm, and unknown laws of a joint. The
-noise is that of the gap which no flexible regression removes, nor the explanation, and
-the part of the gap by which any law of the library may be inexact. Each step has to
-lower the squares on folds left out, and in the end each cause those on recordings that
-the search has not learnt from.
-
-Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam factor).
+Causes are added, exchanged and removed as long as their :class:`.Posterior` rises. Each
+step has to lower the squares on folds left out as well, and in the end each cause those
+on recordings that the search has not learnt from.
 """
 
 from __future__ import annotations
@@ -20,7 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,25 +19,17 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.bayes import WIDER
 from hybrid.diagnosis.evidence.candidates import Candidate, Place, usual
-from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.diagnosis.evidence.pool import Pool
 from hybrid.diagnosis.evidence.products import Index
-from hybrid.diagnosis.evidence.refine import refine
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.evidence.term import Term
 from hybrid.diagnosis.explanations.belief import Belief, beliefs
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.elsewhere import Elsewhere
-from hybrid.diagnosis.explanations.laws import Laws
+from hybrid.diagnosis.explanations.posterior import Posterior
 from hybrid.diagnosis.explanations.proposal import Proposal
-from hybrid.diagnosis.explanations.weight import weigh
-from hybrid.diagnosis.gap.background import background, clocks, rest
-from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.diagnosis.gap.split import between
+from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 
-_RIPPLES = 9  # orders at each joint, of which noise is estimated
 _ROUNDS = 4  # of adding, exchanging and widening
 _MOST = 20  # causes
 _REFUSALS = 6  # times that some causes are refused
@@ -54,14 +37,14 @@ _FEW = 3  # causes: an arm with more of them may have what most have
 _BETTER = 0.5  # nat, for a change to be worth it
 
 
-class Search:
+class Search(Posterior):
     """Causes of a gap, added, exchanged and removed until nothing is gained.
 
-    Args:
-        gap: The gap.
-        learn: Samples to learn from, shape (M,); all by default.
-        without: Ids of effects to leave out of the library.
-        prior: What is believed before any recording.
+    Attributes:
+        causes: The causes so far.
+        beliefs: How probable the known ones are, once it has run.
+        whole: All causes, once it has run.
+        library_only: Whether unknown laws are left out.
     """
 
     def __init__(
@@ -71,46 +54,13 @@ class Search:
         without: Sequence[str] = (),
         prior: Prior | None = None,
     ) -> None:
-        self.gap, self.prior = gap, prior or Prior()
-        self.learn = np.ones(len(gap.fold), dtype=bool) if learn is None else learn
-        self.evidence = Evidence(gap, self.learn)
-        self.numbers = np.concatenate(self.evidence.add(*background(gap)))
-        self.off = self.prior.file[1]
-        self.evidence.spread(self.numbers, self.off)
-        own = self.evidence.add(*rest(gap)) + self.evidence.add(*clocks(gap))
-        self.rigid = np.concatenate([self.numbers, *own])
-        self.pool = Pool(self.evidence, without)
-        self.pool.take_ripples(self.rigid, _RIPPLES)
-        self.evidence.estimate_noise(np.arange(self.evidence.size))
-        self.noise = self.evidence.noise.copy()
-        self._weigh()
-        self.pool.take_contacts(self.rigid)
-        self.pool.take_steep(self.rigid)
-        self.laws = Laws(self.evidence, self.rigid, self.prior)
+        super().__init__(gap, learn, without, prior)
         self.causes: list[Cause] = []
         self.refused: set[Place] = set()
-        self.beliefs: list[Belief] = []  # of the known causes, once it has run
-        self.whole: list[Cause] = []  # all causes, once it has run
+        self.beliefs: list[Belief] = []
+        self.whole: list[Cause] = []
         self.library_only = False
-
-    def _weigh(self) -> None:
-        """Let noise be what it is, and what no law and no simulator has exactly."""
-        self.covariances = weigh(self.evidence, self.noise, self.rigid, self.prior)
-        rigid = self.evidence.solve(self.rigid)
-        self._whole = self.evidence.lost(rigid.index, rigid.gains) / 2
-        self._kept: dict[tuple[object, ...], tuple[Candidate, float]] = {}
-        self._last: dict[Cause, frozenset[Cause | bool]] = {}
-        self.__dict__.pop("test", None)
-
-    def mimicked(self, c: Cause | Candidate) -> float:
-        """What a cause may be worth that is but the inexactness of another, [nat]."""
-        known = isinstance(c, Candidate) or c.candidate is not None
-        part = self.prior.inexact if known else self.prior.misfit
-        return float(part**2 * self._whole[list(c.place[1])].max())
-
-    def _odds(self, c: Cause) -> float:
-        """Odds against a cause, [nat]."""
-        return c.cost + self.mimicked(c)
+        self._last: dict[Cause, frozenset[object]] = {}
 
     @property
     def known(self) -> list[Cause]:
@@ -143,11 +93,6 @@ class Search:
         other.causes = [self.cause(c) for c in chosen]
         return other
 
-    @property
-    def widest(self) -> float:
-        """How far off the file's numbers may be at least, where values are stated."""
-        return max(self.off, self.prior.file[2])
-
     def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
         """See :meth:`.Pool.ranked`."""
         there = [c for c in self.known if c.index[0] in base]
@@ -160,10 +105,6 @@ class Search:
         again = {x.id for x in effect_classes().values() if x.repeats}
         return {x for x, k in count.items() if k >= (most if x[0] in again else 1)}
 
-    def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
-        """See :func:`.refine.refine`."""
-        return refine(self.evidence, base, c)
-
     def loss(self, term: Term) -> float:
         """Evidence that would be lost without a term, [nat]."""
         whole, without = (self.evidence.solve(self.base(t)) for t in (None, term))
@@ -174,22 +115,6 @@ class Search:
         """The id of an effect, and the name of the joint that it is at."""
         effect_id, joints = found.place
         return effect_id, self.gap.robot.joints[joints[-1]]
-
-    def columns(self, causes: Sequence[Cause]) -> Index:
-        """Columns of the background and of some causes."""
-        return np.concatenate([self.rigid, *(c.index for c in causes)])
-
-    def score(self, causes: Sequence[Cause]) -> float:
-        """Log posterior of an explanation, up to a constant, [nat]."""
-        known = self.evidence.solve(self.columns(causes)).evidence
-        return known - sum(map(self._odds, causes))
-
-    def cause(self, c: Candidate) -> Cause:
-        """An effect as a cause."""
-        std = c.wider * c.std
-        (index,) = self.evidence.add([self.gap.columns(c.effect)], [std])
-        cost = self.prior.cause + price(c.effect) + float(np.log(c.wider))
-        return Cause(c.place, index, cost, c)
 
     def run(self) -> list[Cause]:
         """The most probable explanation whose causes hold on unseen recordings."""
@@ -211,7 +136,7 @@ class Search:
         before = self.causes, self.off
         self.causes, self.refused = self._with_usual([]), set()
         self._widen()
-        self._listen()
+        self.listen(self.causes)
         self._remove()
         for self.library_only in (True, False):
             self._settle()
@@ -219,7 +144,7 @@ class Search:
         self.evidence.spread(self.numbers, before[1])
         if self.score(before[0]) > now:
             self.causes = before[0]
-            self._take(before[1])
+            self.spread(before[1])
         self.evidence.spread(self.numbers, self.off)
 
     def _with_usual(self, causes: Sequence[Cause]) -> list[Cause]:
@@ -248,7 +173,7 @@ class Search:
         for _ in range(_REFUSALS):
             self._grow()
             bad = [c for c, fall in self.unseen().items() if fall <= 0]
-            if not bad and not self._listen():
+            if not bad and not self.listen(self.causes):
                 break
             self.refused |= {c.place for c in bad}
             self.causes = [c for c in self.causes if c not in bad]
@@ -267,11 +192,11 @@ class Search:
             if not changed and not self._widen():
                 break
 
-    def _near(self, cause: Cause) -> frozenset[Cause | bool]:
+    def _near(self, cause: Cause) -> frozenset[object]:
         """What is at the same joints; what is at others hardly matters to a cause."""
         own = set(cause.place[1])
         near = (c for c in self.causes if own.intersection(c.place[1]))
-        return frozenset([self.library_only, *near])
+        return frozenset([self.library_only, self.off, self.noise.tobytes(), *near])
 
     def _widen(self) -> bool:
         """Let the file's numbers be as far off as is most probable."""
@@ -283,7 +208,7 @@ class Search:
 
         def lost(off: float) -> Array:
             self.evidence.spread(self.numbers, off)
-            return self._left_out(self.causes)
+            return self.left_out(self.causes)
 
         now, best = self.off, max(self.prior.file, key=score)
         added = self.prior.cause * self.gap.robot.size  # each link is then another one
@@ -291,26 +216,8 @@ class Search:
         wider = wider and bool(np.all(lost(best) < lost(now)))
         self.evidence.spread(self.numbers, now)
         if wider:
-            self._take(best)
+            self.spread(best)
         return wider
-
-    def _listen(self) -> bool:
-        """Let noise be what the explanation leaves where that is less; whether it is.
-
-        An explanation is one of the regressions that noise is what they leave of.
-        """
-        lower = self.evidence.lower_noise(self.noise, self.columns(self.causes))
-        less = bool(np.any(lower != self.noise))
-        if less:
-            self.noise = lower
-            self._weigh()
-        return less
-
-    def _take(self, off: float) -> None:
-        """Take the file's numbers to be so far off; what is inexact is the rest."""
-        self.off = off
-        self.evidence.spread(self.numbers, off)
-        self._weigh()
 
     def _add(self) -> bool:
         base = self.columns(self.causes)
@@ -329,14 +236,8 @@ class Search:
 
     def _holds(self, causes: Sequence[Cause]) -> bool:
         """Whether some causes lose less than those there are, on folds left out."""
-        now, then = map(self._left_out, (self.causes, causes))
+        now, then = map(self.left_out, (self.causes, causes))
         return bool(np.all(then < now))
-
-    def _left_out(self, causes: Sequence[Cause]) -> Array:
-        """What some causes lose on each fold by the others, shape (2,), [nat]."""
-        seen, columns = self.evidence, self.columns(causes)
-        strain = seen.strain(seen.solve(columns), self.rigid)
-        return np.asarray((seen.left_out(columns) + strain) / 2)
 
     def _remove(self) -> None:
         """Take out causes that are worth less than their odds."""
@@ -389,7 +290,7 @@ class Search:
         if own is not None and own.candidate is not None:
             short = [own.candidate, *short]
         for c in short:
-            better, worth = self._refined(base, c)
+            better, worth = self.refine(base, c)
             make = partial(self.cause, better)
             odds = self.prior.cause + self.mimicked(c)
             found.append(Proposal(c.place, worth - odds, make, better))
@@ -406,17 +307,9 @@ class Search:
         none = [np.full(len(x.index), -np.inf) for x in every]
         gained = self.evidence.screen(whole, [x.index for x in every], none, less=less)
         known = dict(zip(every, gained, strict=True))
-        law = max(laws, key=lambda x: known[x] - self._odds(x))
+        law = max(laws, key=lambda x: known[x] - self.odds(x))
         make = partial(self.laws.widened, base, law)
-        return Proposal(law.place, float(known[law]) - self._odds(law), make)
-
-    def _refined(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
-        """See :func:`.refine.refine`; kept, for the same is asked again and again."""
-        shapes = tuple(c.effect.values.items())
-        key = base.tobytes(), self.off, c.place, shapes
-        if key not in self._kept:
-            self._kept[key] = refine(self.evidence, base, c)
-        return self._kept[key]
+        return Proposal(law.place, float(known[law]) - self.odds(law), make)
 
     def _simplify(self) -> bool:
         """Exchange causes for plainer ones that are as probable; whether there are."""
@@ -456,31 +349,8 @@ class Search:
         """
         if not self.known:
             return {}
-        whole, without = self._lost(self.causes), dict[Cause, float]()
+        whole, without = self.lost(self.causes), dict[Cause, float]()
         for c in self.known:
-            fall = self._lost([x for x in self.causes if x is not c]) - whole
+            fall = self.lost([x for x in self.causes if x is not c]) - whole
             without[c] = float(fall.min())
         return without
-
-    @cached_property
-    def test(self) -> Elsewhere:
-        """The samples kept for scoring."""
-        return Elsewhere(self, ~self.learn & between(self.gap, self.learn))
-
-    def columns_of(self, cause: Cause) -> Columns:
-        """Torque per unit of each gain of a cause at every sample, by joint."""
-        if cause.candidate is None:
-            return self.laws.columns(cause)
-        return self.gap.columns(cause.candidate.effect)
-
-    def _lost(self, causes: Sequence[Cause]) -> Array:
-        """What some causes lose on unseen samples, less what a fit says, [nat].
-
-        With samples as independent ones, and as they are: shape (2,).
-        """
-        seen, unseen = self.evidence, self.test.evidence
-        lost = self.test.lost(causes), self.test.squares(causes) / seen.noise
-        # As if as much were unseen as was learnt from.
-        more = seen.count.sum() / max(unseen.count.sum(), 1)
-        strain = seen.strain(seen.solve(self.columns(causes)), self.rigid)
-        return np.asarray((np.sum(lost, axis=1) * more + strain) / 2)
