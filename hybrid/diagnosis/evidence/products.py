@@ -251,8 +251,8 @@ class Products:
         self, i: int, index: Index, gains: Array, part: slice = slice(None)
     ) -> Array:
         """What gains make at a joint, whitened."""
-        here, at = self._here(i, index)
-        return np.asarray(self._columns[i][part, here] @ gains[at])
+        at, columns = self.known(index, i)
+        return np.asarray(columns[part] @ gains[at])
 
     def _coloured(self, i: int, x: Array) -> Array:
         return x if self._processes is None else self._processes[i].colour(x)

@@ -6,6 +6,7 @@ The simulator's own numbers, and how its dry friction goes through rest.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,6 +24,7 @@ _LEADS = (0.0, 0.01)  # s
 _USUALLY_OFF, _MOST_OFF = 0.01, 0.03  # of the numbers, for which that holds
 
 
+@lru_cache(maxsize=1)  # each set of samples asks for them
 def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
     """Columns of link parameters and friction, and how far off they may be.
 
@@ -63,6 +65,7 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
     return blocks, sizes
 
 
+@lru_cache(maxsize=1)  # each set of samples asks for them
 def rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
     """Columns of how dry friction goes through rest, and the size of each.
 
@@ -77,6 +80,7 @@ def rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
     ]
 
 
+@lru_cache(maxsize=1)  # each set of samples asks for them
 def clocks(gap: Gap) -> tuple[list[Columns], list[Array]]:
     """Columns of torque that is logged between two samples, and how late it may be.
 
