@@ -110,8 +110,6 @@ class Contacts:
         rows: Sequence[NDArray[np.intp]],
         noise: Array,
         count: int,
-        *,
-        sure: bool = True,
     ) -> list[Contact]:
         """Contacts that explain most of a residual, none of them overlapping.
 
@@ -119,9 +117,9 @@ class Contacts:
             left: Residual of each joint, shape (R_i,), [N·m].
             rows: Samples of the gap that these are, shape (R_i,).
             noise: Variance of each joint, shape (n,), [N²·m²].
-            count: How many contacts, at most.
-            sure: Whether to leave out what may be noise. Then it counts as large as it
-                is at the time: where positions or times are coarse it comes in bursts.
+            count: How many contacts, at most. What may be noise is none; that is as
+                large as at the time: where positions or times are coarse it comes in
+                bursts.
         """
         sizes = [len(c.number) for c in self._clocks]
         gram = [np.zeros((size, 6, 6)) for size in sizes]
@@ -132,9 +130,7 @@ class Contacts:
             # The noise as known so far may hold the very contact.
             usual = (_NORMAL * np.median(np.abs(x))) ** 2 if len(x) else 0.0
             weight = 1.0 / (min(noise[i], usual) or noise[i])
-            weight = np.full(len(x), weight)
-            if sure:
-                weight /= loudness(x, r, self._rate, self._cutoff)
+            weight = weight / loudness(x, r, self._rate, self._cutoff)
             weighed = self._columns[i][r] * (x * weight)[:, None]
             for c, clock in enumerate(self._clocks):
                 gram[c] += self._gram(c, i, r, weight)
@@ -143,7 +139,7 @@ class Contacts:
         sums = zip(self._clocks, gram, moment, strict=True)
         stretches = [
             s for clock, G, m in sums for s in _stretches(clock, G, m)
-            if s.gain > _WORTH or not sure
+            if s.gain > _WORTH
         ]  # fmt: skip
         found: list[_Stretch] = []
         for stretch in sorted(stretches, reverse=True):

@@ -92,11 +92,8 @@ class Pool:
         effects = (TorqueRipple((joint,), {"periods": k}) for k in new)
         return [candidate(self.gap, effect) for effect in effects]
 
-    def take_contacts(self, base: Index, *, sure: bool = True) -> None:
-        """Take in contacts where most is left, in units of noise, by some columns.
-
-        Unless they surely are contacts, only their columns: noise is what they leave.
-        """
+    def take_contacts(self, base: Index) -> None:
+        """Take in contacts where most is left, in units of noise, by some columns."""
         if self._contacts is None:
             return
         evidence, solution = self.evidence, self.evidence.solve(base)
@@ -104,16 +101,10 @@ class Pool:
             evidence.residual(i, solution.index, solution.gains)
             for i in range(len(evidence.rows))
         ]
-        found = self._contacts.strongest(
-            left, evidence.rows, evidence.noise, _CONTACTS, sure=sure
-        )
+        found = self._contacts.strongest(left, evidence.rows, evidence.noise, _CONTACTS)
         known = [t.candidate.effect.shape_values for t in self.tried]
-        new = [candidate(self.gap, c) for c in found if c.shape_values not in known]
-        if sure:
-            self._take(new)
-        else:
-            blocks = [self.gap.columns(c.effect) for c in new]
-            evidence.add(blocks, [c.std for c in new])
+        new = (c for c in found if c.shape_values not in known)
+        self._take([candidate(self.gap, c) for c in new])
 
     def take_steep(self, base: Index) -> None:
         """Take in steep effects at the gain that adds most to some columns.
