@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from hybrid.diagnosis.answer.result import Result
     from hybrid.model import DynamicModel
     from hybrid.recording import Recording
+    from hybrid.report.viewers import Scene
     from hybrid.robot import Robot
 
 _MOST_NOTES = 3
@@ -50,6 +51,7 @@ cause), not_excited (the recordings move the arm too little).
 examples:
   hybrid simulate --robot models/coman_like.xml --effects stribeck:elbow --out logs
   hybrid diagnose --robot models/coman_like.xml --recordings logs --out diagnosis
+  hybrid diagnose --robot arm.xml --recordings logs --out diagnosis --rerun gap.rrd
   hybrid diagnose --baseline model.json --recordings new_logs --out changed"""
 
 
@@ -72,21 +74,24 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="cut-off of columns and torque (default: from the spectrum)",
     )
     add_known_mass(parser)
+    parser.add_argument(
+        "--rerun",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="write the arm, its replays and the gap over time to scrub through, .rrd "
+        "for Rerun or .mcap for Foxglove; may be repeated",
+    )
     parser.add_argument("--seed", type=whole, default=0, metavar="N")
     add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Diagnose, write the report and say what came out."""
-    import numpy as np
-
-    from hybrid.diagnosis.advice.advise import advise
     from hybrid.diagnosis.answer.fixed import MODEL, SIMULATOR
-    from hybrid.diagnosis.answer.replayed import replayed
-    from hybrid.diagnosis.diagnose import examine
-    from hybrid.files import atomic_folder
-    from hybrid.report.diagnosis import CONTENT, PAGE, write_diagnosis
-    from hybrid.report.diagnosis_text import verdict_lines
+    from hybrid.report.diagnosis import CONTENT, PAGE
+    from hybrid.report.viewers import writer_of
     from hybrid.robot import Robot
     from hybrid.servo import without_torque
 
@@ -94,16 +99,41 @@ def run(args: Namespace, screen: Screen) -> None:
     robot = simulator if isinstance(simulator, Robot) else simulator.robot
     recordings, files = read_logs(args, screen, robot.joints, torque=False)
     inputs = [args.baseline or args.robot, *files]
-    names = (PAGE, CONTENT, SIMULATOR, MODEL)
-    check_outputs([*(args.out / name for name in names), args.json], inputs)
-    how = record(args, inputs)
+    outputs = [args.out / name for name in (PAGE, CONTENT, SIMULATOR, MODEL)]
+    check_outputs([*outputs, args.json, *args.rerun], inputs)
+    for path in args.rerun:
+        writer_of(path)  # refuses what cannot be written
     servo = without_torque(recordings)
     check_known_mass(args, torque=not servo)
+    if servo and args.baseline:
+        raise HybridError("--baseline needs logs with torque; these have none")
+    how = record(args, inputs)
     if servo:
-        if args.baseline:
-            raise HybridError("--baseline needs logs with torque; these have none")
         _diagnose_servos(args, robot, recordings, how, screen)
-        return
+    else:
+        _diagnose_torque(args, robot, simulator, recordings, how, screen)
+
+
+def _diagnose_torque(
+    args: Namespace,
+    robot: Robot,
+    simulator: Robot | DynamicModel,
+    recordings: Sequence[Recording],
+    how: dict[str, Any],
+    screen: Screen,
+) -> None:
+    """Diagnose, write report, numbers and simulator to a folder, and show."""
+    import numpy as np
+
+    from hybrid.diagnosis.advice.advise import advise
+    from hybrid.diagnosis.answer.fixed import MODEL, SIMULATOR
+    from hybrid.diagnosis.answer.replayed import replayed
+    from hybrid.diagnosis.diagnose import examine
+    from hybrid.files import atomic_folder
+    from hybrid.report.diagnosis import PAGE, write_diagnosis
+    from hybrid.report.diagnosis_text import verdict_lines
+    from hybrid.report.viewers import scene_of_diagnosis
+
     with screen.working(f"diagnosing {robot.name}") as tell:
         result = examine(
             simulator, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell
@@ -116,6 +146,7 @@ def run(args: Namespace, screen: Screen) -> None:
             diagnosis = replace(result.diagnosis, advice=advice, provenance=how)
             write_diagnosis(replace(result, diagnosis=diagnosis), folder)
             notes = _fix(result, folder, args.out)
+        _to_viewers(args, lambda: scene_of_diagnosis(result))
     write_record(args, how, diagnosis.as_dict())
     for line in verdict_lines(diagnosis):
         screen.say(line)
@@ -123,6 +154,21 @@ def run(args: Namespace, screen: Screen) -> None:
     if notes is not None and (result.effects or result.command):
         lacks = f"; only in {MODEL}, or better: {_few(notes)}" if notes else ""
         screen.say(f"Simulator with what was found: {args.out / SIMULATOR}{lacks}")
+
+
+def _to_viewers(args: Namespace, scene: Callable[[], Scene]) -> None:
+    """Write what ``--rerun`` asks for; nothing if it cannot be simulated."""
+    from hybrid.report.viewers import writer_of
+
+    if not args.rerun:
+        return
+    try:
+        shown = scene()
+    except EffectError as error:
+        warnings.warn(f"nothing to scrub through: {error}", HybridWarning, stacklevel=2)
+        return
+    for path in args.rerun:
+        writer_of(path)(shown, path)
 
 
 def _simulator(args: Namespace) -> Robot | DynamicModel:
@@ -155,6 +201,7 @@ def _diagnose_servos(
     from hybrid.files import atomic_folder, write_json
     from hybrid.report.diagnosis import CONTENT, PAGE
     from hybrid.report.servo import write_servo_page
+    from hybrid.report.viewers import scene_of_servos
     from hybrid.servo import fit_servo
 
     with screen.working(f"fitting the servos of {robot.name}") as tell:
@@ -166,6 +213,7 @@ def _diagnose_servos(
         write_json(folder / CONTENT, content)
         write_servo_page(folder / PAGE, found, replay, provenance=how)
         found.save(folder / SIMULATOR)
+    _to_viewers(args, lambda: scene_of_servos(robot, replay))
     write_record(args, how, found.as_dict())
     show_servos(found, screen)
     screen.say(f"Report: {args.out / PAGE}")

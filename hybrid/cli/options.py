@@ -26,7 +26,7 @@ LOGS = (
 _NOT_SETTINGS = {
     "verb", "parser", "robot", "recordings", "recording", "model", "baseline",
     "effects_from",
-    "out", "json", "seed", "poses", "page", "plan", "scheduler", "workers",
+    "out", "json", "rerun", "seed", "poses", "page", "plan", "scheduler", "workers",
 }  # fmt: skip
 
 

@@ -43,7 +43,7 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
     gap, scored, m = result.gap, result.scored, result.gap.sampled
     order = np.argsort(scored.evidence.rows[i])
     rows = scored.evidence.rows[i][order]
-    t, marks = _one_after_another(
+    t, marks = one_after_another(
         m.t, gap.trajectory, rows, [x.source for x in gap.motions]
     )
     spots = np.arange(0, len(rows), max(1, -(-len(rows) // MOST_POINTS)))
@@ -100,7 +100,7 @@ def thin(
     return [xs, *ys]
 
 
-def _one_after_another(
+def one_after_another(
     t: Array, trajectory: Index, rows: Index, sources: Sequence[str]
 ) -> tuple[Array, list[dict[str, Any]]]:
     """Time that runs on from recording to recording, and where each begins, [s]."""
