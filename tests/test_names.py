@@ -36,7 +36,7 @@ from hybrid.names import (
     xml_comment,
 )
 from hybrid.report import Section, markdown_table, render_page
-from hybrid.report.figures import torque_figure
+from hybrid.report.fit import torque_figure
 from hybrid.report.output import figure_bytes
 from hybrid.report.table import Table
 from hybrid.robot import Robot

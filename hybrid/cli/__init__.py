@@ -28,6 +28,7 @@ from hybrid.cli import (
     validate,
 )
 from hybrid.cli.options import Parser
+from hybrid.cli.screen import Screen
 from hybrid.errors import HybridError
 from hybrid.names import printable
 
@@ -131,11 +132,11 @@ def _parsed(argv: Sequence[str] | None) -> Namespace:
     args, unknown = build_parser().parse_known_args(argv)
     if unknown:
         args.parser.error(f"unknown {' '.join(unknown)}")
+    args.inputs = []  # files that the result depends on, as they are loaded
     return args
 
 
 def _run(args: Namespace) -> None:
-    from hybrid.cli.screen import Screen
     from hybrid.threads import one_thread
 
     screen = Screen()

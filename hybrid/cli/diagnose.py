@@ -9,24 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli.options import (
-    add_common,
-    add_known_mass,
-    add_recordings,
-    add_robot,
-    check_known_mass,
-    check_outputs,
-    load_robot,
-    positive,
-    read_logs,
-    record,
-    whole,
-    write_record,
-)
+from hybrid.cli import options
+from hybrid.cli.screen import Screen, show_servos
 from hybrid.errors import EffectError, HybridError, HybridWarning
 
 if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
     from hybrid.diagnosis.answer.result import Result
     from hybrid.model import DynamicModel
     from hybrid.recording import Recording
@@ -57,7 +44,7 @@ examples:
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
-    add_robot(parser, required=False, more=", the simulator as it stands today")
+    options.add_robot(parser, required=False, more=", the simulator as it stands today")
     parser.add_argument(
         "--baseline",
         type=Path,
@@ -65,15 +52,15 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="a model of the healthy arm, as identify writes it, in place of --robot: "
         "what has changed since?",
     )
-    add_recordings(parser)
+    options.add_recordings(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument(
         "--cutoff",
-        type=positive,
+        type=options.positive,
         metavar="HZ",
         help="cut-off of columns and torque (default: from the spectrum)",
     )
-    add_known_mass(parser)
+    options.add_known_mass(parser)
     parser.add_argument(
         "--rerun",
         type=Path,
@@ -83,8 +70,8 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="write the arm, its replays and the gap over time to scrub through, .rrd "
         "for Rerun or .mcap for Foxglove; may be repeated",
     )
-    parser.add_argument("--seed", type=whole, default=0, metavar="N")
-    add_common(parser)
+    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -97,17 +84,15 @@ def run(args: Namespace, screen: Screen) -> None:
 
     simulator = _simulator(args)
     robot = simulator if isinstance(simulator, Robot) else simulator.robot
-    recordings, files = read_logs(args, screen, robot.joints, torque=False)
-    inputs = [args.baseline or args.robot, *files]
+    recordings = options.read_logs(args, screen, robot.joints, torque=False)
     outputs = [args.out / name for name in (PAGE, CONTENT, SIMULATOR, MODEL)]
-    check_outputs([*outputs, args.json, *args.rerun], inputs)
+    how = options.begin(args, [*outputs, *args.rerun])
     for path in args.rerun:
         writer_of(path)  # refuses what cannot be written
     servo = without_torque(recordings)
-    check_known_mass(args, torque=not servo)
+    options.check_known_mass(args, torque=not servo)
     if servo and args.baseline:
         raise HybridError("--baseline needs logs with torque; these have none")
-    how = record(args, inputs)
     if servo:
         _diagnose_servos(args, robot, recordings, how, screen)
     else:
@@ -147,7 +132,7 @@ def _diagnose_torque(
             write_diagnosis(replace(result, diagnosis=diagnosis), folder)
             notes = _fix(result, folder, args.out)
         _to_viewers(args, lambda: scene_of_diagnosis(result))
-    write_record(args, how, diagnosis.as_dict())
+    options.write_record(args, how, diagnosis.as_dict())
     for line in verdict_lines(diagnosis):
         screen.say(line)
     screen.say(f"Report: {args.out / PAGE}")
@@ -177,15 +162,13 @@ def _simulator(args: Namespace) -> Robot | DynamicModel:
     Raises:
         HybridError: Neither a simulator nor a model is given, or both.
     """
-    from hybrid.model import DynamicModel
-
     if (args.robot is None) == (args.baseline is None):
         raise HybridError("either --robot or --baseline says what to compare with")
     if args.baseline is None:
-        return load_robot(args)
+        return options.load_robot(args)
     if args.joints or args.hold:
         raise HybridError("--joints and --hold go with --robot; a model has its own")
-    return DynamicModel.load(args.baseline)
+    return options.load_model(args, args.baseline)
 
 
 def _diagnose_servos(
@@ -196,7 +179,6 @@ def _diagnose_servos(
     screen: Screen,
 ) -> None:
     """Fit, write report, numbers and simulator to a folder, and show."""
-    from hybrid.cli.screen import show_servos
     from hybrid.diagnosis.answer.fixed import SIMULATOR
     from hybrid.files import atomic_folder, write_json
     from hybrid.report.diagnosis import CONTENT, PAGE
@@ -214,7 +196,7 @@ def _diagnose_servos(
         write_servo_page(folder / PAGE, found, replay, provenance=how)
         found.save(folder / SIMULATOR)
     _to_viewers(args, lambda: scene_of_servos(robot, replay))
-    write_record(args, how, found.as_dict())
+    options.write_record(args, how, found.as_dict())
     show_servos(found, screen)
     screen.say(f"Report: {args.out / PAGE}")
     screen.say(f"Simulator with what was found: {args.out / SIMULATOR}")

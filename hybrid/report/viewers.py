@@ -19,7 +19,7 @@ from hybrid.errors import HybridError, RobotError
 from hybrid.excitation.clearance import frames
 from hybrid.extras import check_extra
 from hybrid.files import atomic_path
-from hybrid.report.diagnosis_curves import one_after_another
+from hybrid.report.diagnosis_data import one_after_another
 from hybrid.report.style import BLUE, GREY, RED
 from hybrid.robot.geometry import Capsules, capsules_from_robot
 from hybrid.robot.robot import Robot
