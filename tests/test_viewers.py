@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from arms import MODELS
 from diagnosed import planar
+from scipy.spatial.transform import Rotation
 
 from hybrid.cli import main
 from hybrid.excitation.clearance import frames
@@ -44,10 +45,8 @@ def test_links_stand_where_the_kinematics_puts_them(scene):
     turn, place = scene.poses(NAMES[0])
     R, p, _ = frames(scene.robot.chain, scene.q[NAMES[0]])
     assert np.allclose(place, p)
-    x, w = turn[..., :3], turn[..., 3:]
-    point = np.array([0.1, -0.2, 0.3])
-    twice = 2 * np.cross(x, point)
-    assert np.allclose(point + w * twice + np.cross(x, twice), R @ point)
+    found = Rotation.from_quat(turn.reshape(-1, 4)).as_matrix()
+    assert np.allclose(found, R.reshape(-1, 3, 3))
 
 
 def test_a_simulator_that_was_not_replayed_stands_where_the_arm_was(scene):
@@ -64,9 +63,13 @@ def test_a_simulator_that_was_not_replayed_stands_where_the_arm_was(scene):
 
 def test_an_arm_without_geometry_is_lines_from_joint_to_joint(scene):
     bare = replace(scene, robot=replace(scene.robot, path="gone.urdf"))
-    capsules = bare.capsules()
-    assert list(capsules.link) == [-1, 0]
-    assert np.array_equal(capsules.ends[:, 1], scene.robot.chain.translation)
+    (base, ends, _, length, turn), (link, *_) = bare.links()
+    assert (base, link) == (-1, 0)
+    place = scene.robot.chain.translation[0]
+    np.testing.assert_allclose(ends, [[np.zeros(3), place]])
+    np.testing.assert_allclose(length, [np.linalg.norm(place)])
+    along = Rotation.from_quat(turn).apply([0.0, 0.0, 1.0]) * length
+    np.testing.assert_allclose(along, [place], atol=1e-12)
 
 
 def test_rerun_can_read_it(scene, tmp_path):

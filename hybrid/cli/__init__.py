@@ -36,21 +36,11 @@ __all__ = ["build_parser", "main"]
 
 OK, BUG, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
-_VERBS = {
-    "demo": demo,
-    "inspect": inspect,
-    "excite": excite,
-    "simulate": simulate,
-    "identify": identify,
-    "validate": validate,
-    "predict": predict,
-    "track": track,
-    "calibrate": calibrate,
-    "diagnose": diagnose,
-    "fleet": fleet,
-    "export": export,
-    "effects": effects,
-}
+_MODULES = (
+    demo, inspect, excite, simulate, identify, validate, predict, track, calibrate,
+    diagnose, fleet, export, effects,
+)  # fmt: skip
+_VERBS = {module.__name__.rpartition(".")[2]: module for module in _MODULES}
 _EXAMPLES = """\
 a real log, in ten seconds:
   hybrid demo

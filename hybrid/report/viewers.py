@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 _MEASURED, _FILE, _FOUND = "measured", "as the file stands", "with what was found"
 _INKS = {_MEASURED: GREY, _FILE: RED, _FOUND: BLUE}
 _BASE = "base"
-_UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])  # quaternion (x, y, z, w)
 _SEEN_THROUGH = 0.6  # opacity
 _THIN = 0.02  # of the arm's length, where its file has no geometry
 
@@ -76,18 +75,39 @@ class Scene:
         turns = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat()
         return turns.reshape(*R.shape[:2], 4), p
 
-    def capsules(self) -> Capsules:
-        """What covers the links; lines between joints of a file without geometry."""
+    def links(self) -> Iterator[tuple[int, Array, Array, Array, Array]]:
+        """Capsules of each link that has some, in its frame; −1 is the base.
+
+        Yields:
+            Link, end points (C, 2, 3) and radii (C,), [m], lengths (C,), [m], and
+            quaternions (x, y, z, w) that turn z along them, (C, 4).
+        """
+        capsules = self._capsules()
+        for k in np.unique(capsules.link).tolist():
+            own = capsules.link == k
+            ends = capsules.ends[own]
+            way = ends[:, 1] - ends[:, 0]
+            length = np.linalg.norm(way, axis=1)
+            turns = np.array([_along(x) for x in way])
+            yield k, ends, capsules.radius[own], length, turns
+
+    def _capsules(self) -> Capsules:
         try:
             return capsules_from_robot(self.robot)
-        except RobotError:
+        except RobotError:  # a file without geometry: from joint to joint
             places = self.robot.chain.translation
             n = len(places)
             ends = np.stack([np.zeros((n, 3)), places], axis=1)
-            reach = np.linalg.norm(places, axis=1).sum()
-            return Capsules(
-                np.arange(n) - 1, ends, np.full(n, _THIN * reach), ("",) * n
-            )
+            radius = _THIN * np.linalg.norm(places, axis=1).sum()
+            return Capsules(np.arange(n) - 1, ends, np.full(n, radius), ("",) * n)
+
+
+def _along(way: Array) -> Array:
+    """Quaternion (x, y, z, w) that turns the z axis along a vector."""
+    turned = Rotation.identity()
+    if way.any():
+        turned, _ = Rotation.align_vectors([way], [[0.0, 0.0, 1.0]])
+    return np.asarray(turned.as_quat())
 
 
 def scene_of_diagnosis(result: Result) -> Scene:
@@ -182,35 +202,22 @@ def _rerun_capsules(scene: Scene, name: str) -> dict[int, Any]:
     """Shapes of each link that has some, −1 for the base."""
     import rerun as rr
 
-    capsules = scene.capsules()
-    found = {}
-    for k in np.unique(capsules.link):
-        own = capsules.link == k
-        ends = capsules.ends[own]
-        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        found[int(k)] = rr.Capsules3D(
+    return {
+        k: rr.Capsules3D(
             lengths=length,
-            radii=capsules.radius[own],
+            radii=radius,
             translations=ends[:, 0],
-            quaternions=[_along(low, high) for low, high in ends],
+            quaternions=turn,
             colors=_rgb(name),
         )
-    return found
+        for k, ends, radius, length, turn in scene.links()
+    }
 
 
 def _rgb(name: str) -> tuple[int, int, int]:
     """Colour of an arm and of its curves, 0 to 255."""
     ink = _INKS[name]
     return int(ink[1:3], 16), int(ink[3:5], 16), int(ink[5:7], 16)
-
-
-def _along(low: Array, high: Array) -> Array:
-    """Quaternion (x, y, z, w) that turns the z axis along a segment."""
-    way = high - low
-    if not way.any():
-        return _UPRIGHT
-    turned, _ = Rotation.align_vectors([way], [[0.0, 0.0, 1.0]])
-    return np.asarray(turned.as_quat())
 
 
 def write_mcap(scene: Scene, path: str | Path) -> None:
@@ -240,12 +247,13 @@ def write_mcap(scene: Scene, path: str | Path) -> None:
         atomic_path(path) as temporary,
         foxglove.open_mcap(temporary, context=apart),
     ):
-        drawn.log(SceneUpdate(entities=_entities(scene)), log_time=stamps[0])
+        entities = [x for name in scene.q for x in _entities(scene, name)]
+        drawn.log(SceneUpdate(entities=entities), log_time=stamps[0])
         for i, stamp in enumerate(stamps):
             now = [
-                _transform(_frame(name, joint), turn[k, i], place[k, i])
+                x
                 for name, (turn, place) in poses.items()
-                for k, joint in enumerate(scene.robot.joints)
+                for x in _transforms(scene, name, turn[:, i], place[:, i], stamp)
             ]
             moves.log(FrameTransforms(transforms=now), log_time=stamp)
             for channel, x in curves:
@@ -254,56 +262,61 @@ def write_mcap(scene: Scene, path: str | Path) -> None:
                 channel.log(row, log_time=stamp)
 
 
-def _frame(name: str, joint: str) -> str:
-    return f"{name}/{joint}"
+def _frame(scene: Scene, name: str, k: int) -> str:
+    return f"{name}/{scene.robot.joints[k]}" if k >= 0 else _BASE
 
 
-def _transform(frame: str, turn: Array, place: Array) -> Any:
-    from foxglove.messages import FrameTransform, Quaternion, Vector3
-
-    return FrameTransform(
-        parent_frame_id=_BASE,
-        child_frame_id=frame,
-        translation=Vector3(**dict(zip("xyz", place.tolist(), strict=True))),
-        rotation=Quaternion(**dict(zip("xyzw", turn.tolist(), strict=True))),
-    )
-
-
-def _entities(scene: Scene) -> list[Any]:
-    """Each capsule of each arm: a cylinder between two balls, fixed to its link."""
+def _transforms(
+    scene: Scene, name: str, turn: Array, place: Array, stamp: int
+) -> list[Any]:
+    """Where each link is at one time, quaternions (n, 4) and origins (n, 3)."""
     from foxglove import messages as m
 
-    def pose(place: Array, turn: Array = _UPRIGHT) -> Any:
+    return [
+        m.FrameTransform(
+            timestamp=m.Timestamp(*divmod(stamp, 10**9)),
+            parent_frame_id=_BASE,
+            child_frame_id=_frame(scene, name, k),
+            translation=m.Vector3(**dict(zip("xyz", p, strict=True))),
+            rotation=m.Quaternion(**dict(zip("xyzw", q, strict=True))),
+        )
+        for k, (q, p) in enumerate(zip(turn.tolist(), place.tolist(), strict=True))
+    ]
+
+
+def _entities(scene: Scene, name: str) -> Iterator[Any]:
+    """The links of an arm: cylinders between balls, fixed to their frames."""
+    from foxglove import messages as m
+
+    def pose(place: Array, turn: Array) -> Any:
         return m.Pose(
             position=m.Vector3(**dict(zip("xyz", place.tolist(), strict=True))),
             orientation=m.Quaternion(**dict(zip("xyzw", turn.tolist(), strict=True))),
         )
 
-    capsules, found = scene.capsules(), []
-    for name in scene.q:
-        red, green, blue = (x / 255 for x in _rgb(name))
-        color = m.Color(r=red, g=green, b=blue, a=_SEEN_THROUGH)
-        parts = zip(capsules.link, capsules.ends, capsules.radius, strict=True)
-        for c, (link, (low, high), radius) in enumerate(parts):
-            wide, length = 2 * float(radius), float(np.linalg.norm(high - low))
-            ball = m.Vector3(x=wide, y=wide, z=wide)
-            entity = m.SceneEntity(
-                frame_id=_frame(name, scene.robot.joints[link]) if link >= 0 else _BASE,
-                id=f"{name} {c}",
-                frame_locked=True,
-                spheres=[
-                    m.SpherePrimitive(pose=pose(end), size=ball, color=color)
-                    for end in (low, high)
-                ],
-                cylinders=[
-                    m.CylinderPrimitive(
-                        pose=pose((low + high) / 2, _along(low, high)),
-                        size=m.Vector3(x=wide, y=wide, z=length),
-                        bottom_scale=1.0,
-                        top_scale=1.0,
-                        color=color,
-                    )
-                ],
+    red, green, blue = (x / 255 for x in _rgb(name))
+    color = m.Color(r=red, g=green, b=blue, a=_SEEN_THROUGH)
+    for k, *parts in scene.links():
+        spheres, cylinders = [], []
+        for ends, radius, length, turn in zip(*parts, strict=True):
+            wide = 2 * float(radius)
+            size = m.Vector3(x=wide, y=wide, z=float(length))
+            middle = pose(ends.mean(axis=0), turn)
+            cylinders.append(
+                m.CylinderPrimitive(
+                    pose=middle, size=size, bottom_scale=1, top_scale=1, color=color
+                )
             )
-            found.append(entity)
-    return found
+            ball = m.Vector3(x=wide, y=wide, z=wide)
+            spheres += [
+                m.SpherePrimitive(pose=pose(end, turn), size=ball, color=color)
+                for end in ends
+            ]
+        yield m.SceneEntity(
+            timestamp=m.Timestamp(0, 0),
+            frame_id=_frame(scene, name, k),
+            id=f"{name} {k}",
+            frame_locked=True,
+            spheres=spheres,
+            cylinders=cylinders,
+        )
