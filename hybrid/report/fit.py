@@ -18,7 +18,6 @@ from hybrid.report.style import (
     BEST,
     OTHERS,
     PALE,
-    check_shape,
     clean,
     finish,
     legend,
@@ -45,17 +44,20 @@ def held_out_table(fit: Fit) -> Table:
 
 
 def effects_table(fit: Fit) -> Table:
-    """The effects found, by joint, with 95 % intervals and units.
+    """The effects found, by joint, with half-widths of 95 % intervals and units.
 
     Gains at zero without an interval were not found, and are left out.
     """
-    joints, factor = fit.model.robot.joints, _half_width_of_std(fit)
+    from scipy.special import stdtrit
+
+    joints, factor = fit.model.robot.joints, float(stdtrit(fit.estimate.degrees, 0.975))
     effects = sorted(fit.model.effects, key=lambda effect: effect.joints)
     rows = []
     for effect in effects:
         found = _found(effect, factor)
         if found:
-            where = "arm" if effect.scope == "arm" else _places(effect, joints)
+            places = "+".join(joints[j] for j in effect.joints)
+            where = "arm" if effect.scope == "arm" else places
             rows.append((where, effect.id, ", ".join(found)))
     return Table(
         header=("joint", "effect", "found"),
@@ -86,7 +88,8 @@ def content_from_fit(fit: Fit) -> dict[str, Any]:
         "condition": fit.condition,
         "sigma": fit.sigma,
         "effects": [
-            effect.as_dict(robot.joints) | {"units": _units(effect)}
+            effect.as_dict(robot.joints)
+            | {"units": {x.name: x.unit for x in (*effect.gains, *effect.shapes)}}
             for effect in fit.model.effects
         ],
         "unknowns": [
@@ -127,21 +130,6 @@ def _quantity(name: str, value: float, unit: str, half: float = 0.0) -> str:
     return f"{name} {number} {unit}".rstrip()
 
 
-def _half_width_of_std(fit: Fit) -> float:
-    """Half-widths of the 95 % intervals in standard deviations."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(fit.estimate.degrees, 0.975))
-
-
-def _units(effect: Effect) -> dict[str, str]:
-    return {x.name: x.unit for x in (*effect.gains, *effect.shapes)}
-
-
-def _places(effect: Effect, joints: tuple[str, ...]) -> str:
-    return "+".join(joints[j] for j in effect.joints)
-
-
 def torque_figure(
     t: Array, measured: Array, predicted: Mapping[str, Array], joints: Sequence[str]
 ) -> Figure:
@@ -164,7 +152,8 @@ def torque_figure(
         raise HybridError(f"{len(predicted)} predictions, valid are 1 to {most}")
     shape = (len(t), len(joints))
     for name, torque in {"measured": measured, **predicted}.items():
-        check_shape(name, torque, shape)
+        if torque.shape != shape:
+            raise HybridError(f"{name} has shape {torque.shape}, valid is {shape}")
     inks = (*OTHERS[: len(predicted) - 1], BEST)
     figure, cells = panels(len(joints), height=2.1, ratios=(2.2, 1.0))
     for j, (above, below) in enumerate(cells):
