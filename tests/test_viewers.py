@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import MODELS
-from diagnosed import planar
+from diagnosed import faultless, planar
 from scipy.spatial.transform import Rotation
 
 from hybrid.cli import main
+from hybrid.diagnosis.answer.replay import courses
 from hybrid.excitation.clearance import frames
 from hybrid.report.viewers import Scene, scene_of_diagnosis, writer_of
 
@@ -30,6 +31,22 @@ def test_replays_start_as_measured_and_findings_bring_them_nearer(scene):
     assert (file[known] == measured[known]).all(axis=1).any()
     off, left = (np.abs(x - measured)[known].mean() for x in (file, found))
     assert left < 0.5 * off
+
+
+def test_a_simulator_without_a_gap_moves_as_measured():
+    scene = scene_of_diagnosis(faultless())
+    measured, file, found = (scene.q[name] for name in NAMES)
+    for x in (file, found):
+        assert np.nanmean(np.abs(x - measured)) < 0.01
+
+
+def test_logs_shorter_than_a_replay_have_none():
+    result = planar()
+    never = [replace(m, mask=m.mask & (np.arange(len(m.t)) < 20))
+             for m in result.gap.motions]  # fmt: skip
+    gap = replace(result.gap, motions=tuple(never))
+    for course in courses(replace(result.scored, gap=gap)):
+        assert course.shape == gap.left.shape and np.isnan(course).all()
 
 
 def test_torque_of_the_file_and_the_gap_make_up_what_was_measured(scene):

@@ -22,6 +22,7 @@ from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.split import between, split
 from hybrid.effects import Effect
 from hybrid.plant.rollout import Windows, rollout
+from hybrid.robot import Robot
 from hybrid.signals import Motion
 
 HORIZONS = (0.1, 0.5, 2.0)  # s
@@ -167,18 +168,33 @@ def courses(scored: Explanation) -> tuple[Array, Array]:
     Raises:
         EffectError: An effect cannot be simulated.
     """
-    gap, step = scored.gap, Replay(scored).step
+    gap = scored.gap
     motions, usable, start = _motions(gap, np.ones(len(gap.fold), dtype=np.bool_))
     span = round(_USUAL * gap.rate)
     motion, sample, _ = _starts(usable, span).T
-    windows = Windows(motion, sample, span)
-    at = start[motion] + sample + np.arange(span + 1)[:, None]
-    out = []
-    fixed = corrected(scored, scored_effects(scored))
-    for robot, effects in ((gap.robot, ()), fixed):
-        out.append(np.full_like(gap.left, np.nan))
-        out[-1][at] = rollout(robot, effects, motions, windows, step=step)
-    return out[0], out[1]
+    found = []
+    for robot, effects in ((gap.robot, ()), corrected(scored, scored_effects(scored))):
+        course = np.full_like(gap.left, np.nan)
+        if len(motion):
+            windows = Windows(motion, sample, span)
+            at = start[motion] + sample + np.arange(span + 1)[:, None]
+            course[at] = _steady(robot, effects, motions, windows)
+        found.append(course)
+    return found[0], found[1]
+
+
+def _steady(
+    robot: Robot,
+    effects: Sequence[Effect],
+    motions: Sequence[Motion],
+    windows: Windows,
+) -> Array:
+    """A rollout with the longest step that does not diverge, or the shortest."""
+    for step in _STEPS:
+        shown = rollout(robot, effects, motions, windows, step=step)
+        if np.isfinite(shown).all():
+            break
+    return shown
 
 
 def _motions(
