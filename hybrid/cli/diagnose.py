@@ -131,7 +131,6 @@ def _diagnose_torque(
             diagnosis = replace(result.diagnosis, advice=advice, provenance=how)
             write_diagnosis(replace(result, diagnosis=diagnosis), folder)
             notes = _fix(result, folder, args.out)
-        _to_viewers(args, lambda: scene_of_diagnosis(result))
     options.write_record(args, how, diagnosis.as_dict())
     for line in verdict_lines(diagnosis):
         screen.say(line)
@@ -139,21 +138,24 @@ def _diagnose_torque(
     if notes is not None and (result.effects or result.command):
         lacks = f"; only in {MODEL}, or better: {_few(notes)}" if notes else ""
         screen.say(f"Simulator with what was found: {args.out / SIMULATOR}{lacks}")
+    _to_viewers(args, screen, lambda: scene_of_diagnosis(result))
 
 
-def _to_viewers(args: Namespace, scene: Callable[[], Scene]) -> None:
+def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> None:
     """Write what ``--rerun`` asks for; nothing if it cannot be simulated."""
     from hybrid.report.viewers import writer_of
 
     if not args.rerun:
         return
     try:
-        shown = scene()
+        with screen.working("replaying all recordings"):
+            shown = scene()
     except EffectError as error:
         warnings.warn(f"nothing to scrub through: {error}", HybridWarning, stacklevel=2)
         return
     for path in args.rerun:
         writer_of(path)(shown, path)
+        screen.say(f"Recording to scrub through: {path}")
 
 
 def _simulator(args: Namespace) -> Robot | DynamicModel:
@@ -195,11 +197,11 @@ def _diagnose_servos(
         write_json(folder / CONTENT, content)
         write_servo_page(folder / PAGE, found, replay, provenance=how)
         found.save(folder / SIMULATOR)
-    _to_viewers(args, lambda: scene_of_servos(robot, replay))
     options.write_record(args, how, found.as_dict())
     show_servos(found, screen)
     screen.say(f"Report: {args.out / PAGE}")
     screen.say(f"Simulator with what was found: {args.out / SIMULATOR}")
+    _to_viewers(args, screen, lambda: scene_of_servos(robot, replay))
 
 
 def _few(notes: Sequence[str]) -> str:
