@@ -128,7 +128,6 @@ def test_foxglove_can_read_it(scene, tmp_path):
 def test_what_cannot_be_written_is_said_before_any_work(tmp_path, capsys, monkeypatch):
     robot = MODELS / "planar.xml"
     verb = f"diagnose --robot {robot} --recordings {robot} --out {tmp_path}/out --rerun"
-    monkeypatch.setattr("hybrid.cli.options.read_logs", lambda *_, **__: [])
     assert main(f"{verb} {tmp_path}/gap.txt".split()) == 2
     assert "valid are .rrd and .mcap" in capsys.readouterr().err
     monkeypatch.setattr("hybrid.extras.find_spec", lambda _: None)

@@ -82,13 +82,13 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.robot import Robot
     from hybrid.servo import without_torque
 
+    for path in args.rerun:
+        writer_of(path)  # refuses what cannot be written
     simulator = _simulator(args)
     robot = simulator if isinstance(simulator, Robot) else simulator.robot
     recordings = options.read_logs(args, screen, robot.joints, torque=False)
     outputs = [args.out / name for name in (PAGE, CONTENT, SIMULATOR, MODEL)]
     how = options.begin(args, [*outputs, *args.rerun])
-    for path in args.rerun:
-        writer_of(path)  # refuses what cannot be written
     servo = without_torque(recordings)
     options.check_known_mass(args, torque=not servo)
     if servo and args.baseline:
