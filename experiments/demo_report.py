@@ -20,8 +20,7 @@ from hybrid.report import (
     write_page,
     write_results,
 )
-from hybrid.report.figures import excerpt_figure, seen_by
-from hybrid.report.fit import content_from_fit, effects_table
+from hybrid.report.fit import content_from_fit, effects_table, excerpt_figure, seen_by
 from hybrid.report.style import (
     BLUE,
     GREY,

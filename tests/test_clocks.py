@@ -19,8 +19,7 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.identification import DynamicModel
 from hybrid.report.diagnosis import render_diagnosis
-from hybrid.report.diagnosis_curves import joint_curves
-from hybrid.report.diagnosis_evidence import evidence_matrix
+from hybrid.report.diagnosis_data import evidence_matrix, joint_curves
 
 TIME = 0.007
 GRIP = NonlinearViscous((2,), {"quadratic": 6.0})

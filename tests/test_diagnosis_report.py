@@ -23,8 +23,13 @@ from hybrid.diagnosis.answer.diagnosis import (
     Value,
 )
 from hybrid.report.diagnosis import render_diagnosis, write_diagnosis
-from hybrid.report.diagnosis_curves import MOST_POINTS, joint_curves, rms_table, thin
-from hybrid.report.diagnosis_evidence import evidence_matrix
+from hybrid.report.diagnosis_data import (
+    MOST_POINTS,
+    evidence_matrix,
+    joint_curves,
+    rms_table,
+    thin,
+)
 from hybrid.report.diagnosis_text import (
     MOST_LINES,
     headline,

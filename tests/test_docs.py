@@ -1,8 +1,11 @@
 """What the documentation says to type can be typed, and the Python page is complete."""
 
+import ast
+import inspect
 import json
 import re
 import shlex
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -32,6 +35,33 @@ def test_every_command_of_the_documentation_is_understood(page, line):
     words = shlex.split(line, comments=True)[1:]
     _, unknown = build_parser().parse_known_args(words)
     assert not unknown
+
+
+def programs():
+    """Python blocks of all pages, and what each imports from here by name."""
+    for page in PAGES:
+        blocks = re.findall(r"```python\n(.*?)```", page.read_text("utf-8"), re.S)
+        for k, block in enumerate(blocks):
+            yield pytest.param(ast.parse(block), id=f"{page.name} {k + 1}")
+
+
+@pytest.mark.parametrize("program", [*programs()])
+def test_every_call_of_the_documentation_fits_what_it_calls(program):
+    nodes = [*ast.walk(program)]
+    known = {
+        alias.asname or alias.name: getattr(import_module(node.module), alias.name)
+        for node in nodes
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("hybrid")
+        for alias in node.names
+    }
+    for call in (x for x in nodes if isinstance(x, ast.Call)):
+        name, *path = ast.unparse(call.func).split(".")
+        if name in known and all(x.isidentifier() for x in path):
+            called = known[name]
+            for x in path:
+                called = getattr(called, x)
+            given = {x.arg: x.value for x in call.keywords if x.arg}
+            inspect.signature(called).bind(*call.args, **given)
 
 
 def newcomers_effect():

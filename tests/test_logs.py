@@ -305,10 +305,11 @@ def test_the_command_line_takes_a_map(tmp_path):
     log = truth()
     path = logs.csv(tmp_path / "a.csv", columns(log, logs.RTDE), "timestamp")
     (tmp_path / "map.yaml").write_text("tau: {torque_constant: 1.0}\n")
-    given = Namespace(recordings=[str(path)], map=str(tmp_path / "map.yaml"))
-    (recording,), files = taken(lambda joints: read_logs(given, Screen(), joints))
+    how = str(tmp_path / "map.yaml")
+    given = Namespace(recordings=[str(path)], map=how, inputs=[])
+    (recording,) = taken(lambda joints: read_logs(given, Screen(), joints))
     assert not differences(recording)
-    assert files == [path, tmp_path / "map.yaml"]
+    assert given.inputs == [path, tmp_path / "map.yaml"]
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ from hybrid.names import (
     xml_comment,
 )
 from hybrid.report import Section, markdown_table, render_page
-from hybrid.report.figures import torque_figure
+from hybrid.report.fit import torque_figure
 from hybrid.report.output import figure_bytes
 from hybrid.report.table import Table
 from hybrid.robot import Robot
@@ -152,7 +152,8 @@ def test_xml_reads_back_with_the_same_names(kind, suffix, arm, joint):
     for path in exported(found, kind):
         if path.suffix == suffix:
             root = ElementTree.parse(path).getroot()
-            joints = [x.get("name") for x in root.iter("joint") if x.get("type") or x]
+            tags = [x for x in root.iter("joint") if x.get("type") or len(x)]
+            joints = [x.get("name") for x in tags]
             again, _ = quiet(Robot.load, path)
             assert again.joints == found.robot.joints
             if kind == "urdf":

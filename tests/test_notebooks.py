@@ -1,6 +1,9 @@
 """Every notebook runs from its first cell to its last."""
 
+import ast
+import json
 import os
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -28,3 +31,19 @@ def test_a_notebook_runs_to_its_end(name, tmp_path, monkeypatch):
     )
     cells = [x for x in client.execute().cells if x.cell_type == "code"]
     assert all(cell.execution_count for cell in cells) and cells
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda x: x.stem)
+def test_what_a_notebook_imports_is_there(path):
+    cells = json.loads(path.read_text("utf-8"))["cells"]
+    code = ["".join(x["source"]) for x in cells if x["cell_type"] == "code"]
+    nodes = [node for text in code for node in ast.walk(ast.parse(text))]
+    wanted = [
+        (node.module, alias.name)
+        for node in nodes
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("hybrid")
+        for alias in node.names
+    ]
+    assert wanted
+    for module, name in wanted:
+        assert hasattr(import_module(module), name), f"{module}.{name}"

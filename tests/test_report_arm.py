@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from arms import MODELS, random_arm
 
-from hybrid.report.arm import Postures
+from hybrid.report.excitation import Postures
 from hybrid.robot import Robot
 
 

@@ -85,6 +85,13 @@ def test_a_model_without_covariance_is_refused(tmp_path):
     assert not (tmp_path / "new").exists()
 
 
+def test_a_model_without_links_that_could_be_built_is_refused(tmp_path):
+    model = replace(fitted().model, inertial=None)
+    with pytest.raises(HybridError, match="--consistent"):
+        export(model, tmp_path / "ranges", format="ranges")
+    assert not (tmp_path / "ranges").exists()
+
+
 class Stub(dict):
     """Keeps what it is made with."""
 

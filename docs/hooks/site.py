@@ -45,7 +45,8 @@ def on_files(files: Files, config: Any) -> Files:
 def on_page_markdown(text: str, page: Any, **more: Any) -> str:
     """Links that leave ``docs/`` lead to the copies in the site."""
     path = page.file.src_uri
-    text = re.sub(r"\]\((?:\.\./)+(reports/|models/)", r"](\1", text)
+    up = "../" * path.count("/")
+    text = re.sub(r"\]\((?:\.\./)+(reports/|models/)", rf"]({up}\1", text)
     if path.startswith("reports/"):  # figures and data beside a report stay there
         text = re.sub(r"!?\[([^\]]*)\]\((?!http)[^)]*\)", r"\1", text)
     return text

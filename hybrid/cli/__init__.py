@@ -28,6 +28,7 @@ from hybrid.cli import (
     validate,
 )
 from hybrid.cli.options import Parser
+from hybrid.cli.screen import Screen
 from hybrid.errors import HybridError
 from hybrid.names import printable
 
@@ -35,21 +36,11 @@ __all__ = ["build_parser", "main"]
 
 OK, BUG, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
-_VERBS = {
-    "demo": demo,
-    "inspect": inspect,
-    "excite": excite,
-    "simulate": simulate,
-    "identify": identify,
-    "validate": validate,
-    "predict": predict,
-    "track": track,
-    "calibrate": calibrate,
-    "diagnose": diagnose,
-    "fleet": fleet,
-    "export": export,
-    "effects": effects,
-}
+_MODULES = (
+    demo, inspect, excite, simulate, identify, validate, predict, track, calibrate,
+    diagnose, fleet, export, effects,
+)  # fmt: skip
+_VERBS = {module.__name__.rpartition(".")[2]: module for module in _MODULES}
 _EXAMPLES = """\
 a real log, in ten seconds:
   hybrid demo
@@ -131,11 +122,11 @@ def _parsed(argv: Sequence[str] | None) -> Namespace:
     args, unknown = build_parser().parse_known_args(argv)
     if unknown:
         args.parser.error(f"unknown {' '.join(unknown)}")
+    args.inputs = []  # files that the result depends on, as they are loaded
     return args
 
 
 def _run(args: Namespace) -> None:
-    from hybrid.cli.screen import Screen
     from hybrid.threads import one_thread
 
     screen = Screen()

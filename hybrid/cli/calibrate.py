@@ -7,21 +7,11 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hybrid.cli.options import (
-    add_common,
-    add_robot,
-    check_outputs,
-    count,
-    load_robot,
-    names,
-    record,
-    whole,
-    write_record,
-)
+from hybrid.cli import options
+from hybrid.cli.screen import Screen
 from hybrid.errors import HybridWarning
 
 if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
     from hybrid.robot import Robot
 
 HELP = """calibrate the geometry of an arm from measured poses
@@ -51,18 +41,18 @@ _FAR = 0.05  # m: no arm is that wrong
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
-    add_robot(parser)
+    options.add_robot(parser)
     task = parser.add_mutually_exclusive_group(required=True)
     task.add_argument(
         "--poses", type=Path, metavar="FILE.csv", help="what was measured"
     )
     task.add_argument(
-        "--choose", type=count, metavar="N", help="poses to measure, instead"
+        "--choose", type=options.count, metavar="N", help="poses to measure, instead"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument(
         "--free",
-        type=names,
+        type=options.names,
         default=("base", "tool", "geometry"),
         metavar="LIST",
         help="what is unknown, of base, tool, geometry (default: these), compliance "
@@ -79,13 +69,13 @@ def add_arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="plain least squares over all measurements",
     )
-    parser.add_argument("--seed", type=whole, default=0, metavar="N")
-    add_common(parser)
+    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Calibrate, or choose poses, write and show."""
-    robot = load_robot(args)
+    robot = options.load_robot(args)
     if args.choose:
         _choose(args, robot, screen)
     else:
@@ -99,8 +89,7 @@ def _choose(args: Namespace, robot: Robot, screen: Screen) -> None:
     from hybrid.files import atomic_path
 
     path = args.out / "poses.csv"
-    check_outputs([path, args.json], [args.robot])
-    how = record(args, [args.robot])
+    how = options.begin(args, [path])
     candidates = random_poses(robot, _CANDIDATES, args.seed)
     with screen.working(f"choosing poses of {robot.name}"):
         rows = choose_poses(
@@ -110,7 +99,7 @@ def _choose(args: Namespace, robot: Robot, screen: Screen) -> None:
     header = ",".join(f"q_{joint}" for joint in robot.joints)
     with atomic_path(path) as temporary:
         np.savetxt(temporary, chosen, "%.6f", ",", header=header, comments="")
-    write_record(args, how, {"robot": robot.name, "poses": chosen})
+    options.write_record(args, how, {"robot": robot.name, "poses": chosen})
     screen.say(f"{len(rows)} of {_CANDIDATES} random poses: {path}")
 
 
@@ -122,12 +111,11 @@ def _calibrate(args: Namespace, robot: Robot, screen: Screen) -> None:
         corrections_table,
         errors_table,
     )
-    from hybrid.report.table import numbers_table
 
     written, summary = args.out / args.robot.name, args.out / "calibration.json"
-    check_outputs([written, summary, args.json], [args.robot, args.poses])
     data = read_measurements(args.poses, robot.joints)
-    how = record(args, [args.robot, args.poses])
+    args.inputs.append(args.poses)
+    how = options.begin(args, [written, summary])
     robust = not args.keep_outliers
     with screen.working(f"calibrating {robot.name} from {data.size} poses"):
         calibration = calibrate(robot, data, free=args.free, robust=robust)
@@ -135,10 +123,10 @@ def _calibrate(args: Namespace, robot: Robot, screen: Screen) -> None:
     content = content_from_calibration(calibration, errors)
     calibration.save(written)
     write_results(summary, content | {"provenance": how})
-    write_record(args, how, content)
+    options.write_record(args, how, content)
     _warn_of_wrong_columns(content["errors"])
-    screen.show_numbers(numbers_table(errors_table(errors)))
-    screen.show_numbers(numbers_table(corrections_table(calibration)))
+    screen.show_numbers(errors_table(errors))
+    screen.show_numbers(corrections_table(calibration))
     for text in calibration.unidentifiable:
         screen.say(f"unidentifiable: {text}")
     for x in calibration.rejected:

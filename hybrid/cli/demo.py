@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from hybrid.cli.options import add_common, check_outputs, record, write_record
-
-if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
+from hybrid.cli import options
+from hybrid.cli.screen import Screen
 
 HELP = """identify a UR10 from a real log that comes with the package
 A UR10 moved for twelve seconds, and ROS 2 recorded it. The demo reads the bag, holds it
@@ -26,7 +23,7 @@ example:
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("--out", type=Path, default=Path("hybrid-demo"), metavar="DIR")
-    add_common(parser)
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -35,26 +32,26 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.identification import identify
     from hybrid.inspect import inspect_recording
     from hybrid.recording import read
-    from hybrid.report import numbers_table, save_figure
-    from hybrid.report.figures import excerpt_figure
-    from hybrid.report.fit import content_from_fit, held_out_table
+    from hybrid.report import save_figure
+    from hybrid.report.fit import content_from_fit, excerpt_figure, held_out_table
     from hybrid.report.inspection import clocks_table, verdict
     from hybrid.robot import Robot
 
     arm, bag = (examples_folder() / name for name in ("ur10.urdf", "ur10_bag"))
     model, picture = args.out / "model.json", args.out / "torque.png"
-    check_outputs([model, picture, args.json], [arm, bag])
+    args.inputs += [arm, bag]
+    how = options.begin(args, [model, picture])
     robot = Robot.load(arm)
     log = read(bag, joints=robot.joints)
     found = [inspect_recording(log, robot)]
-    screen.show_numbers(numbers_table(clocks_table(found)))
+    screen.show_numbers(clocks_table(found))
     screen.say(verdict(found))
     with screen.working(f"identifying {robot.name}"):
         fit = identify(robot, [log])
         figure = excerpt_figure(fit.model, log)
     fit.model.save(model)
     save_figure(figure, picture)
-    write_record(args, record(args, [arm, bag]), content_from_fit(fit))
-    screen.show_numbers(numbers_table(held_out_table(fit)))
+    options.write_record(args, how, content_from_fit(fit))
+    screen.show_numbers(held_out_table(fit))
     screen.say(f"model: {model}")
     screen.say(f"measured and identified torque: {picture}")

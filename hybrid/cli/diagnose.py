@@ -4,32 +4,20 @@ from __future__ import annotations
 
 import warnings
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli.options import (
-    add_common,
-    add_known_mass,
-    add_recordings,
-    add_robot,
-    check_known_mass,
-    check_outputs,
-    load_robot,
-    positive,
-    read_logs,
-    record,
-    whole,
-    write_record,
-)
+from hybrid.cli import options
+from hybrid.cli.screen import Screen, show_servos
 from hybrid.errors import EffectError, HybridError, HybridWarning
 
 if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
     from hybrid.diagnosis.answer.result import Result
     from hybrid.model import DynamicModel
     from hybrid.recording import Recording
+    from hybrid.report.viewers import Scene
     from hybrid.robot import Robot
 
 _MOST_NOTES = 3
@@ -50,12 +38,13 @@ cause), not_excited (the recordings move the arm too little).
 examples:
   hybrid simulate --robot models/coman_like.xml --effects stribeck:elbow --out logs
   hybrid diagnose --robot models/coman_like.xml --recordings logs --out diagnosis
+  hybrid diagnose --robot arm.xml --recordings logs --out diagnosis --rerun gap.rrd
   hybrid diagnose --baseline model.json --recordings new_logs --out changed"""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
-    add_robot(parser, required=False, more=", the simulator as it stands today")
+    options.add_robot(parser, required=False, more=", the simulator as it stands today")
     parser.add_argument(
         "--baseline",
         type=Path,
@@ -63,21 +52,62 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="a model of the healthy arm, as identify writes it, in place of --robot: "
         "what has changed since?",
     )
-    add_recordings(parser)
+    options.add_recordings(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument(
         "--cutoff",
-        type=positive,
+        type=options.positive,
         metavar="HZ",
         help="cut-off of columns and torque (default: from the spectrum)",
     )
-    add_known_mass(parser)
-    parser.add_argument("--seed", type=whole, default=0, metavar="N")
-    add_common(parser)
+    options.add_known_mass(parser)
+    parser.add_argument(
+        "--rerun",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="write the arm, its replays and the gap over time to scrub through, .rrd "
+        "for Rerun or .mcap for Foxglove; may be repeated",
+    )
+    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Diagnose, write the report and say what came out."""
+    from hybrid.diagnosis.answer.fixed import MODEL, SIMULATOR
+    from hybrid.report.diagnosis import CONTENT, PAGE
+    from hybrid.report.viewers import writer_of
+    from hybrid.robot import Robot
+    from hybrid.servo import without_torque
+
+    for path in args.rerun:
+        writer_of(path)  # refuses what cannot be written
+    simulator = _simulator(args)
+    robot = simulator if isinstance(simulator, Robot) else simulator.robot
+    recordings = options.read_logs(args, screen, robot.joints, torque=False)
+    outputs = [args.out / name for name in (PAGE, CONTENT, SIMULATOR, MODEL)]
+    how = options.begin(args, [*outputs, *args.rerun])
+    servo = without_torque(recordings)
+    options.check_known_mass(args, torque=not servo)
+    if servo and args.baseline:
+        raise HybridError("--baseline needs logs with torque; these have none")
+    if servo:
+        _diagnose_servos(args, robot, recordings, how, screen)
+    else:
+        _diagnose_torque(args, robot, simulator, recordings, how, screen)
+
+
+def _diagnose_torque(
+    args: Namespace,
+    robot: Robot,
+    simulator: Robot | DynamicModel,
+    recordings: Sequence[Recording],
+    how: dict[str, Any],
+    screen: Screen,
+) -> None:
+    """Diagnose, write report, numbers and simulator to a folder, and show."""
     import numpy as np
 
     from hybrid.diagnosis.advice.advise import advise
@@ -85,25 +115,10 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.diagnosis.answer.replayed import replayed
     from hybrid.diagnosis.diagnose import examine
     from hybrid.files import atomic_folder
-    from hybrid.report.diagnosis import CONTENT, PAGE, write_diagnosis
+    from hybrid.report.diagnosis import PAGE, write_diagnosis
     from hybrid.report.diagnosis_text import verdict_lines
-    from hybrid.robot import Robot
-    from hybrid.servo import without_torque
+    from hybrid.report.viewers import scene_of_diagnosis
 
-    simulator = _simulator(args)
-    robot = simulator if isinstance(simulator, Robot) else simulator.robot
-    recordings, files = read_logs(args, screen, robot.joints, torque=False)
-    inputs = [args.baseline or args.robot, *files]
-    names = (PAGE, CONTENT, SIMULATOR, MODEL)
-    check_outputs([*(args.out / name for name in names), args.json], inputs)
-    how = record(args, inputs)
-    servo = without_torque(recordings)
-    check_known_mass(args, torque=not servo)
-    if servo:
-        if args.baseline:
-            raise HybridError("--baseline needs logs with torque; these have none")
-        _diagnose_servos(args, robot, recordings, how, screen)
-        return
     with screen.working(f"diagnosing {robot.name}") as tell:
         result = examine(
             simulator, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell
@@ -116,13 +131,31 @@ def run(args: Namespace, screen: Screen) -> None:
             diagnosis = replace(result.diagnosis, advice=advice, provenance=how)
             write_diagnosis(replace(result, diagnosis=diagnosis), folder)
             notes = _fix(result, folder, args.out)
-    write_record(args, how, diagnosis.as_dict())
+    options.write_record(args, how, diagnosis.as_dict())
     for line in verdict_lines(diagnosis):
         screen.say(line)
     screen.say(f"Report: {args.out / PAGE}")
     if notes is not None and (result.effects or result.command):
         lacks = f"; only in {MODEL}, or better: {_few(notes)}" if notes else ""
         screen.say(f"Simulator with what was found: {args.out / SIMULATOR}{lacks}")
+    _to_viewers(args, screen, lambda: scene_of_diagnosis(result))
+
+
+def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> None:
+    """Write what ``--rerun`` asks for; nothing if it cannot be simulated."""
+    from hybrid.report.viewers import writer_of
+
+    if not args.rerun:
+        return
+    try:
+        with screen.working("replaying all recordings"):
+            shown = scene()
+    except EffectError as error:
+        warnings.warn(f"nothing to scrub through: {error}", HybridWarning, stacklevel=2)
+        return
+    for path in args.rerun:
+        writer_of(path)(shown, path)
+        screen.say(f"Recording to scrub through: {path}")
 
 
 def _simulator(args: Namespace) -> Robot | DynamicModel:
@@ -131,15 +164,13 @@ def _simulator(args: Namespace) -> Robot | DynamicModel:
     Raises:
         HybridError: Neither a simulator nor a model is given, or both.
     """
-    from hybrid.model import DynamicModel
-
     if (args.robot is None) == (args.baseline is None):
         raise HybridError("either --robot or --baseline says what to compare with")
     if args.baseline is None:
-        return load_robot(args)
+        return options.load_robot(args)
     if args.joints or args.hold:
         raise HybridError("--joints and --hold go with --robot; a model has its own")
-    return DynamicModel.load(args.baseline)
+    return options.load_model(args, args.baseline)
 
 
 def _diagnose_servos(
@@ -150,11 +181,11 @@ def _diagnose_servos(
     screen: Screen,
 ) -> None:
     """Fit, write report, numbers and simulator to a folder, and show."""
-    from hybrid.cli.screen import show_servos
     from hybrid.diagnosis.answer.fixed import SIMULATOR
     from hybrid.files import atomic_folder, write_json
     from hybrid.report.diagnosis import CONTENT, PAGE
     from hybrid.report.servo import write_servo_page
+    from hybrid.report.viewers import scene_of_servos
     from hybrid.servo import fit_servo
 
     with screen.working(f"fitting the servos of {robot.name}") as tell:
@@ -166,10 +197,11 @@ def _diagnose_servos(
         write_json(folder / CONTENT, content)
         write_servo_page(folder / PAGE, found, replay, provenance=how)
         found.save(folder / SIMULATOR)
-    write_record(args, how, found.as_dict())
+    options.write_record(args, how, found.as_dict())
     show_servos(found, screen)
     screen.say(f"Report: {args.out / PAGE}")
     screen.say(f"Simulator with what was found: {args.out / SIMULATOR}")
+    _to_viewers(args, screen, lambda: scene_of_servos(robot, replay))
 
 
 def _few(notes: Sequence[str]) -> str:

@@ -6,17 +6,10 @@ from argparse import ArgumentParser, Namespace
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli.options import (
-    add_common,
-    add_robot,
-    check_outputs,
-    load_robot,
-    record,
-    write_record,
-)
+from hybrid.cli import options
+from hybrid.cli.screen import Screen, words_table
 
 if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
     from hybrid.effects import Effect, Quantity
     from hybrid.robot import Robot
 
@@ -39,25 +32,25 @@ _ACTS_ON = {"joint": "the joint", "coupling": "these joints", "arm": "the arm"}
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("effect", nargs="?", metavar="EFFECT", help="one of them")
-    add_robot(parser, required=False, more=", to show sizes for")
-    add_common(parser)
+    options.add_robot(parser, required=False, more=", to show sizes for")
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """List or describe."""
     from hybrid.effects import effect_class, effect_classes
 
-    check_outputs([args.json])
+    how = options.begin(args)
     if args.effect:
         found = [effect_class(args.effect)]
     else:
         found = list(effect_classes().values())
     content = {"effects": [content_from_class(cls) for cls in found]}
-    write_record(args, record(args, []), content)
+    options.write_record(args, how, content)
     if args.effect:
         _show_one(found[0], screen)
         if args.robot:
-            _show_sizes(found[0], load_robot(args), screen)
+            _show_sizes(found[0], options.load_robot(args), screen)
     else:
         _show_all(found, screen)
 
@@ -80,8 +73,6 @@ def content_from_class(cls: type[Effect]) -> dict[str, Any]:
 def _show_all(found: list[type[Effect]], screen: Screen) -> None:
     from rich.text import Text
 
-    from hybrid.cli.screen import words_table
-
     rows = []
     for cls in found:
         units = ", ".join(
@@ -96,8 +87,6 @@ def _show_all(found: list[type[Effect]], screen: Screen) -> None:
 
 
 def _show_one(cls: type[Effect], screen: Screen) -> None:
-    from hybrid.cli.screen import words_table
-
     screen.say(f"{cls.id}: {cls.equation}")
     screen.say(_sentence(cls))
     screen.say(f"remedy: {cls.remedy}")
@@ -124,7 +113,6 @@ def _show_one(cls: type[Effect], screen: Screen) -> None:
 
 def _show_sizes(cls: type[Effect], robot: Robot, screen: Screen) -> None:
     """What ``per`` comes to on an arm."""
-    from hybrid.cli.screen import words_table
     from hybrid.plant.scale import joint_scales
 
     rows = [

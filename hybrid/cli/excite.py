@@ -6,22 +6,11 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli.options import (
-    add_common,
-    add_robot,
-    check_outputs,
-    count,
-    load_effects,
-    load_robot,
-    positive,
-    record,
-    whole,
-    write_record,
-)
+from hybrid.cli import options
+from hybrid.cli.screen import Screen
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
     from hybrid.excitation import Design, Limits
     from hybrid.excitation.constraints import Constraint
     from hybrid.excitation.criteria import Criterion
@@ -43,12 +32,12 @@ _CRITERIA = ("error", "condition", "d")
 # What a fit of a log has beside the rigid body; published condition numbers have none.
 _FITTED = "armature,torque_offset,coulomb,viscous"
 _FAMILIES = ("fourier", "spline")
-_PICTURES = ("motion.png", "information.png", "postures.png", "motion.gif")
+_PICTURES = ("motion.png", "information.png", "postures.png")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
-    add_robot(parser)
+    options.add_robot(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument(
         "--effects",
@@ -65,41 +54,51 @@ def add_arguments(parser: ArgumentParser) -> None:
         "observation matrix, torque in N·m",
     )
     parser.add_argument("--family", choices=_FAMILIES, default="fourier")
-    parser.add_argument("--trajectories", type=count, default=1, metavar="N")
+    parser.add_argument("--trajectories", type=options.count, default=1, metavar="N")
     parser.add_argument(
         "--together",
         action="store_true",
         help="choose the N motions as a set, not one after the other: better, slower",
     )
-    parser.add_argument("--starts", type=count, default=3, metavar="N")
+    parser.add_argument("--starts", type=options.count, default=3, metavar="N")
     parser.add_argument(
-        "--duration", type=positive, default=20.0, metavar="S", help="of each, s"
+        "--duration",
+        type=options.positive,
+        default=20.0,
+        metavar="S",
+        help="of each, s",
     )
     parser.add_argument(
-        "--order", type=count, default=10, metavar="N", help="harmonics (default 10)"
+        "--order",
+        type=options.count,
+        default=10,
+        metavar="N",
+        help="harmonics (default 10)",
     )
     parser.add_argument(
         "--fill",
-        type=positive,
+        type=options.positive,
         default=0.8,
         metavar="PART",
         help="part of position, speed, acceleration and torque limits to use",
     )
-    parser.add_argument("--jerk", type=positive, metavar="J", help="limit, rad/s³")
     parser.add_argument(
-        "--clearance", type=positive, metavar="M", help="least distance of links, m"
+        "--jerk", type=options.positive, metavar="J", help="limit, rad/s³"
+    )
+    parser.add_argument(
+        "--clearance",
+        type=options.positive,
+        metavar="M",
+        help="least distance of links, m",
     )
     parser.add_argument(
         "--floor", type=float, metavar="Z", help="height that links stay above, m"
     )
     parser.add_argument(
-        "--rate", type=positive, default=500.0, metavar="HZ", help="of the CSV"
+        "--rate", type=options.positive, default=500.0, metavar="HZ", help="of the CSV"
     )
-    parser.add_argument(
-        "--gif", action="store_true", help="also write motion.gif, the arm in motion"
-    )
-    parser.add_argument("--seed", type=whole, default=0, metavar="N")
-    add_common(parser)
+    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -110,13 +109,13 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.excitation.folder import DESIGN, reference_paths, write_design
     from hybrid.plant.noise import Noise
 
-    robot = load_robot(args)
+    robot = options.load_robot(args)
     plain = args.criterion == "condition"
     wanted = "" if plain and args.effects is None else args.effects or _FITTED
-    effects = load_effects(wanted, robot)
+    effects = options.load_effects(wanted, robot)
     outputs = [*reference_paths(args.out, args.trajectories), args.out / DESIGN]
     pictures = [args.out / name for name in _PICTURES]
-    check_outputs([*outputs, *pictures, args.json], [args.robot])
+    how = options.begin(args, [*outputs, *pictures])
     jerk = np.inf if args.jerk is None else args.jerk
     limits = Limits.of(robot, fill=args.fill, jerk=jerk)
     noise = None if plain else Noise.typical(robot).torque_covariance
@@ -135,10 +134,9 @@ def run(args: Namespace, screen: Screen) -> None:
             together=args.together,
             rate=max(20.0, 8.0 * args.order / args.duration),
         )
-    how = record(args, [args.robot])
     write_design(args.out, found, rate=args.rate, more={"provenance": how})
     _draw(args, found, limits)
-    write_record(args, how, found.as_dict())
+    options.write_record(args, how, found.as_dict())
     _tell(args, screen, found)
 
 
@@ -148,16 +146,13 @@ def _draw(args: Namespace, found: Design, limits: Limits) -> None:
         information_figure,
         motion_figure,
         postures_figure,
-        save_animation,
     )
 
-    motion, information, postures, animation = (args.out / x for x in _PICTURES)
+    motion, information, postures = (args.out / x for x in _PICTURES)
     robot, reference = found.robot, found.trajectories[0].reference(50.0)
     save_figure(motion_figure(reference, robot.joints, limits), motion)
     save_figure(information_figure(found), information)
     save_figure(postures_figure(robot, reference), postures)
-    if args.gif:
-        save_animation(robot, reference, animation)
 
 
 def _tell(args: Namespace, screen: Screen, found: Design) -> None:

@@ -7,19 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hybrid.cli.options import (
-    add_common,
-    add_recordings,
-    check_outputs,
-    read_logs,
-    record,
-    write_record,
-)
+from hybrid.cli import options
+from hybrid.cli.screen import Screen
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
     from hybrid.arrays import Array
-    from hybrid.cli.screen import Screen
     from hybrid.identification import DynamicModel
     from hybrid.signals import Motion
 
@@ -64,32 +57,27 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="FILE",
         help="robot file to write again (default: the model's, if it is beside it)",
     )
-    add_recordings(parser, required=False)
+    options.add_recordings(parser, required=False)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    add_common(parser)
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Export and say what is missing."""
     from hybrid.exports import export
-    from hybrid.identification import DynamicModel
 
     if args.out.exists() and not args.out.is_dir():
         raise HybridError(f"{args.out}: is a file; valid is the name of a folder")
-    model = DynamicModel.load(args.model)
-    model, inputs = _with_file(model, args), [args.model]
-    if args.robot:
-        inputs.append(args.robot)
-    motions = _motions(args, model, screen, inputs)
-    check_outputs([args.out / "manifest.json", args.json], inputs)
-    how = record(args, inputs)
+    model = _with_file(options.load_model(args, args.model), args)
+    motions = _motions(args, model, screen)
+    how = options.begin(args, [args.out / "manifest.json"])
     with screen.working("exporting"):
         left_out = export(model, args.out, format=args.format, motions=motions)
     robot = model.robot
     content = {"robot": robot.name, "joints": robot.joints, "format": args.format}
     gap = _gap(args, model, motions)
     found = {name: x.tolist() for name, x in gap.items()}
-    write_record(args, how, {**content, "left_out": left_out, "gap": found})
+    options.write_record(args, how, {**content, "left_out": left_out, "gap": found})
     files = ", ".join(sorted(path.name for path in args.out.iterdir()))
     screen.say(f"{robot.name} as {args.format} in {args.out}: {files}")
     for text in left_out:
@@ -99,9 +87,7 @@ def run(args: Namespace, screen: Screen) -> None:
         screen.say(f"  torque missed, {name}: {numbers} N·m RMS")
 
 
-def _motions(
-    args: Namespace, model: DynamicModel, screen: Screen, inputs: list[Path]
-) -> list[Motion]:
+def _motions(args: Namespace, model: DynamicModel, screen: Screen) -> list[Motion]:
     """Motions of ``--recordings``, if there are any.
 
     Raises:
@@ -116,8 +102,7 @@ def _motions(
             f"--recordings: nothing of {args.format} is fitted to speeds; valid are "
             f"formats {', '.join(_FITTED)}"
         )
-    logs, files = read_logs(args, screen, model.robot.joints)
-    inputs += files
+    logs = options.read_logs(args, screen, model.robot.joints)
     return prepare_motions(model.robot, logs, model.cutoff)[0]
 
 
@@ -143,6 +128,7 @@ def _with_file(model: DynamicModel, args: Namespace) -> DynamicModel:
     """
     if args.robot and not args.robot.is_file():
         raise HybridError(f"{args.robot}: no such robot file")
+    args.inputs += [args.robot] if args.robot else []
     beside = args.model.parent / model.robot.path
     path = args.robot or (beside if model.robot.path and beside.is_file() else "")
     return replace(model, robot=replace(model.robot, path=str(path)))

@@ -4,19 +4,9 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from hybrid.cli.options import (
-    add_common,
-    check_outputs,
-    count,
-    record,
-    robot_file,
-    write_record,
-)
-
-if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
+from hybrid.cli import options
+from hybrid.cli.screen import Screen
 
 HELP = """which arms of a fleet change, when, in what, and which are unlike the others
 PLAN is a YAML file: robot, arms (a folder with one folder of logs for each arm, or a
@@ -39,7 +29,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("plan", type=Path, metavar="PLAN", help="YAML file, or folder")
     parser.add_argument(
-        "--robot", type=robot_file, metavar="FILE", help="the arms, if PLAN is a folder"
+        "--robot",
+        type=options.robot_file,
+        metavar="FILE",
+        help="the arms, if PLAN is a folder",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument(
@@ -49,11 +42,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--workers",
-        type=count,
+        type=options.count,
         metavar="N",
         help="processes here (default: one a core)",
     )
-    add_common(parser)
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -69,7 +62,8 @@ def run(args: Namespace, screen: Screen) -> None:
     )
 
     plan = read_plan(args.plan, robot=args.robot)
-    check_outputs([args.out / "report.html", args.json], [args.plan])
+    args.inputs += [args.plan] if args.plan.is_file() else []
+    how = options.begin(args, [args.out / "report.html"])
     with screen.working("looking for logs") as tell:
         found = fleet(
             plan,
@@ -79,8 +73,6 @@ def run(args: Namespace, screen: Screen) -> None:
             progress=tell,
         )
         tell("writing the report")
-        inputs = [args.plan] if args.plan.is_file() else []
-        how = record(args, inputs)
         page = write_fleet_pages(args.out, found, provenance=how)
     tables = alarms_table(found), unlike_table(found), refused_table(found)
     names = "alarms", "unlike", "refused"
@@ -92,7 +84,7 @@ def run(args: Namespace, screen: Screen) -> None:
             for name, x in zip(names, tables, strict=True)
         },
     }
-    write_record(args, how, content)
+    options.write_record(args, how, content)
     for table in tables:
         if table.rows:
             screen.show_words(table)

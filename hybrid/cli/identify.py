@@ -6,26 +6,11 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli.options import (
-    add_common,
-    add_known_mass,
-    add_recordings,
-    add_robot,
-    check_known_mass,
-    check_outputs,
-    load_effects,
-    load_robot,
-    names,
-    positive,
-    read_logs,
-    record,
-    whole,
-    write_record,
-)
+from hybrid.cli import options
+from hybrid.cli.screen import Screen, show_servos
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
     from hybrid.identification import Fit
     from hybrid.servo import ServoFit
 
@@ -52,8 +37,8 @@ _SHOWN = 10  # lines of what is unidentifiable
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
-    add_robot(parser)
-    add_recordings(parser)
+    options.add_robot(parser)
+    options.add_recordings(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="MODEL.json")
     parser.add_argument(
         "--estimator",
@@ -63,7 +48,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--stages",
-        type=names,
+        type=options.names,
         metavar="LIST",
         help="of rigid, friction, ripple, remainder (default: all); rigid always runs",
     )
@@ -76,7 +61,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--cutoff",
-        type=positive,
+        type=options.positive,
         metavar="HZ",
         help="cut-off of columns and torque (default: from the spectrum)",
     )
@@ -88,9 +73,9 @@ def add_arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="give the links parameters of bodies that could be built",
     )
-    add_known_mass(parser)
-    parser.add_argument("--seed", type=whole, default=0, metavar="N")
-    add_common(parser)
+    options.add_known_mass(parser)
+    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -101,11 +86,11 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.servo import fit_servo, without_torque
 
     args.stages = args.stages or STAGES
-    robot = load_robot(args)
-    effects = load_effects(args.effects, robot)
-    recordings, files = read_logs(args, screen, robot.joints, torque=False)
+    robot = options.load_robot(args)
+    effects = options.load_effects(args.effects, robot)
+    recordings = options.read_logs(args, screen, robot.joints, torque=False)
     servo = without_torque(recordings)
-    check_known_mass(args, torque=not servo)
+    options.check_known_mass(args, torque=not servo)
     if not servo and args.out.suffix != ".json":
         raise HybridError(f"{args.out}: a model is saved as .json")
     if servo and args.out.suffix.lower() not in (".xml", ".mjcf"):
@@ -113,9 +98,7 @@ def run(args: Namespace, screen: Screen) -> None:
             f"{args.out}: of logs without torque comes a simulator; valid is the name "
             "of an .xml file"
         )
-    inputs = [args.robot, *files]
-    check_outputs([args.out, args.json], inputs)
-    how = record(args, inputs)
+    how = options.begin(args, [args.out])
     if servo:
         with screen.working(f"fitting the servos of {robot.name}") as tell:
             found = fit_servo(
@@ -137,16 +120,15 @@ def run(args: Namespace, screen: Screen) -> None:
             seed=args.seed,
         )
     fit.model.save(args.out)
-    write_record(args, how, content_from_fit(fit))
+    options.write_record(args, how, content_from_fit(fit))
     _show(fit, screen)
     screen.say(f"model: {args.out}")
 
 
 def _show(fit: Fit, screen: Screen) -> None:
     from hybrid.report.fit import effects_table, held_out_table
-    from hybrid.report.table import numbers_table
 
-    screen.show_numbers(numbers_table(held_out_table(fit)))
+    screen.show_numbers(held_out_table(fit))
     if fit.unidentifiable:
         screen.say("unidentifiable:")
         for text in fit.unidentifiable[:_SHOWN]:
@@ -164,8 +146,6 @@ def _save_servos(
     Raises:
         HybridError: They replay unseen motion worse than the file's, as far as seen.
     """
-    from hybrid.cli.screen import show_servos
-
     if found.after.mean() > found.before.mean() + found.floor.mean():
         raise HybridError(
             f"{found.robot.name}: servos found miss unseen motion by "
@@ -174,6 +154,6 @@ def _save_servos(
             "varied motion"
         )
     found.save(args.out)
-    write_record(args, how, found.as_dict())
+    options.write_record(args, how, found.as_dict())
     show_servos(found, screen)
     screen.say(f"simulator: {args.out}")

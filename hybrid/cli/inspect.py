@@ -4,22 +4,10 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from hybrid.cli.options import (
-    add_common,
-    add_map,
-    add_robot,
-    check_outputs,
-    load_robot,
-    read_logs,
-    record,
-    write_record,
-)
+from hybrid.cli import options
+from hybrid.cli.screen import Screen
 from hybrid.errors import HybridError
-
-if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
 
 HELP = """look at recordings before anything is fitted to them
 shows how each file was read, its clock, what every joint does, and what the logs cannot
@@ -39,19 +27,18 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "recordings", nargs="+", metavar="PATH", help="files, folders or globs"
     )
-    add_map(parser)
-    add_robot(parser, required=False, more=", to hold the logs against physics")
+    options.add_map(parser)
+    options.add_robot(parser, required=False, more=", to hold the logs against physics")
     parser.add_argument(
         "--page", type=Path, metavar="FILE.html", help="write all of it, with a picture"
     )
-    add_common(parser)
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Inspect, write and show; refuse what would mislead."""
     from hybrid.inspect import inspect_recording
     from hybrid.inspect.doubt import is_error
-    from hybrid.report import numbers_table
     from hybrid.report.inspection import (
         clocks_table,
         doubts_table,
@@ -64,20 +51,18 @@ def run(args: Namespace, screen: Screen) -> None:
 
     if args.page and args.page.suffix.lower() not in (".html", ".htm"):
         raise HybridError(f"{args.page}: a page is saved as .html")
-    robot = load_robot(args) if args.robot else None
+    robot = options.load_robot(args) if args.robot else None
     joints = robot.joints if robot else None
-    recordings, files = read_logs(args, screen, joints, torque=False)
-    inputs = [*([args.robot] if args.robot else []), *files]
-    check_outputs([args.page, args.json], inputs)
-    how = record(args, inputs)
+    recordings = options.read_logs(args, screen, joints, torque=False)
+    how = options.begin(args, [args.page])
     with screen.working(f"inspecting {len(recordings)} recordings"):
         found = [inspect_recording(x, robot) for x in recordings]
-    write_record(args, how, {"logs": [x.as_dict() for x in found]})
+    options.write_record(args, how, {"logs": [x.as_dict() for x in found]})
     if args.page:
         write_inspection(args.page, found, provenance=how)
     for table in (*readings_tables(found), clocks_table(found), joints_table(found)):
         if table.rows:
-            screen.show_numbers(numbers_table(table))
+            screen.show_numbers(table)
     doubts = doubts_table(found)
     if doubts.rows:
         screen.show_words(doubts)

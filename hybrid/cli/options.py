@@ -10,11 +10,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from hybrid.cli.screen import Screen
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
     from hybrid.effects import Effect
+    from hybrid.model import DynamicModel
     from hybrid.plant import Plant
     from hybrid.recording import Recording
     from hybrid.robot import Robot
@@ -24,9 +25,9 @@ LOGS = (
     ".parquet, .npz, .h5, .mat"
 )
 _NOT_SETTINGS = {
-    "verb", "parser", "robot", "recordings", "recording", "model", "baseline",
-    "effects_from",
-    "out", "json", "seed", "poses", "page", "plan", "scheduler", "workers",
+    "verb", "parser", "inputs", "robot", "recordings", "recording", "model",
+    "baseline", "effects_from", "out", "json", "rerun", "seed", "poses",
+    "page", "plan", "scheduler", "workers",
 }  # fmt: skip
 
 
@@ -105,7 +106,7 @@ def read_logs(
     joints: tuple[str, ...] | None,
     *,
     torque: bool = True,
-) -> tuple[list[Recording], list[Path]]:
+) -> list[Recording]:
     """The recordings of ``--recordings`` or ``--recording``, read by ``--map``.
 
     Args:
@@ -113,9 +114,6 @@ def read_logs(
         screen: Where progress is shown.
         joints: Joint names of the robot, base to tip; None if not known.
         torque: Refuse a log without torques.
-
-    Returns:
-        The recordings, and the files that they and the map come from.
     """
     from hybrid.recording import read, read_all
 
@@ -127,10 +125,10 @@ def read_logs(
             if one
             else read_all(args.recordings, **options, progress=tell)
         )
-    files = list(dict.fromkeys(Path(log.source) for log in found))
+    args.inputs += dict.fromkeys(Path(log.source) for log in found)
     if args.map and Path(args.map).is_file():
-        files.append(Path(args.map))
-    return found, files
+        args.inputs.append(Path(args.map))
+    return found
 
 
 def add_common(parser: ArgumentParser) -> None:
@@ -234,7 +232,16 @@ def load_robot(args: Namespace) -> Robot:
     """The arm of ``--robot``, ``--joints`` and ``--hold``."""
     from hybrid.robot import Robot
 
+    args.inputs.append(args.robot)
     return Robot.load(args.robot, joints=args.joints, held=args.hold)
+
+
+def load_model(args: Namespace, path: Path) -> DynamicModel:
+    """The model of ``--model`` or ``--baseline``."""
+    from hybrid.model import DynamicModel
+
+    args.inputs.append(path)
+    return DynamicModel.load(path)
 
 
 def load_plant(args: Namespace) -> Plant:
@@ -251,6 +258,7 @@ def load_plant(args: Namespace) -> Plant:
             "--joints and --hold go with a robot file; a truth names its own"
         )
     nominal, plant = load_truth(args.robot)
+    args.inputs += dict.fromkeys([args.robot, Path(plant.robot.path)])
     effects = load_effects(args.effects, nominal)
     # Without a servo, so that it is tuned to the arm with the new effects.
     return replace(plant, effects=(*plant.effects, *effects), servo=None)
@@ -290,13 +298,20 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -
         taken[path.resolve()] = "another output"
 
 
-def record(args: Namespace, inputs: Iterable[Path]) -> dict[str, Any]:
-    """How a result comes about: versions, command, settings, hashes of its inputs."""
+def begin(args: Namespace, outputs: Iterable[Path | None] = ()) -> dict[str, Any]:
+    """How a result comes about: versions, command, settings, hashes of its inputs.
+
+    Inputs are what was loaded by the functions here.
+
+    Raises:
+        HybridError: An output cannot be written, see :func:`check_outputs`.
+    """
     from hybrid.report import provenance
 
+    check_outputs([*outputs, args.json], args.inputs)
     given = vars(args)
     seed = {"seed": given["seed"]} if "seed" in given else {}
-    files = [*args.effects_from, *inputs]
+    files = [*args.effects_from, *args.inputs]
     return provenance(
         command=args.verb,
         settings={k: x for k, x in given.items() if k not in _NOT_SETTINGS},

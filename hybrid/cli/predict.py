@@ -4,19 +4,9 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from hybrid.cli.options import (
-    add_common,
-    add_recording,
-    check_outputs,
-    read_logs,
-    record,
-    write_record,
-)
-
-if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
+from hybrid.cli import options
+from hybrid.cli.screen import Screen
 
 HELP = """predict the drive torque along a recording
 writes the columns time (s) and tau_JOINT (N·m); the suffix of --out, .csv, .parquet or
@@ -33,28 +23,26 @@ example:
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
-    add_recording(parser)
+    options.add_recording(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE")
-    add_common(parser)
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Predict and write."""
     import numpy as np
 
-    from hybrid.identification import DynamicModel, predict
+    from hybrid.identification import predict
     from hybrid.inspect import check_recordings
     from hybrid.recording.write import write_columns, writer_of
 
     writer_of(args.out)
-    model = DynamicModel.load(args.model)
+    model = options.load_model(args, args.model)
     joints = model.robot.joints
-    (recording,), files = read_logs(args, screen, joints, torque=False)
+    (recording,) = options.read_logs(args, screen, joints, torque=False)
     # On the clock that the prediction will have.
     pieces = check_recordings([recording], model.robot)
-    inputs = [args.model, *files]
-    check_outputs([args.out, args.json], inputs)
-    how = record(args, inputs)
+    how = options.begin(args, [args.out])
     with screen.working("predicting"):
         tau = np.concatenate([predict(model, x) for x in pieces])
     t = np.concatenate([x.t for x in pieces])
@@ -65,5 +53,5 @@ def run(args: Namespace, screen: Screen) -> None:
         measured = np.concatenate([x.tau for x in pieces])
         rms = np.sqrt(np.mean((measured - tau) ** 2, axis=0))
     content = {"robot": model.robot.name, "joints": joints, "samples": len(tau)}
-    write_record(args, how, {**content, "rms": rms})
+    options.write_record(args, how, {**content, "rms": rms})
     screen.say(f"{len(tau):,} samples of {len(joints)} joints in {args.out}")

@@ -8,13 +8,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console, RenderableType
-from rich.text import Text
-
 from hybrid.errors import HybridWarning
 
 if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
     from rich.table import Table as RichTable
+    from rich.text import Text
 
     from hybrid.report import Table
     from hybrid.servo import ServoFit
@@ -31,17 +30,19 @@ class Screen:
 
     def say(self, text: str = "") -> None:
         """Show a line of results, however long."""
-        self._out.print(Text(text), soft_wrap=True)
+        self._out.print(text, soft_wrap=True)
 
     def show(self, content: RenderableType) -> None:
         """Show results folded to the terminal."""
         self._print(content, self._out.width)
 
-    def show_numbers(self, table: RichTable) -> None:
+    def show_numbers(self, table: Table) -> None:
         """Show a table of numbers; a narrow terminal wraps it, no digit is lost."""
-        options = self._out.options.update(width=1000)
-        width = self._out.measure(table, options=options).maximum
-        self._print(table, max(width, self._out.width))
+        from hybrid.report import numbers_table
+
+        rich, options = numbers_table(table), self._out.options.update(width=1000)
+        width = self._out.measure(rich, options=options).maximum
+        self._print(rich, max(width, self._out.width))
 
     def _print(self, content: RenderableType, width: int) -> None:
         before, self._out.width = self._out.width, width
@@ -87,7 +88,7 @@ class Screen:
             line = f"warning: {' '.join(words.split())}"
             if line not in shown:
                 shown.add(line)
-                self._err.print(Text(line, style="yellow"), soft_wrap=True)
+                self._err.print(line, style="yellow", soft_wrap=True)
 
         with warnings.catch_warnings():
             warnings.simplefilter("always", HybridWarning)
@@ -104,6 +105,7 @@ def words_table(
     """A table of text; only its last column folds."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table as RichTable
+    from rich.text import Text
 
     table = RichTable(
         box=SIMPLE_HEAD,
@@ -122,19 +124,20 @@ def words_table(
 
 def show_servos(found: ServoFit, screen: Screen) -> None:
     """Show errors, what the file has wrong, and what is not known."""
-    from hybrid.report import numbers_table
     from hybrid.report.servo import findings_table, gap_table, servos_table
 
     for table in (gap_table(found), findings_table(found), servos_table(found)):
         if table.rows:
-            screen.show_numbers(numbers_table(table))
+            screen.show_numbers(table)
     for note in found.notes:
         screen.say(f"Note: {note}.")
     screen.say(found.sentence)
 
 
 def _console(*, stderr: bool = False) -> Console:
-    console = Console(stderr=stderr, highlight=False, markup=False)
+    from rich.console import Console
+
+    console = Console(stderr=stderr, highlight=False, markup=False, emoji=False)
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = _WIDTH_OF_A_FILE
     return console

@@ -5,24 +5,10 @@ from __future__ import annotations
 import warnings
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from hybrid.cli.options import (
-    add_common,
-    add_robot,
-    check_outputs,
-    count,
-    load_plant,
-    positive,
-    record,
-    sha256,
-    whole,
-    write_record,
-)
+from hybrid.cli import options
+from hybrid.cli.screen import Screen
 from hybrid.errors import HybridWarning
-
-if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
 
 HELP = """simulate motions of an arm with effects that its file does not know
 writes DIR/trajectory_1.csv ... and DIR/truth.json, which holds the effects with their
@@ -38,7 +24,7 @@ examples:
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
-    add_robot(parser, more=", or a truth in YAML")
+    options.add_robot(parser, more=", or a truth in YAML")
     parser.add_argument(
         "--effects",
         default="",
@@ -46,18 +32,18 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="effect[:joint[+joint]][(name=value;...)] between commas, at their usual "
         "size; see 'hybrid effects' (default: none beside those of a truth)",
     )
-    parser.add_argument("--trajectories", type=count, default=4, metavar="N")
+    parser.add_argument("--trajectories", type=options.count, default=4, metavar="N")
     parser.add_argument(
         "--duration",
-        type=positive,
+        type=options.positive,
         default=10.0,
         metavar="S",
         help="length of each trajectory, s (default 10)",
     )
-    parser.add_argument("--seed", type=whole, default=0, metavar="N")
+    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--format", choices=("csv", "parquet", "npz"), default="csv")
-    add_common(parser)
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -72,9 +58,8 @@ def run(args: Namespace, screen: Screen) -> None:
 
     suffix = f".{args.format}"
     paths = recording_paths(args.out, args.trajectories, suffix)
-    plant = load_plant(args)
-    inputs = dict.fromkeys([args.robot, Path(plant.robot.path)])
-    check_outputs([*paths, args.out / TRUTH, args.json], inputs)
+    plant = options.load_plant(args)
+    how = options.begin(args, [*paths, args.out / TRUTH])
     with screen.working(f"simulating {plant.robot.name}"):
         recordings = simulate(
             plant,
@@ -82,11 +67,10 @@ def run(args: Namespace, screen: Screen) -> None:
             duration=args.duration,
             seed=args.seed,
         )
-    how = record(args, inputs)
     truth = content_from_plant(plant)
     write_run(args.out, recordings, truth | {"provenance": how}, suffix=suffix)
-    files = [{"file": path.name, "sha256": sha256(path)} for path in paths]
-    write_record(args, how, truth | {"recordings": files})
+    files = [{"file": path.name, "sha256": options.sha256(path)} for path in paths]
+    options.write_record(args, how, truth | {"recordings": files})
     screen.say(
         f"{plant.robot.name}: {len(paths)} trajectories of {args.duration:g} s with "
         f"{len(plant.effects)} effects in {args.out}"

@@ -4,20 +4,9 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from hybrid.cli.options import (
-    add_common,
-    add_recording,
-    check_outputs,
-    positive,
-    read_logs,
-    record,
-    write_record,
-)
-
-if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
+from hybrid.cli import options
+from hybrid.cli.screen import Screen
 
 HELP = """track the parameters of a model along a recording, sample by sample
 as a controller would, in one pass: base parameters, gains of the effects, payloads
@@ -42,16 +31,16 @@ _WEIGHED = 1.0  # s after which the mass of a payload is read
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
-    add_recording(parser)
+    options.add_recording(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE")
     parser.add_argument(
         "--prior",
-        type=positive,
+        type=options.positive,
         default=0.05,
         metavar="SHARE",
         help="relative standard deviation of the model's parameters (default: 0.05)",
     )
-    add_common(parser)
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -60,25 +49,22 @@ def run(args: Namespace, screen: Screen) -> None:
 
     import numpy as np
 
-    from hybrid.identification import DynamicModel
     from hybrid.inspect import inspect_recording
     from hybrid.inspect.doubt import act_on
     from hybrid.online import OnlineIdentifier, Sample
     from hybrid.recording.write import write_columns, writer_of
 
     writer_of(args.out)
-    model = DynamicModel.load(args.model)
+    model = options.load_model(args, args.model)
     joints = model.robot.joints
-    (recording,), files = read_logs(args, screen, joints)
+    (recording,) = options.read_logs(args, screen, joints)
     recording = recording.in_order(joints)
     # The tracker leaves wrong rows out, and says so; a wrong column it believes.
     act_on(
         inspect_recording(recording, model.robot).doubts, recording.source, rows=False
     )
     times, q, tau = recording.t, recording.q, recording.tau
-    inputs = [args.model, *files]
-    check_outputs([args.out, args.json], inputs)
-    how = record(args, inputs)
+    how = options.begin(args, [args.out])
     rate, prior = recording.rate, args.prior
     tracker = OnlineIdentifier.from_model(model, rate=rate, prior=prior)
     every, rows, taken = max(1, round(rate / _PER_SECOND)), [], []
@@ -107,7 +93,7 @@ def run(args: Namespace, screen: Screen) -> None:
         "noise": tracker.noise,
         "microseconds": np.median(taken) / 1000,
     }
-    write_record(args, how, content)
+    options.write_record(args, how, content)
     for found in changes:
         word = "grasped" if found["mass"] > 0 else "dropped"
         screen.say(f"{found['t']:.2f} s: {abs(found['mass']):.3g} kg {word}")

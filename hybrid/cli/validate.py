@@ -4,21 +4,9 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from hybrid.cli.options import (
-    add_common,
-    add_recordings,
-    add_robot,
-    check_outputs,
-    load_robot,
-    read_logs,
-    record,
-    write_record,
-)
-
-if TYPE_CHECKING:
-    from hybrid.cli.screen import Screen
+from hybrid.cli import options
+from hybrid.cli.screen import Screen
 
 HELP = """score a model on recordings that it was not identified from
 shows the RMS torque error of the model and of its simpler versions, joint by joint,
@@ -34,31 +22,29 @@ example:
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
-    add_robot(parser, required=False, more=", to be sure that it is the model's")
+    options.add_robot(
+        parser, required=False, more=", to be sure that it is the model's"
+    )
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
-    add_recordings(parser)
-    add_common(parser)
+    options.add_recordings(parser)
+    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Validate and show."""
-    from hybrid.identification import DynamicModel, validate
+    from hybrid.identification import validate
     from hybrid.model.dynamic_model import check_same_arm
-    from hybrid.report import numbers_table, table_from_validation
+    from hybrid.report import table_from_validation
 
-    model = DynamicModel.load(args.model)
-    robot = load_robot(args) if args.robot else model.robot
+    model = options.load_model(args, args.model)
+    robot = options.load_robot(args) if args.robot else model.robot
     check_same_arm(model, robot)  # before a recording is blamed for it
-    recordings, files = read_logs(args, screen, robot.joints)
-    inputs = [args.model]
-    inputs += [args.robot] if args.robot else []
-    inputs += files
-    check_outputs([args.json], inputs)
-    how = record(args, inputs)
+    recordings = options.read_logs(args, screen, robot.joints)
+    how = options.begin(args)
     with screen.working(f"validating on {len(recordings)} recordings"):
         validation = validate(model, recordings, robot=robot)
-    write_record(args, how, validation.as_dict())
-    screen.show_numbers(numbers_table(table_from_validation(validation)))
+    options.write_record(args, how, validation.as_dict())
+    screen.show_numbers(table_from_validation(validation))
     first, last = validation.rows[0], validation.rows[-1]
     screen.say(
         f"{last.name}: {validation.reduction:.1%} less mean RMS than {first.name}, "

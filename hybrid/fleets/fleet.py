@@ -21,7 +21,15 @@ import numpy as np
 from scipy.stats import median_abs_deviation
 
 from hybrid.arrays import Array
-from hybrid.fleets.changes import Change, Level, changes, crossing, level, threshold
+from hybrid.fleets.changes import (
+    MONTH,
+    Change,
+    Level,
+    changes,
+    crossing,
+    level,
+    threshold,
+)
 from hybrid.fleets.plan import Plan, read_plan
 from hybrid.fleets.pooling import FEWEST, pooled
 from hybrid.fleets.run import connected
@@ -30,9 +38,7 @@ from hybrid.fleets.worker import OK
 
 SHARED = 5  # arms of a period that tell what all arms share
 _EFFICIENCY = 0.5  # degrees of freedom of the scatter, of each difference
-_CLIPPED = (
-    3.0  # standard deviations up to which a difference counts: a step is no noise
-)
+_CLIPPED = 3.0  # standard deviations that a difference counts at most: a step is none
 _STEP = 5.0  # standard deviations from which a difference is a step
 _CHANCE = 3.0  # times 1/N: variance of a mean of N squares of successive differences
 _SURE = 1.96
@@ -158,7 +164,7 @@ def fleet_from_rows(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> Fleet:
             key = groups[row["arm"]], row["joint"], row["parameter"]
             tables[key].append(row)
             spans[row["arm"]].add(row["period"])
-    months = sum(map(len, spans.values())) * plan.days / 30.4375
+    months = sum(map(len, spans.values())) * plan.days / MONTH
     watched = {group: sum(g == group for g, _, _ in tables) for group, _, _ in tables}
     states: list[State] = []
     shared: list[str] = []
@@ -331,5 +337,5 @@ def _differences(y: Array, s: Array) -> Array:
 def _said(x: Change, unit: str) -> str:
     when = date.fromordinal(max(1, int(x.day))).isoformat()
     if x.kind == "trend":
-        return f"{30.4375 * x.size:+.3g} {unit} a month since {when}"
+        return f"{MONTH * x.size:+.3g} {unit} a month since {when}"
     return f"{x.size:+.3g} {unit} on {when}"

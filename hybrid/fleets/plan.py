@@ -19,17 +19,17 @@ from hybrid import __version__
 from hybrid.errors import HybridError
 from hybrid.extras import check_extra
 from hybrid.files import read_yaml
+from hybrid.fleets.changes import MONTH
 from hybrid.fleets.estimate import followed
 from hybrid.names import name_fault
 
 TRACK = ("coulomb", "viscous", "torque_gain", "torque_offset", "payload.mass")
-PERIODS = ("day", "week", "month", "log")
 FIRST = "first"
 _DATE = re.compile(r"(?<!\d)(\d{4})-?(\d{2})-?(\d{2})(?!\d{2})")
 _STAMP = ("size", "mtime", "ETag", "LastModified")  # that tell two states of a file
 # By period: day, path and state of each log.
 Logs = Mapping[str, list[tuple[str, str, str]]]
-_DAYS = {"day": 1.0, "week": 7.0, "month": 30.4375, "log": 1.0}
+_DAYS = {"day": 1.0, "week": 7.0, "month": MONTH, "log": 1.0}
 
 
 @dataclass(frozen=True)
@@ -165,9 +165,9 @@ def plan_from_dict(
         float(content.get("time_limit", 120.0)),
         bool(content.get("diagnose", False)),
     )
-    if plan.period not in PERIODS:
+    if plan.period not in _DAYS:
         raise HybridError(
-            f"{source}: period is {plan.period!r}; valid are {', '.join(PERIODS)}"
+            f"{source}: period is {plan.period!r}; valid are {', '.join(_DAYS)}"
         )
     if not plan.time_limit > 0:
         raise HybridError(f"{source}: time_limit is above 0 s")

@@ -7,7 +7,6 @@ the line or dies, even while it computes; what libraries print goes elsewhere.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import queue
@@ -127,12 +126,8 @@ def _line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _model(text: str) -> DynamicModel:
-    return _loaded(hashlib.sha256(text.encode()).hexdigest(), text)
-
-
 @lru_cache(maxsize=64)
-def _loaded(_: str, text: str) -> DynamicModel:
+def _model(text: str) -> DynamicModel:
     with tempfile.TemporaryDirectory(prefix="hybrid-fleet-") as folder:
         path = Path(folder) / "model.json"
         path.write_text(text, encoding="utf-8")

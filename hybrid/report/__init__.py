@@ -1,6 +1,6 @@
 """Results as pages, figures, tables and JSON. Nothing here prints."""
 
-from hybrid.report.figures import torque_figure
+from hybrid.report.fit import torque_figure
 from hybrid.report.output import (
     figure_bytes,
     provenance,

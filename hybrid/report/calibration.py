@@ -51,6 +51,7 @@ def content_from_calibration(
     """A calibration in words and numbers, for JSON; SI units."""
     low, high = calibration.interval()
     solution, robot = calibration.solution, calibration.setup.robot
+    chain = calibration.robot.chain
     return {
         "robot": robot.name,
         "joints": list(robot.joints),
@@ -81,17 +82,11 @@ def content_from_calibration(
         "base": _frame(*calibration.base),
         "tools": [_frame(*tool) for tool in calibration.tools],
         "stations": calibration.stations,
-        "chain": robot_chain(calibration),
+        "chain": [  # placement of each joint in its parent link
+            {"joint": joint} | _frame(chain.rotation[k], chain.translation[k])
+            for k, joint in enumerate(chain.joints)
+        ],
     }
-
-
-def robot_chain(calibration: Calibration) -> list[dict[str, Any]]:
-    """Calibrated placement of each joint in its parent link."""
-    chain = calibration.robot.chain
-    return [
-        {"joint": joint} | _frame(chain.rotation[k], chain.translation[k])
-        for k, joint in enumerate(chain.joints)
-    ]
 
 
 def _frame(rotation: Any, translation: Any) -> dict[str, Any]:

@@ -15,10 +15,9 @@ from hybrid.diagnosis.gap.units import units
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report import diagnosis_text
-from hybrid.report.arm import Postures
-from hybrid.report.diagnosis_curves import joint_curves, rms_table
-from hybrid.report.diagnosis_evidence import evidence_matrix
+from hybrid.report.diagnosis_data import evidence_matrix, joint_curves, rms_table
 from hybrid.report.diagnosis_text import effect_name
+from hybrid.report.excitation import Postures
 from hybrid.report.output import provenance, write_results
 from hybrid.report.page import render_template
 

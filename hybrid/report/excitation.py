@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from io import BytesIO
-from pathlib import Path
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybrid.files import atomic_path
+from hybrid.arrays import Array
+from hybrid.errors import RobotError
+from hybrid.excitation.clearance import ends_in_world, frames
 from hybrid.names import figure_text
-from hybrid.report.arm import Postures
 from hybrid.report.style import (
     BLUE,
     GREY,
     OTHERS,
     RED,
-    WIDTH,
     clean,
     finish,
     legend,
     new_figure,
     panels,
 )
+from hybrid.robot.geometry import capsules_from_robot
 from hybrid.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -33,8 +33,47 @@ if TYPE_CHECKING:
     from hybrid.plant.reference import Reference
 
 _COLUMNS = 4
-_DOTS = 80  # per inch of an animation
 _THICKEST = 24.0  # points
+
+
+@dataclass(frozen=True, eq=False)
+class Postures:
+    """K postures of an arm of n joints in the base frame.
+
+    Attributes:
+        joints: Base and joint origins, shape (K, n + 1, 3), [m].
+        ends: End points of C capsules, shape (K, C, 2, 3), [m]; none of an arm whose
+            file holds no geometry.
+        radius: Their radii, shape (C,), [m].
+    """
+
+    joints: Array
+    ends: Array
+    radius: Array
+
+    @classmethod
+    def of(cls, robot: Robot, q: Array) -> Postures:
+        """Place an arm.
+
+        Args:
+            robot: The arm.
+            q: Positions, shape (K, n), [rad or m].
+        """
+        origins = frames(robot.chain, q)[1].transpose(1, 0, 2)
+        joints = np.concatenate([np.zeros((len(q), 1, 3)), origins], axis=1)
+        try:
+            capsules = capsules_from_robot(robot)
+        except RobotError:
+            return cls(joints, np.zeros((len(q), 0, 2, 3)), np.zeros(0))
+        return cls(joints, ends_in_world(robot.chain, capsules, q), capsules.radius)
+
+    @property
+    def box(self) -> tuple[Array, float]:
+        """Middle and half width of a cube that holds all postures, [m]."""
+        parts = self.joints.reshape(-1, 3), self.ends.reshape(-1, 3)
+        points = np.concatenate(parts)
+        low, high = points.min(axis=0), points.max(axis=0)
+        return (low + high) / 2, max(0.55 * float((high - low).max()), 1e-3)
 
 
 def motion_figure(
@@ -141,46 +180,6 @@ def postures_figure(
         _draw(axes, postures, k)
         axes.set_title(f"{reference.t[sample]:.1f} s", fontsize=8, y=0.95)
     return figure
-
-
-def save_animation(
-    robot: Robot,
-    reference: Reference,
-    path: str | Path,
-    *,
-    rate: float = 10.0,
-) -> None:
-    """Write the motion as an animated GIF that plays in real time.
-
-    Args:
-        robot: The arm.
-        reference: Its motion.
-        path: GIF file.
-        rate: Pictures per second, [Hz].
-    """
-    from PIL import Image
-
-    t = np.arange(0.0, float(reference.t[-1]), 1.0 / rate)
-    postures = Postures.of(robot, reference.at(t)[0])
-    figure = new_figure(0.75 * WIDTH)
-    axes: Any = figure.add_subplot(projection="3d")
-    pictures = []
-    for k, now in enumerate(t):
-        axes.clear()
-        _draw(axes, postures, k)
-        axes.set_title(f"{now:.1f} s", fontsize=9, y=0.97)
-        buffer = BytesIO()
-        figure.savefig(buffer, format="png", dpi=_DOTS)
-        pictures.append(Image.open(buffer).convert("P", colors=32))
-    with atomic_path(path) as temporary:
-        pictures[0].save(
-            temporary,
-            format="gif",
-            save_all=True,
-            append_images=pictures[1:],
-            duration=1000.0 / rate,
-            loop=0,
-        )
 
 
 def _draw(axes: Any, postures: Postures, k: int) -> None:

@@ -1,16 +1,39 @@
-"""What an identification found: tables for people, content for other programs."""
+"""What an identification found: tables, torque over time, content for programs.
+
+A figure is one of its own and leaves matplotlib's global state alone. Colours are told
+apart by colour-blind readers, and by their lightness in print.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybrid.arrays import Array
+from hybrid.errors import HybridError
+from hybrid.names import figure_text
+from hybrid.report.style import (
+    BEST,
+    OTHERS,
+    PALE,
+    clean,
+    finish,
+    legend,
+    panels,
+)
 from hybrid.report.table import Table, error_table
+from hybrid.signals import Motion, Sampler, motion_from_recording
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from hybrid.effects import Effect
-    from hybrid.identification import Fit
+    from hybrid.identification import DynamicModel, Fit
+    from hybrid.recording import Recording
+
+_EXCERPT_SECONDS = 3.0  # of a recording: more is not to be made out
 
 
 def held_out_table(fit: Fit) -> Table:
@@ -21,17 +44,20 @@ def held_out_table(fit: Fit) -> Table:
 
 
 def effects_table(fit: Fit) -> Table:
-    """The effects found, by joint, with 95 % intervals and units.
+    """The effects found, by joint, with half-widths of 95 % intervals and units.
 
     Gains at zero without an interval were not found, and are left out.
     """
-    joints, factor = fit.model.robot.joints, _half_width_of_std(fit)
+    from scipy.special import stdtrit
+
+    joints, factor = fit.model.robot.joints, float(stdtrit(fit.estimate.degrees, 0.975))
     effects = sorted(fit.model.effects, key=lambda effect: effect.joints)
     rows = []
     for effect in effects:
         found = _found(effect, factor)
         if found:
-            where = "arm" if effect.scope == "arm" else _places(effect, joints)
+            places = "+".join(joints[j] for j in effect.joints)
+            where = "arm" if effect.scope == "arm" else places
             rows.append((where, effect.id, ", ".join(found)))
     return Table(
         header=("joint", "effect", "found"),
@@ -62,7 +88,8 @@ def content_from_fit(fit: Fit) -> dict[str, Any]:
         "condition": fit.condition,
         "sigma": fit.sigma,
         "effects": [
-            effect.as_dict(robot.joints) | {"units": _units(effect)}
+            effect.as_dict(robot.joints)
+            | {"units": {x.name: x.unit for x in (*effect.gains, *effect.shapes)}}
             for effect in fit.model.effects
         ],
         "unknowns": [
@@ -103,16 +130,70 @@ def _quantity(name: str, value: float, unit: str, half: float = 0.0) -> str:
     return f"{name} {number} {unit}".rstrip()
 
 
-def _half_width_of_std(fit: Fit) -> float:
-    """Half-widths of the 95 % intervals in standard deviations."""
-    from scipy.special import stdtrit
+def torque_figure(
+    t: Array, measured: Array, predicted: Mapping[str, Array], joints: Sequence[str]
+) -> Figure:
+    """Measured and predicted torque, and below each joint what is left.
 
-    return float(stdtrit(fit.estimate.degrees, 0.975))
+    Args:
+        t: Time, shape (N,), in [s].
+        measured: Joint torque, shape (N, n), in [N·m].
+        predicted: Predictions by name, each of shape (N, n), in [N·m]; at most three.
+        joints: Joint names, n of them.
+
+    Returns:
+        Figure of 2n axes: torque and residual of each joint.
+
+    Raises:
+        HybridError: A shape does not fit, or there are more than three predictions.
+    """
+    most = len(OTHERS) + 1
+    if not 1 <= len(predicted) <= most:
+        raise HybridError(f"{len(predicted)} predictions, valid are 1 to {most}")
+    shape = (len(t), len(joints))
+    for name, torque in {"measured": measured, **predicted}.items():
+        if torque.shape != shape:
+            raise HybridError(f"{name} has shape {torque.shape}, valid is {shape}")
+    inks = (*OTHERS[: len(predicted) - 1], BEST)
+    figure, cells = panels(len(joints), height=2.1, ratios=(2.2, 1.0))
+    for j, (above, below) in enumerate(cells):
+        above.plot(t, measured[:, j], color=PALE, linewidth=2.2, label="measured")
+        for (name, torque), ink in zip(predicted.items(), inks, strict=True):
+            above.plot(t, torque[:, j], color=ink, linewidth=0.9, label=name)
+            below.plot(t, measured[:, j] - torque[:, j], color=ink, linewidth=0.7)
+        for axes in (above, below):
+            clean(axes, grid="y")
+            axes.margins(x=0)
+        name = figure_text(joints[j])
+        above.set_title(name, loc="left", fontsize=9, fontweight="bold")
+        above.set_ylabel("torque\n[N·m]")
+        below.set_ylabel("residual\n[N·m]")
+    finish(figure, [below for _, below in cells], "time [s]")
+    legend(figure, cells[0][0].get_legend_handles_labels()[0])
+    return figure
 
 
-def _units(effect: Effect) -> dict[str, str]:
-    return {x.name: x.unit for x in (*effect.gains, *effect.shapes)}
+def excerpt_figure(model: DynamicModel, recording: Recording) -> Figure:
+    """Torque in the middle of a recording, and what models predict of it.
+
+    Args:
+        model: The model, with its plain version among the simpler ones.
+        recording: A log of the arm.
+    """
+    motion, sampler = seen_by(model, recording)
+    half = round(_EXCERPT_SECONDS * motion.rate / 2)
+    middle = len(motion.t) // 2
+    part = slice(max(0, middle - half), middle + half)
+    torques = {"measured": motion.tau, "all stages": model.predict(motion)}
+    if "LS" in model.simpler:
+        plain = model.simpler["LS"].predict(motion)
+        torques = {"measured": motion.tau, "plain least squares": plain} | torques
+    shown = {name: sampler(tau)[part] for name, tau in torques.items()}
+    measured = shown.pop("measured")
+    return torque_figure(motion.t[part], measured, shown, model.robot.joints)
 
 
-def _places(effect: Effect, joints: tuple[str, ...]) -> str:
-    return "+".join(joints[j] for j in effect.joints)
+def seen_by(model: DynamicModel, recording: Recording) -> tuple[Motion, Sampler]:
+    """Motion as the identification sees it, and its filter without decimation."""
+    motion = motion_from_recording(recording, cutoff=2 * model.cutoff)
+    return motion, Sampler(motion.rate, model.cutoff, 1)

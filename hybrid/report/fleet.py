@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import date, timedelta
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ from markupsafe import Markup
 from scipy.stats import median_abs_deviation
 
 from hybrid.files import atomic_path
-from hybrid.fleets.changes import Change
+from hybrid.fleets.changes import MONTH, Change
 from hybrid.fleets.fleet import Fleet, State
 from hybrid.names import figure_text, file_stem
 from hybrid.report.page import Section, write_page
@@ -32,20 +32,18 @@ from hybrid.report.table import Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MONTH = 30.4375  # d
 _MOST_ROWS = 40  # arms of the heat map and of the list
 _MOST_PAGES = 100  # arms with a page of their own
 _DRAWN = 8  # changes drawn in the report
 _TIMELINE = "Deviation from the baseline; red: when a change began, with 95 % interval."
 _FAR = 6.0  # standard deviations between arms at which the colours end
-_DAY_ONE = date(1, 1, 1)
 
 
 def _day(ordinal: float) -> str:
     """ISO date of an ordinal; the number of the log where dates are not known."""
     if ordinal < 366:
         return f"log {ordinal:.0f}"
-    return (_DAY_ONE + timedelta(ordinal - 1)).isoformat()
+    return date.fromordinal(int(ordinal)).isoformat()
 
 
 def change_sentence(state: State, change: Change) -> str:
@@ -53,7 +51,7 @@ def change_sentence(state: State, change: Change) -> str:
     half = 1.96 * change.std
     if change.kind == "trend":
         size = (
-            f"{_MONTH * change.size:+.3g} ± {_MONTH * half:.2g} {state.unit} a month "
+            f"{MONTH * change.size:+.3g} ± {MONTH * half:.2g} {state.unit} a month "
             f"since {_day(change.day)}"
         )
     else:

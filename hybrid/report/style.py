@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
 
-from hybrid.arrays import Array
-from hybrid.errors import HybridError
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -125,13 +122,3 @@ def legend(figure: Figure, handles: Sequence[Any], *, enlarge: float = 3.0) -> N
         columnspacing=1.4,
         borderaxespad=0.2,
     )
-
-
-def check_shape(name: str, values: Array, shape: tuple[int, ...]) -> None:
-    """Refuse an array of another shape before anything is drawn.
-
-    Raises:
-        HybridError: The shape is another one.
-    """
-    if values.shape != shape:
-        raise HybridError(f"{name} has shape {values.shape}, valid is {shape}")

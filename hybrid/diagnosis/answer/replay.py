@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.simulator import corrected, scored_effects
 from hybrid.diagnosis.explanations.explanation import Explanation
+from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.split import between, split
 from hybrid.effects import Effect
 from hybrid.plant.rollout import Windows, rollout
+from hybrid.robot import Robot
 from hybrid.signals import Motion
 
 HORIZONS = (0.1, 0.5, 2.0)  # s
@@ -52,8 +54,11 @@ class Replay:
     def __init__(self, scored: Explanation, *, most: int = _MOST_WINDOWS) -> None:
         self.scored = scored
         self.effects = scored_effects(scored)
-        self.motions, usable, self._start = _motions(scored)
-        self._spans = [max(1, round(h * scored.gap.rate)) for h in HORIZONS]
+        gap = scored.gap
+        learn = split(gap)
+        unseen = ~learn & between(gap, learn)
+        self.motions, usable, self._start = _motions(gap, unseen)
+        self._spans = [max(1, round(h * gap.rate)) for h in HORIZONS]
         self.windows, self.fits = _windows(usable, self._spans, most)
         self._known: dict[tuple[frozenset[int], float], Array] = {}
 
@@ -148,25 +153,66 @@ class Replay:
         return np.unique(block, axis=0, return_inverse=True)[1].ravel()
 
 
+def courses(scored: Explanation) -> tuple[Array, Array]:
+    """The motions as simulators make them, from the measured state every half second.
+
+    Unlike a score it runs along all samples, those of the fit among them.
+
+    Args:
+        scored: What was found.
+
+    Returns:
+        Position at the samples of the gap by the simulator as it stands and by the one
+        with what was found, shape (M, n), [rad]; NaN where nothing can be replayed.
+
+    Raises:
+        EffectError: An effect cannot be simulated.
+    """
+    gap = scored.gap
+    motions, usable, start = _motions(gap, np.ones(len(gap.fold), dtype=np.bool_))
+    span = round(_USUAL * gap.rate)
+    motion, sample, _ = _starts(usable, span).T
+    found = []
+    for robot, effects in ((gap.robot, ()), corrected(scored, scored_effects(scored))):
+        course = np.full_like(gap.left, np.nan)
+        if len(motion):
+            windows = Windows(motion, sample, span)
+            at = start[motion] + sample + np.arange(span + 1)[:, None]
+            course[at] = _steady(robot, effects, motions, windows)
+        found.append(course)
+    return found[0], found[1]
+
+
+def _steady(
+    robot: Robot,
+    effects: Sequence[Effect],
+    motions: Sequence[Motion],
+    windows: Windows,
+) -> Array:
+    """A rollout with the longest step that does not diverge, or the shortest."""
+    for step in _STEPS:
+        shown = rollout(robot, effects, motions, windows, step=step)
+        if np.isfinite(shown).all():
+            break
+    return shown
+
+
 def _motions(
-    scored: Explanation,
+    gap: Gap, wanted: NDArray[np.bool_]
 ) -> tuple[tuple[Motion, ...], list[NDArray[np.bool_]], NDArray[np.intp]]:
-    """Decimated motions that hold samples kept for scoring.
+    """Decimated motions that hold wanted samples.
 
     Returns:
         The motions; which of their samples these are; and their first samples in the
         gap.
     """
-    gap = scored.gap
-    learn = split(gap)
-    unseen = ~learn & between(gap, learn)
     motions, usable, start = [], [], []
     for r, (m, _, sampler) in enumerate(gap):
         own, keep = (
             np.flatnonzero(gap.trajectory == r),
             slice(None, None, sampler.factor),
         )
-        fresh = unseen[own] & m.mask[keep]
+        fresh = wanted[own] & m.mask[keep]
         # All windows share one clock.
         if fresh.any() and np.isclose(gap.rate, m.rate / sampler.factor, 1e-4):
             warm = None if m.temperature is None else m.temperature[keep]

@@ -28,11 +28,8 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
     Raises:
         HybridError: The model has no such links, or was saved without a covariance.
     """
-    rng, nominal = (
-        np.random.default_rng(0),
-        fields_of_model(model, (usual_motion(model),)),
-    )
-    found = ranges(model, rng)
+    found = ranges(model, np.random.default_rng(0))
+    nominal = fields_of_model(model, (usual_motion(model),))
     # Isaac Lab has one dry and one viscous friction, as URDF has.
     plain = ranges(model, np.random.default_rng(0), kind="urdf", draws=_DRAWS)
     names = "damping", "quadratic", "cubic", "frictionloss"
