@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.files import atomic_path
-from hybrid.recording.recording import Recording
-from hybrid.recording.table import labels_of
+from hybrid.recording.recording import Recording, numbered_joints
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -29,7 +28,11 @@ def write(recording: Recording, path: str | Path) -> None:
     Raises:
         RecordingError: The suffix is unknown or the file cannot be written.
     """
-    columns: dict[str, NDArray[Any]] = {**labels_of(recording)}
+    numbered = recording.joints == numbered_joints(recording.size)
+    columns: dict[str, NDArray[Any]] = {"time": recording.t}
+    for channel, x in recording.channels.items():
+        for k, joint in enumerate(recording.joints):
+            columns[f"{channel}{k + 1}" if numbered else f"{channel}_{joint}"] = x[:, k]
     if Path(path).suffix.lower() == ".npz":  # whole arrays, and the names beside them
         columns = {"t": recording.t, "joints": np.array(recording.joints)}
         columns |= recording.channels

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
+from hybrid.recording.formats.fields import table_of_arrays
 from hybrid.recording.formats.hdf5_heap import check_heaps
-from hybrid.recording.formats.npz import table_of_named
 from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError, whole
 from hybrid.recording.words import is_time, meaning, split_unit
 
@@ -41,8 +41,8 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
         label = name[len(episode) :].strip("/")
         groups.setdefault(episode, {})[label] = x
     logs = [
-        _table(group, episode, str(path), rate)
-        for episode, group in sorted(groups.items(), key=_natural)
+        (_table(group, episode, str(path), rate),)
+        for episode, group in sorted(groups.items(), key=lambda x: _natural(x[0]))
         if any(meaning(split_unit(label)[0]).channel == "q" or label == "joints"
                for label in group) or len(groups) == 1
     ]  # fmt: skip
@@ -54,9 +54,6 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
 
 def arrays_of(path: Path) -> tuple[dict[str, NDArray[Any]], float]:
     """All arrays of a file by path, and the rate that robomimic states, [Hz].
-
-    Args:
-        path: File of HDF5.
 
     Raises:
         RecordingError: It is damaged, too large, or h5py is not installed.
@@ -73,30 +70,24 @@ def arrays_of(path: Path) -> tuple[dict[str, NDArray[Any]], float]:
             return _arrays(file, str(path)), _rate(file)
 
 
-def _natural(item: tuple[str, Any]) -> tuple[str, int]:
-    name = re.sub(r"\d+$", "", item[0])
-    return name, int(item[0][len(name) :] or 0)
+def _natural(name: str) -> tuple[str, int]:
+    start = re.sub(r"\d+$", "", name)
+    return start, int(name[len(start) :] or 0)
 
 
 def _table(
     group: dict[str, NDArray[Any]], episode: str, source: str, rate: float
-) -> tuple[LogTable]:
-    names = group.pop("joints", None)
-    if names is None:
-        names = group.pop("joint_names", None)
-    joints = None
-    if names is not None and names.dtype.kind in "SUO":
-        joints = tuple(
-            x.decode("utf-8", "replace") if isinstance(x, bytes) else str(x)
-            for x in names.ravel()
-        )
+) -> LogTable:
+    names = [group.pop(key) for key in ("joints", "joint_names") if key in group]
+    names = [x for x in names if x.dtype.kind in "SUO"]
     numbers = {
         k: x for k, x in group.items() if x.dtype.kind in "fiu" and 0 < x.ndim < 3
     }
     rows = max((len(x) for x in numbers.values()), default=0)
     if rate > 0 and not any(is_time(split_unit(label)[0]) for label in numbers):
         numbers["time"] = np.arange(rows) / rate
-    return (table_of_named(numbers, joints, source, "HDF5", episode),)
+    joints = names[0] if names else None
+    return table_of_arrays(numbers, source, joints=joints, kind="HDF5", name=episode)
 
 
 def _arrays(file: Any, source: str) -> dict[str, NDArray[Any]]:

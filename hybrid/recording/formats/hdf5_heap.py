@@ -22,9 +22,6 @@ _HEADER = 16  # bytes: of a heap, and of an object in it
 def check_heaps(path: Path) -> None:
     """Walk every heap as the HDF5 library does.
 
-    Args:
-        path: File of HDF5.
-
     Raises:
         RecordingError: An object in a heap has no size.
     """
@@ -33,20 +30,14 @@ def check_heaps(path: Path) -> None:
         mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
     ):
         for heap in _HEAP.finditer(data):
-            _walk(data, heap.start(), str(path))
-
-
-def _walk(data: mmap.mmap, start: int, source: str) -> None:
-    if start + _HEADER > len(data):
-        return
-    (size,) = struct.unpack_from("<Q", data, start + 8)
-    at, end = start + _HEADER, min(start + size, len(data))
-    while at + _HEADER <= end:
-        index, _, length = struct.unpack_from("<HH4xQ", data, at)
-        # What is free counts its header; an object does not, and is padded.
-        room = length if index == 0 else _HEADER + -(-length // 8) * 8
-        if room < _HEADER:
-            raise RecordingError(
-                f"{source}: not a whole HDF5 file: a heap at byte {start} is damaged"
-            )
-        at += room
+            start = at = heap.start()
+            size = int.from_bytes(data[at + 8 : at + _HEADER], "little")
+            end, room = min(start + size, len(data)), _HEADER
+            while room >= _HEADER and (at := at + room) + _HEADER <= end:
+                index, _, length = struct.unpack_from("<HH4xQ", data, at)
+                # What is free counts its header; an object does not, and is padded.
+                room = length if index == 0 else _HEADER + -(-length // 8) * 8
+            if room < _HEADER:
+                raise RecordingError(
+                    f"{path}: not a whole HDF5 file: a heap at byte {start} is damaged"
+                )

@@ -15,11 +15,7 @@ _LARGEST = 5 << 20  # numbers in a block
 
 
 class Stream:
-    """Columns that grow block by block, without ever being copied as a whole.
-
-    Args:
-        labels: Label of each column of numbers.
-    """
+    """Columns that grow block by block, without ever being copied as a whole."""
 
     def __init__(self, labels: tuple[str, ...]) -> None:
         self.labels, self.rows = labels, 0
@@ -34,13 +30,7 @@ class Stream:
         times: NDArray[np.int64],
         columns: list[NDArray[Any]],
     ) -> None:
-        """Take rows.
-
-        Args:
-            stamps: Times in the messages, shape (N,), [ns].
-            times: Times of the recorder, shape (N,), [ns].
-            columns: Numbers of each column, shape (N,).
-        """
+        """Take rows: times in the messages and of the recorder, [ns], and numbers."""
         self._stamps.append(stamps)
         self._times.append(times)
         done = 0
@@ -58,10 +48,7 @@ class Stream:
             self.rows, done = self.rows + count, done + count
 
     def clock(self) -> tuple[NDArray[np.int64], bool]:
-        """Times of all rows, [ns], and whether they are those in the messages.
-
-        They are given away, as columns are.
-        """
+        """Times of all rows, [ns], given away; whether they are the messages' own."""
         stamps, self._stamps = np.concatenate(self._stamps), []
         times, self._times = self._times, []
         headed = bool((stamps[1:] > stamps[:-1]).all())
@@ -70,12 +57,7 @@ class Stream:
     def given(
         self, used: tuple[int, ...], clock: NDArray[np.int64]
     ) -> list[dict[int, NDArray[Any]]]:
-        """The clock as column 0, and columns from 1; these are given away.
-
-        Args:
-            used: Columns.
-            clock: Times of all rows, shape (N,).
-        """
+        """The clock as column 0, and columns from 1; these are given away."""
         if used == (0,):
             return [{0: clock}]
         found, at = [], 0
