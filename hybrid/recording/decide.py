@@ -41,52 +41,15 @@ class _Column:
     said: Meaning
 
 
-def decide(
-    table: LogTable,
-    *,
-    joints: tuple[str, ...] | None = None,
-    mapping: Mapping | None = None,
-    torque: bool = True,
-    quiet: bool = False,
-) -> Reading:
-    """Decide what each column of a table is.
+class Decider:
+    """The steps of one decision; what is set aside is gathered along the way.
 
     Args:
         table: Named columns.
         joints: Joint names of the robot, base to tip; None if not known.
         mapping: What the user says.
         torque: Whether torques must be there.
-        quiet: Whether to keep the warning about columns set aside.
-
-    Raises:
-        RecordingError: Time, positions or torques are missing, two columns are for the
-            same joint, a unit fits no channel, or the joints are not the robot's.
-
-    Warns:
-        HybridWarning: Columns were set aside; they are listed.
     """
-    return _Decider(table, joints, mapping or Mapping(), torque).decide(quiet)
-
-
-def decide_command(
-    table: LogTable, joints: tuple[str, ...], mapping: Mapping
-) -> Reading | None:
-    """Columns of the command alone, for a stream without positions; None if none.
-
-    The map's topic does not count here.
-    """
-    decider = _Decider(table, joints, replace(mapping, topic=""), torque=False)
-    try:
-        time = decider.time()
-        columns = decider.columns(time.index).get("command", [])
-        used = decider.placed("command", columns, joints)
-    except RecordingError:
-        return None
-    return Reading(table.kind, table.name, "", (time, *used)) if used else None
-
-
-class _Decider:
-    """The steps of one decision; what is set aside is gathered along the way."""
 
     def __init__(
         self,
@@ -108,15 +71,24 @@ class _Decider:
         self.joints = joints or self.map.joints or table.joints or ()
         self.aside: dict[int, str] = {}
 
-    def decide(self, quiet: bool) -> Reading:
-        time = self.time()
-        columns = self.columns(time.index)
+    def decide(self, *, quiet: bool = False) -> Reading:
+        """What each column is.
+
+        Raises:
+            RecordingError: Time, positions or torques are missing, two columns are for
+                the same joint, a unit fits no channel, or joints are not the robot's.
+
+        Warns:
+            HybridWarning: Columns were set aside; they are listed unless ``quiet``.
+        """
+        time = self._time()
+        columns = self._columns(time.index)
         for channel in _NEEDED if self.torque else ("q",):
             if not columns[channel]:
                 raise self._missing(channel)
         joints, used = self.joints or self._joints_of(columns), [time]
         for channel in CHANNELS:
-            placed = self.placed(channel, columns[channel], joints)
+            placed = self._placed(channel, columns[channel], joints)
             if channel == "tau" and self.torque and not placed:
                 raise self._missing("tau")
             used += placed
@@ -134,6 +106,17 @@ class _Decider:
             (self.table.note,) if self.table.note else (),
         )  # fmt: skip
 
+    def command(self) -> Reading | None:
+        """Columns of the command alone, for a stream without positions, if any."""
+        try:
+            time = self._time()
+            columns = self._columns(time.index)["command"]
+            used = self._placed("command", columns, self.joints)
+        except RecordingError:
+            return None
+        table = self.table
+        return Reading(table.kind, table.name, "", (time, *used)) if used else None
+
     def _warn(self, aside: list[str], stated: bool) -> None:
         """Say once for a file what was set aside, and which unit nobody knows."""
         home = self.table.home or self.table.place
@@ -145,12 +128,12 @@ class _Decider:
                 "command: {unit: deg}"
             )
         for line in lines:
-            warnings.warn(f"{home}: {line}", HybridWarning, stacklevel=6)
+            warnings.warn(f"{home}: {line}", HybridWarning, stacklevel=5)
 
     def _error(self, text: str) -> RecordingError:
         return RecordingError(f"{self.table.place}: {text}")
 
-    def time(self) -> Used:
+    def _time(self) -> Used:
         """The column of time, or one of index -1 if the map gives a rate."""
         source, name = self.map.source("time"), self.map.source("time").columns
         if "rate" in source.factors:
@@ -175,7 +158,7 @@ class _Decider:
             raise self._unit_error(label, unit, "time")
         return Used(found[0], label, "t", "", unit, bool(unit))
 
-    def columns(self, time: int) -> dict[str, list[_Column]]:
+    def _columns(self, time: int) -> dict[str, list[_Column]]:
         """Columns of each channel, by the map or by their words, not yet of joints."""
         spoken, found = self._spoken(time), {}
         for channel in CHANNELS:
@@ -292,7 +275,7 @@ class _Decider:
         names = [self.map.names.get(c.said.joint, c.said.joint) for c in group]
         return match_joints(names, [c.said.number for c in group], joints)
 
-    def placed(
+    def _placed(
         self, channel: str, columns: list[_Column], joints: tuple[str, ...]
     ) -> list[Used]:
         """Columns of one channel in the order of the joints, with their units."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from hybrid.errors import RecordingError
 from hybrid.recording.build import built
-from hybrid.recording.decide import decide, decide_command
+from hybrid.recording.decide import Decider
 from hybrid.recording.mapping import Map, Mapping, read_mapping
 from hybrid.recording.reading import Reading
 from hybrid.recording.recording import Recording
@@ -27,13 +27,7 @@ def recording_of(
     map: Map = None,
     torque: bool = True,
 ) -> Recording:
-    """Build the recording of a log's tables.
-
-    Args:
-        tables: The log's streams, each on its own clock.
-        joints: As in :func:`read`.
-        map: As in :func:`read`.
-        torque: As in :func:`read`.
+    """The recording of a log's streams; options as in :func:`read_all`.
 
     Raises:
         RecordingError: No stream has the joints, several have them alike, or the
@@ -42,11 +36,12 @@ def recording_of(
     said = read_mapping(map)
     tables = tuple(x for x in tables if x.name == said.topic) or tables
     first = _best(tables, joints, said, torque) if len(tables) > 1 else tables[0]
-    reading = decide(first, joints=joints, mapping=said, torque=torque)
+    reading = Decider(first, joints, said, torque).decide()
     recording = built(first, reading, torque=torque)
     for table in tables if recording.command is None else ():
         if table is not first:
-            if commanded := decide_command(table, recording.joints, said):
+            other = Decider(table, recording.joints, replace(said, topic=""), False)
+            if commanded := other.command():
                 return _with_command(recording, first, table, commanded)
     return recording
 
@@ -62,9 +57,7 @@ def _best(
     bad = []
     for table in tables:
         try:
-            reading = decide(
-                table, joints=joints, mapping=mapping, torque=torque, quiet=True
-            )
+            reading = Decider(table, joints, mapping, torque).decide(quiet=True)
         except RecordingError as error:
             bad.append(str(error))
         else:

@@ -17,13 +17,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 def write(recording: Recording, path: str | Path) -> None:
-    """Write one recording; it reads back equal to the last bit.
-
-    The file appears whole or not at all: if writing fails, an older file stays.
-
-    Args:
-        recording: Joint log.
-        path: ``.csv``, ``.parquet`` or ``.npz`` file.
+    """Write one recording as :func:`write_columns` does; it reads back equal.
 
     Raises:
         RecordingError: The suffix is unknown or the file cannot be written.
@@ -63,11 +57,7 @@ def write_columns(path: str | Path, columns: Columns) -> None:
 
 
 def writer_of(path: Path) -> Callable[[Columns, Path], None]:
-    """The function that writes files of this suffix.
-
-    Raises:
-        RecordingError: The suffix is unknown.
-    """
+    """The function that writes files of this suffix, or a RecordingError."""
     if path.suffix.lower() not in WRITERS:
         raise RecordingError(
             f"{path}: unknown kind of file; valid are {', '.join(WRITERS)}"
