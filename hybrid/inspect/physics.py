@@ -23,21 +23,21 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.dynamics.regressor import regressor
 from hybrid.inspect.doubt import Doubt, Severity
-from hybrid.inspect.masses import MassColumns, unit_masses
+from hybrid.inspect.masses import SURE, MassColumns, unit_masses
 from hybrid.inspect.reading import OtherReading, readings
+from hybrid.inspect.samples import STILL
 from hybrid.inspect.speeds import bear_out
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
+from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
 
-_SURE = 0.5  # gain; of logs that are right, no other reading reached 0.3
 _ALIKE = 0.2  # loss of gain by which two readings may differ and be as good
 _USUAL = 0.003  # of the variance: what friction of another law leaves anyway
 _SEVERITIES: dict[str, Severity] = {"any": "error", "file": "warning"}
 _FINALISTS = 6  # readings that are asked with joints weighed anew
 _DISTURBS = 0.02  # of what one joint leaves, in what others do: they share their links
 _MOST = 4  # things that are wrong with one log
-_STILL = 1e-3  # rad or m
 
 
 @dataclass(eq=False)
@@ -95,21 +95,17 @@ class _Bench:
 
 
 def doubts_of_physics(
-    recording: Recording, chain: Chain, state: State
+    recording: Recording, robot: Robot | None, state: State
 ) -> Iterator[Doubt]:
-    """What of order, sign, unit and clock is wrong with a log, the surest first.
-
-    Args:
-        recording: The log, for names.
-        chain: The arm.
-        state: Samples of the log.
-    """
-    masses = {"any": unit_masses(chain)}
+    """What of order, sign, unit and clock is wrong with a log, the surest first."""
+    if robot is None or not recording.has_torque:
+        return
+    masses = {"any": unit_masses(robot.chain)}
     clocked = bear_out(state)
-    if chain.inertial.any():
-        masses["file"] = chain.inertial[:, :, None]
+    if robot.chain.inertial.any():
+        masses["file"] = robot.chain.inertial[:, :, None]
     for _ in range(_MOST):
-        found = _likelier(_Bench(chain, state, masses), clocked)
+        found = _likelier(_Bench(robot.chain, state, masses), clocked)
         if found is None:
             return
         reading, before, after, severity = found
@@ -129,10 +125,10 @@ def _likelier(
     plain = OtherReading((), (), "", np.arange(n), np.ones(n))
     bench.prepare([plain])
     before = {design: bench.left(plain, design) for design in bench.masses}
-    hopeful = [d for d, x in before.items() if _gain(x, np.minimum(x, _USUAL)) > _SURE]
+    hopeful = [d for d, x in before.items() if _gain(x, np.minimum(x, _USUAL)) > SURE]
     if not hopeful:
         return None
-    moving = np.flatnonzero(np.ptp(bench.state.q, axis=0) > _STILL).tolist()
+    moving = np.flatnonzero(np.ptp(bench.state.q, axis=0) > STILL).tolist()
     ways = list(readings(bench.chain, moving, bench.best_order(plain)))
     if clocked:
         ways = [way for way in ways if way.channels != ("t",)]
@@ -141,7 +137,7 @@ def _likelier(
         gains = [bench.gain(plain, way, design, 1) for way in ways]
         finalists = [ways[k] for k in np.argsort(gains)[: -_FINALISTS - 1 : -1]]
         best = max(finalists, key=lambda way: bench.gain(plain, way, design))
-        if bench.gain(plain, best, design) > _SURE:
+        if bench.gain(plain, best, design) > SURE:
             after = bench.left(best, design)
             return best, before[design], after, _SEVERITIES[design]
         # What no arm can do is not asked of the file.
