@@ -60,35 +60,43 @@ def read_csv(path: Path) -> list[tuple[LogTable]]:
 def _columns(text: _Text, names: Iterable[str]) -> dict[str, NDArray[Any]]:
     """Columns by their indices from 0, as text."""
     import pyarrow as pa
-    from pyarrow import csv as arrow_csv
 
-    def kind(cell: str) -> Any:
-        if _DATE.match(cell):
-            return pa.timestamp("ns")
-        return pa.int64() if _WHOLE.fullmatch(cell) else pa.float64()
-
-    first = dict(enumerate(text.first))
-    kinds = {k: kind(first.get(int(k), "")) for k in names}
+    first, kinds = dict(enumerate(text.first)), {}
+    for k in names:
+        cell = first.get(int(k), "")
+        whole = pa.int64() if _WHOLE.fullmatch(cell) else pa.float64()
+        kinds[k] = pa.timestamp("ns") if _DATE.match(cell) else whole
     try:
-        with text.open() as file:
-            table = arrow_csv.read_csv(
-                file,
-                arrow_csv.ReadOptions(
-                    column_names=[str(k) for k in range(len(text.labels))], skip_rows=1
-                ),
-                arrow_csv.ParseOptions(delimiter=text.delimiter),
-                arrow_csv.ConvertOptions(
-                    column_types=kinds,
-                    include_columns=list(kinds),
-                    decimal_point=text.decimal_point,
-                    null_values=["", "nan", "NaN", "NAN"],
-                ),
-            )
-    except pa.ArrowException as error:
-        raise _explained(text, [int(k) for k in kinds], error) from error
+        table = _table(text, kinds)
+    except pa.ArrowException:
+        try:  # once more: several threads do not count rows
+            table = _table(text, kinds, use_threads=False)
+        except pa.ArrowException as error:
+            reason = _explained(text, list(kinds), str(error))
+            raise RecordingError(f"{text.path}: {reason}") from error
     if table.num_rows == 0:
         raise RecordingError(f"{text.path}: no rows below the column names")
     return {k: _numbers(table.column(k)) for k in kinds}
+
+
+def _table(text: _Text, kinds: dict[str, Any], use_threads: bool = True) -> Any:
+    from pyarrow import csv as arrow_csv
+
+    names = [str(k) for k in range(len(text.labels))]
+    with text.open() as file:
+        return arrow_csv.read_csv(
+            file,
+            arrow_csv.ReadOptions(
+                column_names=names, skip_rows=1, use_threads=use_threads
+            ),
+            arrow_csv.ParseOptions(delimiter=text.delimiter),
+            arrow_csv.ConvertOptions(
+                column_types=kinds,
+                include_columns=list(kinds),
+                decimal_point=text.decimal_point,
+                null_values=["", "nan", "NaN", "NAN"],
+            ),
+        )
 
 
 def _numbers(column: Any) -> NDArray[Any]:
@@ -162,36 +170,21 @@ def _header(path: Path, line: bytes) -> str:
         ) from error
 
 
-def _explained(text: _Text, used: list[int], error: Exception) -> RecordingError:
-    """The reader's error with file, column and row, found by reading line by line."""
-    reason = f"cannot be read as CSV: {str(error).splitlines()[0]}"
-    with io.TextIOWrapper(
-        text.open(), encoding="utf-8-sig", errors="replace", newline=""
-    ) as file:
-        rows = csv.reader(file, delimiter=text.delimiter)
-        try:
-            next(rows)
-            for row, cells in enumerate(cells for cells in rows if cells):
-                if wrong := _wrong(text, used, cells, row_words(row)):
-                    reason = wrong
-                    break
-        except csv.Error:  # the reason of the fast reader is all there is to tell
-            pass
-    return RecordingError(f"{text.path}: {reason}")
-
-
-def _wrong(text: _Text, used: list[int], cells: list[str], row: str) -> str:
-    if len(cells) != len(text.labels):
+def _explained(text: _Text, names: list[str], error: str) -> str:
+    """The reader's error in words; it counts rows from 1, the header's among them."""
+    if match := re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+)", error):
+        row, valid, found = map(int, match.groups())
         return (
-            f"{row} has {len(cells)} cells; valid are {len(text.labels)}, one for each "
+            f"{row_words(row - 2)} has {found} cells; valid are {valid}, one for each "
             "column name"
         )
-    for k in used:
-        cell = cells[k].strip()
-        plain = cell.replace(text.decimal_point, ".")
-        if cell and not _DATE.match(cell) and not _is_number(plain):
-            return f"{text.labels[k].strip()}, {row}: {cell!r} is not a number"
-    return ""
+    if match := re.search(r"column #(\d+): Row #(\d+): .* value '(.*)'", error):
+        label = text.labels[int(match.group(1))].strip()
+        cell = match.group(3).strip()
+        return (
+            f"{label}, {row_words(int(match.group(2)) - 2)}: {cell!r} is not a number"
+        )
+    return f"cannot be read as CSV: {error.splitlines()[0]}"
 
 
 def _is_number(text: str) -> bool:
