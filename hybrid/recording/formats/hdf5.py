@@ -26,9 +26,6 @@ _EPISODE = re.compile(
 def read_hdf5(path: Path) -> list[tuple[LogTable]]:
     """The arrays of a file, or of each group that is named like an episode.
 
-    Args:
-        path: File.
-
     Raises:
         RecordingError: It is damaged, too large, or h5py is not installed.
         NoJointsError: It holds no joints; the message says what it holds instead.

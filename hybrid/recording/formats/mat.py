@@ -19,9 +19,6 @@ from hybrid.recording.words import is_time, split_unit
 def read_mat(path: Path) -> list[tuple[LogTable]]:
     """The variables of a file, or the fields of its struct.
 
-    Args:
-        path: File.
-
     Raises:
         RecordingError: It is damaged, or a library that reads it is not installed.
     """

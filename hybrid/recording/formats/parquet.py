@@ -19,9 +19,6 @@ _LONGEST = 1000  # places of a list that is spread: more are no joints
 def read_parquet(path: Path) -> list[tuple[LogTable]]:
     """A table with a column for each channel of each joint, or lists of them.
 
-    Args:
-        path: File.
-
     Raises:
         RecordingError: The file is damaged; a column that is loaded is not of numbers.
     """
