@@ -15,10 +15,8 @@ warning.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.dynamics.regressor import regressor
@@ -40,22 +38,13 @@ _DISTURBS = 0.02  # of what one joint leaves, in what others do: they share thei
 _MOST = 4  # things that are wrong with one log
 
 
-@dataclass(eq=False)
 class _Bench:
-    """One log, and how well both designs explain it by any reading.
+    """One log by any reading, under designs of masses, of shape (n, 10, P) each."""
 
-    Attributes:
-        chain: The arm.
-        state: The log as read so far.
-        masses: Parameters of the masses of each design, shape (n, 10, P).
-    """
-
-    chain: Chain
-    state: State
-    masses: dict[str, Array]
-    _regressors: dict[object, Array] = field(default_factory=dict)
-    _columns: dict[tuple[str, object], MassColumns] = field(default_factory=dict)
-    _left: dict[object, Array] = field(default_factory=dict)
+    def __init__(self, chain: Chain, state: State, masses: dict[str, Array]) -> None:
+        self.chain, self.state, self.masses = chain, state, masses
+        self._regressors: dict[object, Array] = {}
+        self._columns: dict[object, MassColumns] = {}
 
     def prepare(self, ways: Sequence[OtherReading]) -> None:
         """Work out the regressors of some readings, all at once."""
@@ -66,32 +55,20 @@ class _Bench:
         Y = np.split(regressor(self.chain, q, v, a), len(moved))
         self._regressors |= zip(moved, Y, strict=True)
 
-    def left(self, reading: OtherReading, design: str, rounds: int = 2) -> Array:
-        """Shares of torque that a reading leaves, shape (n,)."""
+    def columns(self, reading: OtherReading, design: str) -> MassColumns:
+        """Columns along the motion of a reading."""
         key = design, reading.motion
         if key not in self._columns:
             moved, Y = reading.moved(self.state), self._regressors[reading.motion]
             self._columns[key] = MassColumns(moved, self.masses[design], Y)
-        asked = key, reading, rounds
-        if asked not in self._left:
-            left = self._columns[key].left(*reading.torque, rounds=rounds)
-            # So little, a file that is right leaves as well.
-            self._left[asked] = np.maximum(left, _USUAL) if design == "file" else left
-        return self._left[asked]
+        return self._columns[key]
 
-    def gain(
-        self, plain: OtherReading, reading: OtherReading, design: str, rounds: int = 2
-    ) -> float:
-        """How much better a reading is than the plain one."""
-        before = self.left(plain, design, rounds)
-        return _gain(before, self.left(reading, design, rounds))
-
-    def best_order(self, plain: OtherReading) -> NDArray[np.intp]:
-        """Which column of torque suits each joint best, shape (n,)."""
-        from scipy.optimize import linear_sum_assignment
-
-        left = self._columns["any", plain.motion].left_alone()
-        return np.asarray(linear_sum_assignment(np.log(left))[1])
+    def left(self, reading: OtherReading, design: str, rounds: int = 2) -> Array:
+        """Shares of torque that a reading leaves, shape (n,)."""
+        columns = self.columns(reading, design)
+        left = columns.left(*reading.torque, rounds=rounds)
+        # So little, a file that is right leaves as well.
+        return np.maximum(left, _USUAL) if design == "file" else left
 
 
 def doubts_of_physics(
@@ -121,6 +98,8 @@ def _likelier(
     Returns:
         It, the shares left before and after, and how serious it is.
     """
+    from scipy.optimize import linear_sum_assignment
+
     n = bench.chain.size
     plain = OtherReading((), (), "", np.arange(n), np.ones(n))
     bench.prepare([plain])
@@ -129,17 +108,20 @@ def _likelier(
     if not hopeful:
         return None
     moving = np.flatnonzero(np.ptp(bench.state.q, axis=0) > STILL).tolist()
-    ways = list(readings(bench.chain, moving, bench.best_order(plain)))
+    alone = np.log(bench.columns(plain, "any").left_alone())
+    ways = list(readings(bench.chain, moving, linear_sum_assignment(alone)[1]))
     if clocked:
         ways = [way for way in ways if way.channels != ("t",)]
     bench.prepare(ways)
     for design in bench.masses:
-        gains = [bench.gain(plain, way, design, 1) for way in ways]
+        roughly = bench.left(plain, design, 1)
+        gains = [_gain(roughly, bench.left(way, design, 1)) for way in ways]
         finalists = [ways[k] for k in np.argsort(gains)[: -_FINALISTS - 1 : -1]]
-        best = max(finalists, key=lambda way: bench.gain(plain, way, design))
-        if bench.gain(plain, best, design) > SURE:
-            after = bench.left(best, design)
-            return best, before[design], after, _SEVERITIES[design]
+        after = [bench.left(way, design) for way in finalists]
+        found = [_gain(before[design], x) for x in after]
+        best = int(np.argmax(found))
+        if found[best] > SURE:
+            return finalists[best], before[design], after[best], _SEVERITIES[design]
         # What no arm can do is not asked of the file.
         ways = [w for w, gain in zip(ways, gains, strict=True) if gain > -_ALIKE]
         if not ways or "file" not in hopeful:

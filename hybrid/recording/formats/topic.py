@@ -154,7 +154,7 @@ class Topic:
 
     def _planned(self) -> LogTable:
         """Points of trajectories as a command; a new one takes over from the last."""
-        points: dict[int, list[float]] = {}
+        points: list[tuple[int, list[float]]] = []
         joints: tuple[str, ...] = ()
         for start, layout, raw in sorted(self._plans, key=lambda plan: plan[0]):
             names = tuple(
@@ -165,18 +165,21 @@ class Topic:
             joints = names
             message = np.frombuffer(raw, np.uint8)[None]
             get = {p: layout.values(message, p)[0] for p in layout.numbers}
-            points = {at: row for at, row in points.items() if at < start}
+            while points and points[-1][0] >= start:
+                points.pop()
             count = 1 + max((int(p[1]) for p in get if p[0] == "points"), default=-1)
             for k in range(count):
                 after: Path = ("points", k, "time_from_start")
                 at = start + int(get[*after, "sec"]) * 10**9
                 at += int(get[*after, "nanosec"])
-                if at > max(points, default=at - 1):
-                    points[at] = [float(get.get(("points", k, "positions", j), np.nan))
-                                  for j in range(len(joints))]  # fmt: skip
+                if not points or at > points[-1][0]:
+                    row = [float(get.get(("points", k, "positions", j), np.nan))
+                           for j in range(len(joints))]  # fmt: skip
+                    points.append((at, row))
         labels = tuple(f"{self.name}/command/positions/{joint}" for joint in joints)
-        values = np.array([*points.values()]).reshape(len(points), len(joints))
-        columns = [np.array([*points], dtype=np.int64), *values.T]
+        rows = [row for _, row in points]
+        values = np.array(rows, dtype=float).reshape(len(points), len(joints))
+        columns = [np.array([at for at, _ in points], dtype=np.int64), *values.T]
         return self._table(labels, lambda used: [{k: columns[k] for k in used}])
 
 
