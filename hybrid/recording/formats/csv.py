@@ -7,11 +7,11 @@ import gzip
 import io
 import re
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ _LINE = 1 << 20  # bytes
 @dataclass(frozen=True)
 class _Text:
     path: Path
-    open: Callable[[], BinaryIO]
+    content: bytes | None  # of a file that was gzipped
     labels: tuple[str, ...]
     delimiter: str
     decimal_point: str
@@ -83,20 +83,17 @@ def _table(text: _Text, kinds: dict[str, Any], use_threads: bool = True) -> Any:
     from pyarrow import csv as arrow_csv
 
     names = [str(k) for k in range(len(text.labels))]
-    with text.open() as file:
-        return arrow_csv.read_csv(
-            file,
-            arrow_csv.ReadOptions(
-                column_names=names, skip_rows=1, use_threads=use_threads
-            ),
-            arrow_csv.ParseOptions(delimiter=text.delimiter),
-            arrow_csv.ConvertOptions(
-                column_types=kinds,
-                include_columns=list(kinds),
-                decimal_point=text.decimal_point,
-                null_values=["", "nan", "NaN", "NAN"],
-            ),
-        )
+    return arrow_csv.read_csv(
+        text.path if text.content is None else io.BytesIO(text.content),
+        arrow_csv.ReadOptions(column_names=names, skip_rows=1, use_threads=use_threads),
+        arrow_csv.ParseOptions(delimiter=text.delimiter),
+        arrow_csv.ConvertOptions(
+            column_types=kinds,
+            include_columns=list(kinds),
+            decimal_point=text.decimal_point,
+            null_values=["", "nan", "NaN", "NAN"],
+        ),
+    )
 
 
 def _numbers(column: Any) -> NDArray[Any]:
@@ -111,10 +108,10 @@ def _numbers(column: Any) -> NDArray[Any]:
     return np.concatenate(parts)
 
 
-def _opener(path: Path) -> Callable[[], BinaryIO]:
-    """Opens the file, or what is in it if it is gzipped, up to the size of any log."""
+def _unpacked(path: Path) -> bytes | None:
+    """What is in a file that is gzipped, up to the size of any log."""
     if path.suffix.lower() != ".gz":
-        return lambda: path.open("rb")
+        return None
     try:
         with gzip.open(path) as file:
             content = file.read(LARGEST_FILE + 1)
@@ -122,14 +119,14 @@ def _opener(path: Path) -> Callable[[], BinaryIO]:
         raise RecordingError(f"{path}: not a whole gzip file: {error}") from error
     if len(content) > LARGEST_FILE:
         raise RecordingError(f"{path}: unpacks to more than {LARGEST_FILE:.3g} bytes")
-    return lambda: io.BytesIO(content)
+    return content
 
 
 def _text(path: Path) -> _Text:
     """Labels and delimiter from the first line, decimal sign from the second."""
     try:
-        opened = _opener(path)
-        with opened() as file:
+        content = _unpacked(path)
+        with path.open("rb") if content is None else io.BytesIO(content) as file:
             lines = file.readline(_LINE), file.readline(_LINE)
     except OSError as error:
         reason = error.strerror or error
@@ -153,7 +150,7 @@ def _text(path: Path) -> _Text:
         )
     cells = tuple(next(csv.reader([first], delimiter=delimiter), ()))
     comma = delimiter != "," and "," in first and "." not in first
-    return _Text(path, opened, labels, delimiter, "," if comma else ".", cells)
+    return _Text(path, content, labels, delimiter, "," if comma else ".", cells)
 
 
 def _header(path: Path, line: bytes) -> str:
