@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.names import printable
@@ -32,23 +32,11 @@ _HELP = "or say which column is what with --map FILE.yaml"
 _NEEDED = ("q", "tau")
 
 
-@dataclass(frozen=True)
-class _Column:
-    """A column that is a channel of some joint."""
-
-    index: int
-    label: str
-    said: Meaning
-
-
 class Decider:
     """The steps of one decision; what is set aside is gathered along the way.
 
-    Args:
-        table: Named columns.
-        joints: Joint names of the robot, base to tip; None if not known.
-        mapping: What the user says.
-        torque: Whether torques must be there.
+    Joints are the robot's, base to tip, if they are known; ``torque`` says whether
+    torques must be there.
     """
 
     def __init__(
@@ -83,14 +71,12 @@ class Decider:
         """
         time = self._time()
         columns = self._columns(time.index)
-        for channel in _NEEDED if self.torque else ("q",):
-            if not columns[channel]:
-                raise self._missing(channel)
+        needed = _NEEDED if self.torque else _NEEDED[:1]
         joints, used = self.joints or self._joints_of(columns), [time]
         for channel in CHANNELS:
             placed = self._placed(channel, columns[channel], joints)
-            if channel == "tau" and self.torque and not placed:
-                raise self._missing("tau")
+            if channel in needed and not placed:
+                raise self._missing(channel)
             used += placed
         taken = {u.index for u in used}
         aside = {
@@ -130,6 +116,9 @@ class Decider:
         for line in lines:
             warnings.warn(f"{home}: {line}", HybridWarning, stacklevel=5)
 
+    def _label(self, column: Meaning) -> str:
+        return self.labels[column.index]
+
     def _error(self, text: str) -> RecordingError:
         return RecordingError(f"{self.table.place}: {text}")
 
@@ -158,7 +147,7 @@ class Decider:
             raise self._unit_error(label, unit, "time")
         return Used(found[0], label, "t", "", unit, bool(unit))
 
-    def _columns(self, time: int) -> dict[str, list[_Column]]:
+    def _columns(self, time: int) -> dict[str, list[Meaning]]:
         """Columns of each channel, by the map or by their words, not yet of joints."""
         spoken, found = self._spoken(time), {}
         for channel in CHANNELS:
@@ -174,13 +163,13 @@ class Decider:
                 self.aside[c.index] = "current, beside a torque"
         return found
 
-    def _spoken(self, time: int) -> dict[str, list[_Column]]:
+    def _spoken(self, time: int) -> dict[str, list[Meaning]]:
         """Columns by their words."""
         known, topic = (*self.joints, *self.map.names), self.map.topic.strip("/")
         said = {k: meaning(x, known) for k, x in enumerate(self.labels) if k != time}
         # Of an arm with one joint, columns may be called just q and tau.
         single = any(m.channel == "q" and not m.joint for m in said.values())
-        spoken: dict[str, list[_Column]] = {}
+        spoken: dict[str, list[Meaning]] = {}
         for k, m in said.items():
             if m.channel and not m.joint and single:
                 m = replace(m, number=1, joint="1")
@@ -189,11 +178,10 @@ class Decider:
             elif not m.channel:
                 self.aside[k] = m.why
             elif m.joint:
-                column = _Column(k, self.labels[k], m)
-                spoken.setdefault(m.channel, []).append(column)
+                spoken.setdefault(m.channel, []).append(replace(m, index=k))
         return spoken
 
-    def _mapped(self, channel: str) -> list[_Column]:
+    def _mapped(self, channel: str) -> list[Meaning]:
         """Columns by the map's pattern, or its table of joints."""
         source, where = self.map.source(channel), f"{channel} of {self.map.origin}"
         if source.columns is None:
@@ -209,8 +197,7 @@ class Decider:
         for k, joint in found.items():
             number = int(joint) if joint.isascii() and joint.isdigit() else None
             unit = split_unit(self.labels[k])[1]
-            said = Meaning(channel, joint, number, unit=unit, why="")
-            columns.append(_Column(k, self.labels[k], said))
+            columns.append(Meaning(channel, joint, number, "", unit, "", k))
         return columns
 
     def _missing(self, channel: str) -> RecordingError:
@@ -229,31 +216,31 @@ class Decider:
             f"{', '.join(f'{w}1 or {w}_<joint>' for w in words)}, {_HELP}"
         )
 
-    def _joints_of(self, columns: dict[str, list[_Column]]) -> tuple[str, ...]:
+    def _joints_of(self, columns: dict[str, list[Meaning]]) -> tuple[str, ...]:
         """Joint names of the file: those of the first channel that has names."""
         for channel in _NEEDED:
             group = self._numbered_first(columns[channel])
-            names = [c.said.joint for c in group if c.said.number is None]
+            names = [c.joint for c in group if c.number is None]
             if names:
                 return tuple(dict.fromkeys(self.map.names.get(x, x) for x in names))
         group = self._numbered_first(columns["q"])
-        return numbered_joints(len({c.said.joint for c in self._one_space(group)}))
+        return numbered_joints(len({c.joint for c in self._one_space(group)}))
 
-    def _numbered_first(self, columns: list[_Column]) -> list[_Column]:
+    def _numbered_first(self, columns: list[Meaning]) -> list[Meaning]:
         """Without names beside numbers: q_motor1 beside q1 is no joint."""
-        numbered = [c for c in columns if c.said.number is not None]
+        numbered = [c for c in columns if c.number is not None]
         for c in columns:
-            if numbered and c.said.number is None:
+            if numbered and c.number is None:
                 self.aside[c.index] = "a name beside numbered joints"
         return numbered or columns
 
     def _one_space(
-        self, columns: list[_Column], joints: tuple[str, ...] = ()
-    ) -> list[_Column]:
+        self, columns: list[Meaning], joints: tuple[str, ...] = ()
+    ) -> list[Meaning]:
         """The columns under one topic or group: the one that has the joints."""
-        groups: dict[str, list[_Column]] = {}
+        groups: dict[str, list[Meaning]] = {}
         for c in columns:
-            groups.setdefault(c.said.space, []).append(c)
+            groups.setdefault(c.space, []).append(c)
         if len(groups) < 2:
             return columns
         good = [s for s, group in groups.items()
@@ -262,21 +249,21 @@ class Decider:
             good = [""]
         if len(good) != 1:
             raise self._error(
-                f"columns of {columns[0].said.channel} under {_listed([*groups])}"
+                f"columns of {columns[0].channel} under {_listed([*groups])}"
                 f", {len(good) or 'none'} of them for the joints; valid is --map "
                 "FILE.yaml with topic: and the beginning of the right ones"
             )
         for c in columns:
-            if c.said.space != good[0]:
+            if c.space != good[0]:
                 self.aside[c.index] = f"not of {good[0] or 'the joints'}"
         return groups[good[0]]
 
-    def _match(self, group: list[_Column], joints: tuple[str, ...]) -> tuple[str, ...]:
-        names = [self.map.names.get(c.said.joint, c.said.joint) for c in group]
-        return match_joints(names, [c.said.number for c in group], joints)
+    def _match(self, group: list[Meaning], joints: tuple[str, ...]) -> tuple[str, ...]:
+        names = [self.map.names.get(c.joint, c.joint) for c in group]
+        return match_joints(names, [c.number for c in group], joints)
 
     def _placed(
-        self, channel: str, columns: list[_Column], joints: tuple[str, ...]
+        self, channel: str, columns: list[Meaning], joints: tuple[str, ...]
     ) -> list[Used]:
         """Columns of one channel in the order of the joints, with their units."""
         if not columns:
@@ -284,12 +271,13 @@ class Decider:
         if not {*joints} <= {*self._match(columns, joints)}:
             columns = self._numbered_first(columns)
         columns = self._one_space(columns, joints)
-        places: dict[str, _Column] = {}
+        places: dict[str, Meaning] = {}
         for column, joint in zip(columns, self._match(columns, joints), strict=True):
             if joint in places:
+                both = f"{self._label(places[joint])!r} and {self._label(column)!r}"
                 raise self._error(
-                    f"columns {places[joint].label!r} and {column.label!r} are both "
-                    f"{channel} of {joint}; valid is one column for each joint, {_HELP}"
+                    f"columns {both} are both {channel} of {joint}; valid is one "
+                    f"column for each joint, {_HELP}"
                 )
             places[joint] = column
         extra = [joint for joint in places if joint not in joints]
@@ -297,10 +285,10 @@ class Decider:
             self.aside |= {c.index: "of no joint of the arm" for c in columns}
             return []
         if not {*joints} <= {*places} or (
-            extra and places[extra[0]].said.number is not None
+            extra and places[extra[0]].number is not None
         ):
             raise self._error(
-                f"columns of {channel} ({_listed([c.label for c in columns])}): "
+                f"columns of {channel} ({_listed([self._label(c) for c in columns])}): "
                 f"{joint_mismatch(tuple(places), joints)}"
             )
         for joint in extra:
@@ -308,7 +296,7 @@ class Decider:
         return self._used(channel, [places[joint] for joint in joints], joints)
 
     def _used(
-        self, channel: str, columns: Sequence[_Column], joints: tuple[str, ...]
+        self, channel: str, columns: Sequence[Meaning], joints: tuple[str, ...]
     ) -> list[Used]:
         """Columns of a channel with their units; none if they are but currents."""
         source, used = self.map.source(channel), []
@@ -323,27 +311,27 @@ class Decider:
                 return []
             known = current or known
             if known is None or constant != bool(current):
-                raise self._unit_error(column.label, unit, channel)
+                raise self._unit_error(self._label(column), unit, channel)
             factor = known[0] * source.factor(joint, place)
-            words = (column.index, column.label, channel, joint)
+            words = (column.index, self._label(column), channel, joint)
             shown = unit or SI[channel][0]
             used.append(Used(*words, shown, bool(unit), factor, known[1]))
         return used
 
-    def _unit(self, channel: str, column: _Column) -> str:
+    def _unit(self, channel: str, column: Meaning) -> str:
         """Unit of a column: the user's, the label's, the file's, the preset's."""
         source = self.map.source(channel)
-        stated = [source.unit, column.said.unit, self.table.unit(column.index)]
+        stated = [source.unit, column.unit, self.table.unit(column.index)]
         if not self.map.own(channel):  # what a file states is above a preset
             stated = [*stated[1:], source.unit]
-        if column.said.channel == "current" or "torque_constant" in source.factors:
+        if column.channel == "current" or "torque_constant" in source.factors:
             stated.append("A")
         return next(filter(None, stated), "")
 
-    def _bare_current(self, column: _Column) -> bool:
+    def _bare_current(self, column: Meaning) -> bool:
         """Whether a current is set aside, not refused as the torque it should be."""
         of_preset = bool(self.map.preset) and not self.map.own("tau")
-        return not self.torque or column.said.channel == "current" or of_preset
+        return not self.torque or column.channel == "current" or of_preset
 
     def _unit_error(self, label: str, unit: str, channel: str) -> RecordingError:
         valid = " and ".join(SI[channel])

@@ -63,6 +63,7 @@ class Meaning:
         space: What stands before the words, such as a topic; empty if nothing.
         unit: Unit that the label states; empty if none.
         why: Why it is no channel of a joint; empty if it is one.
+        index: Place of the label among those of a table, from 0.
     """
 
     channel: str = ""
@@ -71,6 +72,7 @@ class Meaning:
     space: str = ""
     unit: str = ""
     why: str = "no word for a channel"
+    index: int = -1
 
 
 @dataclass(frozen=True)
