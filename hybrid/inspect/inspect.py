@@ -13,8 +13,7 @@ from hybrid.inspect.coverage import JointCoverage, coverage_of, excitation_of
 from hybrid.inspect.doubt import Doubt, act_on, is_error
 from hybrid.inspect.inspection import Inspection, clock_of
 from hybrid.inspect.leaps import doubts_of_rows
-from hybrid.inspect.magnitude import doubts_of_magnitude
-from hybrid.inspect.physics import doubts_of_physics
+from hybrid.inspect.physics import doubts_of_magnitude, doubts_of_physics
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.samples import doubts_of_samples
 from hybrid.inspect.scale import doubts_of_scale

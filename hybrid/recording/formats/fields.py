@@ -15,6 +15,7 @@ from hybrid.recording.words import is_time, meaning, split_unit
 
 Spread = tuple[str, str, int | None]  # label, field, and which of the field's columns
 Fields = Mapping[str, NDArray[Any]]  # each of shape (N,) or (N, n)
+NAMES = ("joints", "joint_names")  # labels of arrays that name the joints
 Get = Callable[[Iterable[str]], Fields]
 
 _NAME = re.compile(r"(.*[./]|)(?:joint_)?names?[_.]?\[?(\d+)\]?")
@@ -43,31 +44,29 @@ def _column(fields: Fields, column: Spread, source: str) -> NDArray[Any]:
 
 
 def table_of_arrays(
-    arrays: Fields,
-    source: str,
-    *,
-    joints: NDArray[Any] | None = None,
-    get: Get | None = None,
-    **more: Any,
+    arrays: Fields, source: str, *, get: Get | None = None, **more: Any
 ) -> LogTable:
     """A table of arrays by name, whose matrices have a column for each joint.
 
     Args:
         arrays: Label -> array; of files that are large, its shape and type alone.
+            Text under one of ``NAMES`` names the joints.
         source: File for messages.
-        joints: Names of joints beside them.
         get: Gives the arrays themselves if they are not at hand.
         more: Further fields of the table.
 
     Raises:
         RecordingError: An array that a channel needs is not numbers in (N,) or (N, n).
     """
-    names = None
-    if joints is not None:
-        names = tuple(
-            x.decode("utf-8", "replace") if isinstance(x, bytes) else str(x)
-            for x in joints.ravel()
-        )
+    names, held = None, arrays
+    got: Get = get or (lambda _: held)
+    for key in NAMES:
+        if key in arrays and arrays[key].dtype.kind in "SUO":
+            arrays = {k: x for k, x in arrays.items() if k != key}
+            names = names or tuple(
+                x.decode("utf-8", "replace") if isinstance(x, bytes) else str(x).strip()
+                for x in got([key])[key].ravel()
+            )
     spread: list[Spread] = []
     for label, x in arrays.items():
         wanted = is_time(split_unit(label)[0]) or meaning(label).channel
@@ -81,7 +80,7 @@ def table_of_arrays(
         else:
             columns = _labels(label, x.shape[1], names, source)
             spread += [(column, label, k) for k, column in enumerate(columns)]
-    return spread_table(source, spread, get or (lambda _: arrays), joints=names, **more)
+    return spread_table(source, spread, got, joints=names, **more)
 
 
 def _labels(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.recording.formats.fields import table_of_arrays
+from hybrid.recording.formats.fields import NAMES, table_of_arrays
 from hybrid.recording.formats.hdf5 import arrays_of
 from hybrid.recording.formats.mat_elements import check_elements
 from hybrid.recording.table import LogTable, whole
@@ -33,12 +33,9 @@ def read_mat(path: Path) -> list[tuple[LogTable]]:
     structs = {name.split(".")[0] for name in found if "." in name}
     if len(structs) == 1:  # fields of the only one go by their own names
         found = {name.split(".", 1)[-1]: x for name, x in found.items()}
-    names = [np.char.strip(found[key]) for key in ("joints", "joint_names")
-             if key in found and found[key].dtype.kind == "U"]  # fmt: skip
-    numbers = {k: x for k, x in found.items() if x.dtype.kind in "fiu" and x.ndim < 3}
-    joints = names[-1] if names else None
-    more: dict[str, Any] = {"joints": joints, "kind": "MATLAB"}
-    return [(table_of_arrays(_upright(numbers), str(path), **more),)]
+    plain = {k: x for k, x in found.items() if x.dtype.kind in "fiu" and x.ndim < 3}
+    names = {k: found[k] for k in NAMES if k in found and found[k].dtype.kind == "U"}
+    return [(table_of_arrays(_upright(plain) | names, str(path), kind="MATLAB"),)]
 
 
 def _upright(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

@@ -33,10 +33,7 @@ def read_npz(path: Path) -> list[tuple[LogTable]]:
         with whole(path, _KIND), np.load(path, allow_pickle=False) as archive:
             return {name: np.asarray(archive[name]) for name in names}
 
-    shapes, joints = _shapes(path), None
-    if shapes.pop("joints", None) is not None:
-        joints = get(["joints"])["joints"]
-    return [(table_of_arrays(shapes, str(path), joints=joints, get=get, kind="NPZ"),)]
+    return [(table_of_arrays(_shapes(path), str(path), get=get, kind="NPZ"),)]
 
 
 def _shapes(path: Path) -> dict[str, NDArray[Any]]:
