@@ -142,10 +142,11 @@ def _files(path: Path) -> list[tuple[Path, bool]]:
     """Files of a path, each with whether it was asked for by itself."""
     if path.is_file() or kind_of(path) in FOLDERS:
         return [(path, True)]
-    inside = path.iterdir() if path.is_dir() else map(Path, glob.glob(str(path)))
+    inside = sorted(path.iterdir()) if path.is_dir() else [
+        Path(name) for name in sorted(glob.glob(str(path)))]  # fmt: skip
     found = [
         file
-        for file in sorted(inside)
+        for file in inside
         # a name that starts with a dot is a file still being written
         if kind_of(file) and file.name[0] != "." and file.exists()
     ]

@@ -72,7 +72,7 @@ def _columns(text: _Text, names: Iterable[str]) -> dict[str, NDArray[Any]]:
         try:  # once more: several threads do not count rows
             table = _table(text, kinds, use_threads=False)
         except pa.ArrowException as error:
-            reason = _explained(text, list(kinds), str(error))
+            reason = _explained(text, str(error))
             raise RecordingError(f"{text.path}: {reason}") from error
     if table.num_rows == 0:
         raise RecordingError(f"{text.path}: no rows below the column names")
@@ -167,20 +167,17 @@ def _header(path: Path, line: bytes) -> str:
         ) from error
 
 
-def _explained(text: _Text, names: list[str], error: str) -> str:
+def _explained(text: _Text, error: str) -> str:
     """The reader's error in words; it counts rows from 1, the header's among them."""
-    if match := re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+)", error):
+    ragged = r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+)"
+    if match := re.match(ragged, error):
         row, valid, found = map(int, match.groups())
-        return (
-            f"{row_words(row - 2)} has {found} cells; valid are {valid}, one for each "
-            "column name"
-        )
-    if match := re.search(r"column #(\d+): Row #(\d+): .* value '(.*)'", error):
-        label = text.labels[int(match.group(1))].strip()
-        cell = match.group(3).strip()
-        return (
-            f"{label}, {row_words(int(match.group(2)) - 2)}: {cell!r} is not a number"
-        )
+        cells = f"{found} cells; valid are {valid}, one for each column name"
+        return f"{row_words(row - 2)} has {cells}"
+    wrong = r"In CSV column #(\d+): Row #(\d+): .* value '(.*)'"
+    if match := re.match(wrong, error):
+        label, cell = text.labels[int(match[1])].strip(), match[3].strip()
+        return f"{label}, {row_words(int(match[2]) - 2)}: {cell!r} is not a number"
     return f"cannot be read as CSV: {error.splitlines()[0]}"
 
 
