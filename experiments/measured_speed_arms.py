@@ -35,7 +35,7 @@ def motion(log: Recording, cutoff: float, way: str) -> Motion:
     if way == "position alone":
         return made
     v = butterworth(log.v, rate=made.rate, cutoff=cutoff)
-    return replace(made, v=v, a=central_difference(v, rate=made.rate, accuracy=4))
+    return replace(made, v=v, a=central_difference(v, rate=made.rate))
 
 
 def plain(

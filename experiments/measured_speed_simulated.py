@@ -44,7 +44,7 @@ def scores(
     """RMS error of v, a, and τ of the last log, which no fit sees, joints alike."""
     motions = [motion(x, 2 * cutoff, "both") for x in seen]
     model, last, log = plain(robot, motions[:-1], cutoff, ()), motions[-1], true[-1]
-    a = central_difference(log.v, rate=log.rate, accuracy=4)
+    a = central_difference(log.v, rate=log.rate)
     pairs = (last.v, log.v), (last.a, a), (model.predict(last), log.tau)
     each = [((x - y)[last.mask].std(axis=0) / y.std(axis=0)).mean() for x, y in pairs]
     return np.array(each)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import json
 import os
 import shutil
@@ -196,25 +197,18 @@ def _take_along(old: Path, new: Path) -> None:
 
 
 def _exchanged(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step, if the system can; Linux and macOS can."""
-    here, a, b, exchange = -100, os.fsencode(one), os.fsencode(other), 2
-    for name, given in (
-        ("renameat2", (here, a, here, b, exchange)),
-        ("renamex_np", (a, b, exchange)),
-    ):
-        with suppress(AttributeError, OSError, TypeError):
-            return bool(getattr(ctypes.CDLL(None), name)(*given) == 0)
+    """Exchange two folders in one step, if the system can; Linux's renameat2 does."""
+    here, exchange = -100, 2
+    with suppress(AttributeError, OSError):
+        rename = ctypes.CDLL(None).renameat2
+        done = rename(here, os.fsencode(one), here, os.fsencode(other), exchange)
+        return bool(done == 0)
     return False
 
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
     """One process at a time; the lock goes with its holder, and leaves nothing."""
-    try:
-        import fcntl
-    except ImportError:  # not on Windows
-        yield
-        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):  # a disk on a network may have no locks
@@ -226,7 +220,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 def _sync(path: Path) -> None:
     """Have the disk hold what was written, before a name points to it."""
-    if os.name == "nt" or path.is_symlink() or not (path.is_file() or path.is_dir()):
+    if path.is_symlink() or not (path.is_file() or path.is_dir()):
         return
     descriptor = os.open(path, os.O_RDONLY)
     try:

@@ -17,8 +17,7 @@ from hybrid.recording.table import LogTable
 @pytest.fixture
 def small_blocks(monkeypatch):
     """Blocks so small that a short log needs many."""
-    monkeypatch.setattr(stream, "FIRST", 7)
-    monkeypatch.setattr(stream, "_LARGEST", 900)
+    monkeypatch.setattr(stream, "BLOCK", 900)
 
 
 def filled(rows: int, step: int) -> tuple[Stream, np.ndarray]:
@@ -57,6 +56,7 @@ def test_a_block_is_dropped_as_soon_as_its_rows_are_in_the_recording(
     small_blocks, monkeypatch
 ):
     made, x = filled(500, 64)
+    table = table_of(made)
     blocks = [weakref.ref(block) for block in made._blocks]
     alive, fill = [], build._fill
 
@@ -65,7 +65,7 @@ def test_a_block_is_dropped_as_soon_as_its_rows_are_in_the_recording(
         fill(*args)
 
     monkeypatch.setattr(build, "_fill", spied)
-    recording = recording_of((table_of(made),))
+    recording = recording_of((table,))
     assert np.allclose(recording.tau[:, 5], x + 0.11)
     assert alive == [k for k in range(len(blocks), 0, -1) for _ in ("q", "tau")]
 

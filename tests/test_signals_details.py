@@ -21,14 +21,13 @@ def record(q, rate, tau=None):
 def test_the_gain_is_the_squared_one_of_its_order():
     rate, cutoff = 500.0, 10.0
     t = np.arange(5000) / rate
-    for order in (2, 5):
-        for frequency in (4.0, 10.0, 14.0):
-            x = np.sin(2 * np.pi * frequency * t)
-            y = butterworth(x, rate=rate, cutoff=cutoff, order=order)[1000:-1000]
-            ratio = np.tan(np.pi * frequency / rate) / np.tan(np.pi * cutoff / rate)
-            gain = 1 / (1 + ratio ** (2 * order))
-            basis = x[1000:-1000]
-            assert y @ basis / (basis @ basis) == pytest.approx(gain, rel=2e-4)
+    for frequency in (4.0, 10.0, 14.0):
+        x = np.sin(2 * np.pi * frequency * t)
+        y = butterworth(x, rate=rate, cutoff=cutoff)[1000:-1000]
+        ratio = np.tan(np.pi * frequency / rate) / np.tan(np.pi * cutoff / rate)
+        gain = 1 / (1 + ratio**10)
+        basis = x[1000:-1000]
+        assert y @ basis / (basis @ basis) == pytest.approx(gain, rel=2e-4)
 
 
 def test_a_sampler_gives_every_so_manieth_sample_of_the_filter():
@@ -93,23 +92,17 @@ def test_nothing_is_filtered_just_below_the_nyquist_frequency():
 
 def test_central_differences_at_the_edges_and_inside():
     x = np.array([0.0, 1.0, 8.0, 27.0, 64.0, 125.0, 216.0])  # cubes
-    fine = central_difference(x, rate=2.0, accuracy=4)
+    fine = central_difference(x, rate=2.0)
     np.testing.assert_allclose(fine[2:-2], 2 * 3 * np.array([4.0, 9.0, 16.0]))
-    coarse = central_difference(x, rate=2.0)
-    np.testing.assert_allclose(coarse[1:-1], (x[2:] - x[:-2]) / 2 * 2.0)
-    np.testing.assert_allclose(fine[[0, 1, -2, -1]], coarse[[0, 1, -2, -1]])
-    np.testing.assert_allclose(coarse[0], (-3 * x[0] + 4 * x[1] - x[2]) / 2 * 2.0)
-    short = central_difference(x[:4], rate=2.0, accuracy=4)
-    np.testing.assert_allclose(short, central_difference(x[:4], rate=2.0))
+    np.testing.assert_allclose(fine[[1, -2]], (x[[2, -1]] - x[[0, -3]]) / 2 * 2.0)
+    np.testing.assert_allclose(fine[0], (-3 * x[0] + 4 * x[1] - x[2]) / 2 * 2.0)
+    short = central_difference(x[:4], rate=2.0)
+    np.testing.assert_allclose(short[1:-1], (x[2:4] - x[:2]) / 2 * 2.0)
+    np.testing.assert_allclose(central_difference(x[:5], rate=2.0)[2], 2 * 3 * 4.0)
+    both = np.stack([x, 2 * x], axis=1)
     np.testing.assert_allclose(
-        central_difference(x[:5], rate=2.0, accuracy=4)[2], 2 * 3 * 4.0
+        central_difference(both, rate=2.0), np.stack([fine, 2 * fine], axis=1)
     )
-    both = np.stack([x, 2 * x])
-    np.testing.assert_allclose(
-        central_difference(both, rate=2.0, axis=1), np.stack([coarse, 2 * coarse])
-    )
-    with pytest.raises(ValueError, match="valid are 2 and 4"):
-        central_difference(x, rate=1.0, accuracy=3)
 
 
 # --- motions --------------------------------------------------------------------------

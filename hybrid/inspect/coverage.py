@@ -15,13 +15,12 @@ from hybrid.arrays import Array
 from hybrid.dynamics.base import base_parameters, inertial_labels
 from hybrid.dynamics.regressor import regressor
 from hybrid.dynamics.stacked import rich_motion
-from hybrid.inspect.masses import direction
+from hybrid.inspect.masses import CREEP, direction
 from hybrid.inspect.samples import tick
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot.chain import Chain
 
-_CREEP = 0.02  # of the highest speed: below, a joint counts as still
 _SURE = 1.96  # standard errors
 _LATEST = 0.5  # s: no servo follows its command later
 _DRIVES = ("Ia", "Fv", "Fc", "offset")
@@ -68,14 +67,9 @@ class Excitation:
 
 
 def coverage_of(recording: Recording, state: State) -> tuple[JointCoverage, ...]:
-    """What every joint does in a log.
-
-    Args:
-        recording: The log, on a uniform clock.
-        state: Samples of it.
-    """
+    """What every joint does in a log on a uniform clock."""
     fastest = np.abs(state.v).max(axis=0)
-    moving = np.mean(np.abs(state.v) > _CREEP * np.maximum(fastest, 1e-300), axis=0)
+    moving = np.mean(np.abs(state.v) > CREEP * np.maximum(fastest, 1e-300), axis=0)
     found = []
     for j, joint in enumerate(recording.joints):
         q, lag, torque = recording.q[:, j], None, None
@@ -84,20 +78,14 @@ def coverage_of(recording: Recording, state: State) -> tuple[JointCoverage, ...]
         if recording.command is not None and np.ptp(recording.command[:, j]) > 0:
             most = round(_LATEST * recording.rate)
             lag = _lag(recording.command[:, j], q, most) / recording.rate
-        share = float(moving[j]) if np.ptp(q) > 0 else 0.0
-        speed = float(fastest[j]) if np.ptp(q) > 0 else 0.0
+        pace = (float(fastest[j]), float(moving[j])) if np.ptp(q) > 0 else (0.0, 0.0)
         ends = float(q.min()), float(q.max())
-        found.append(JointCoverage(joint, *ends, speed, share, tick(q), torque, lag))
+        found.append(JointCoverage(joint, *ends, *pace, tick(q), torque, lag))
     return tuple(found)
 
 
 def excitation_of(chain: Chain, state: State) -> Excitation:
-    """How well samples determine base parameters, rotors and friction.
-
-    Args:
-        chain: The arm.
-        state: Samples with torque.
-    """
+    """How well samples determine base parameters, rotors and friction."""
     names, columns = _base_columns(chain, state)  # (n, M, b)
     n, samples = chain.size, len(state.q)
     stacked, tau = columns.reshape(n * samples, -1), state.tau.T.reshape(-1)
@@ -124,16 +112,14 @@ def excitation_of(chain: Chain, state: State) -> Excitation:
 def _base_columns(chain: Chain, state: State) -> tuple[tuple[str, ...], Array]:
     """Names of base parameters, and their columns at each joint, (n, M, b)."""
     n = chain.size
-    labels, _ = inertial_labels(n)
-    drives = tuple(f"{x}_{k + 1}" for k in range(n) for x in _DRIVES)
+    drives = [f"{x}_{k + 1}" for k in range(n) for x in _DRIVES]
+    labels = [*inertial_labels(n)[0], *drives]
     rich = rich_motion(chain)
-    everything = _columns(chain, rich.q, rich.v, rich.a)
     # Rotors and friction first: links keep what only they can explain.
-    order = [*range(10 * n, everything.shape[2]), *range(10 * n)]
-    every = (*labels, *drives)
-    stacked = everything[:, :, order].reshape(-1, len(order))
-    named = tuple(every[k] for k in order)
-    base = base_parameters(stacked, named, ("",) * len(order))
+    order = [*range(10 * n, len(labels)), *range(10 * n)]
+    stacked = _columns(chain, rich.q, rich.v, rich.a)[:, :, order]
+    named = tuple(labels[k] for k in order)
+    base = base_parameters(stacked.reshape(-1, len(order)), named, ("",) * len(order))
     kept = [order[k] for k in base.kept]
     return base.kept_labels, _columns(chain, state.q, state.v, state.a)[:, :, kept]
 

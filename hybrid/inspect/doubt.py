@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -48,21 +48,19 @@ def is_error(doubt: Doubt) -> bool:
     return doubt.severity == "error"
 
 
-def act_on(doubts: Iterable[Doubt], source: str, *, rows: bool = True) -> None:
+def error_if(wrong: bool) -> Severity:
+    """How serious a doubt is."""
+    return "error" if wrong else "warning"
+
+
+def act_on(doubts: Sequence[Doubt], source: str, *, rows: bool = True) -> None:
     """Refuse a log if one of its doubts is an error; warn of the others.
 
     Args:
         doubts: What was found, the weightiest first.
         source: Where the log came from, for messages.
         rows: Whether single rows that are wrong are reason enough to refuse it.
-
-    Raises:
-        RecordingError: The first error.
-
-    Warns:
-        HybridWarning: Every other doubt.
     """
-    doubts = list(doubts)
     place = source or "recording"
     for doubt in filter(is_error, doubts):
         if rows or not doubt.rows:

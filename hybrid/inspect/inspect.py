@@ -1,24 +1,19 @@
-"""Check whether a log can come from this arm, for every verb."""
+"""Check whether a log can come from this arm, for every verb.
+
+A log is held against physics: first each sample, then the motion, by a list of checks.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 
-import numpy as np
-
-from hybrid.inspect.coverage import (
-    Excitation,
-    JointCoverage,
-    coverage_of,
-    excitation_of,
-)
+from hybrid.inspect.coverage import JointCoverage, coverage_of, excitation_of
 from hybrid.inspect.doubt import Doubt, act_on, is_error
 from hybrid.inspect.inspection import Inspection, clock_of
 from hybrid.inspect.leaps import doubts_of_rows
-from hybrid.inspect.magnitude import doubts_of_magnitude
-from hybrid.inspect.physics import doubts_of_physics
+from hybrid.inspect.physics import doubts_of_magnitude, doubts_of_physics
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.samples import doubts_of_samples
 from hybrid.inspect.scale import doubts_of_scale
@@ -26,6 +21,16 @@ from hybrid.inspect.speeds import doubts_of_pace, doubts_of_speeds
 from hybrid.inspect.state import State, sampled
 from hybrid.recording import Recording, resample, unbroken
 from hybrid.robot import Robot
+
+# The surest cause first: an error may be why later checks would find one.
+OF_SAMPLES = (doubts_of_samples, doubts_of_rows, doubts_of_positions)
+OF_MOTION = (
+    doubts_of_magnitude,
+    doubts_of_physics,
+    doubts_of_speeds,
+    doubts_of_pace,
+    doubts_of_scale,
+)
 
 
 def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspection:
@@ -51,14 +56,13 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
     """
     if robot is not None:
         recording = recording.in_order(robot.joints)
-    pieces = unbroken(recording)
-    looked = [_examined(piece, robot) for piece in pieces]
-    doubts = tuple(dict.fromkeys(x for found in looked for x in found.doubts))
-    longest = looked[int(np.argmax([piece.duration for piece in pieces]))]
+    looked = [_examined(piece, robot) for piece in unbroken(recording)]
+    doubts = tuple(dict.fromkeys(x for look in looked for x in look.doubts))
+    longest = max(looked, key=lambda look: look.recording.duration)
     joints: tuple[JointCoverage, ...] = ()
-    excitation: Excitation | None = None
+    excitation = None
     if longest.state is not None:
-        joints = coverage_of(longest.uniform, longest.state)
+        joints = coverage_of(longest.recording, longest.state)
         if robot is not None and recording.has_torque:
             excitation = excitation_of(robot.chain, longest.state)
     return Inspection(recording, clock_of(recording), joints, excitation, doubts)
@@ -86,8 +90,8 @@ def check_recordings(recordings: Sequence[Recording], robot: Robot) -> list[Reco
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    doubts: tuple[Doubt, ...]
-    uniform: Recording  # on a uniform clock if its samples are right
+    doubts: list[Doubt]
+    recording: Recording  # on a uniform clock if its samples are right
     state: State | None = None  # if they are
 
 
@@ -95,38 +99,20 @@ def _checked(recording: Recording, robot: Robot) -> Iterator[Recording]:
     for piece in unbroken(recording.in_order(robot.joints)):
         look = _examined(piece, robot)
         act_on(look.doubts, recording.source)
-        yield look.uniform
+        yield look.recording
 
 
 def _examined(recording: Recording, robot: Robot | None) -> _Look:
     """Doubts about a log without gaps."""
     found: list[Doubt] = []
-    positions = () if robot is None else doubts_of_positions(recording, robot)
-    for doubts in (doubts_of_samples(recording), doubts_of_rows(recording), positions):
-        found += doubts
+    for of_samples in OF_SAMPLES:
+        found += of_samples(recording, robot)
         if any(map(is_error, found)):
-            return _Look(tuple(found), recording)
+            return _Look(found, recording)
     uniform = resample(recording)
-    state = sampled(uniform)
-    if robot is not None:
-        relaxed = np.where(robot.stiffness > 0, robot.springref, np.nan)
-        state = replace(state, relaxed=relaxed)
-    for doubts in _of_physics(uniform, robot, state):
-        found += doubts
+    state = sampled(uniform, robot)
+    for of_motion in OF_MOTION:
+        found += of_motion(uniform, robot, state)
         if any(map(is_error, found)):
             break
-    return _Look(tuple(found), uniform, state)
-
-
-def _of_physics(
-    recording: Recording, robot: Robot | None, state: State
-) -> Iterator[Iterator[Doubt]]:
-    """Questions to ask of samples that are right each, the surest cause first."""
-    if recording.has_torque and robot is not None:
-        yield doubts_of_magnitude(recording, robot.chain, state)
-        yield doubts_of_physics(recording, robot.chain, state)
-    yield doubts_of_speeds(recording, state)
-    if robot is not None:
-        yield doubts_of_pace(recording, robot, state)
-        if recording.has_torque:
-            yield doubts_of_scale(recording, robot, state)
+    return _Look(found, uniform, state)

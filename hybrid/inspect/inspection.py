@@ -80,11 +80,7 @@ class Inspection(Shown):
 
 
 def clock_of(recording: Recording) -> Clock:
-    """How regular a log's clock is.
-
-    Args:
-        recording: The log.
-    """
+    """How regular a log's clock is."""
     steps = np.diff(recording.t)
     step = float(np.median(steps))
     filled = steps <= GAP * step

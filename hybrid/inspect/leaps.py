@@ -16,6 +16,7 @@ from hybrid.inspect.doubt import Doubt
 from hybrid.inspect.samples import STILL, tick, usual_step
 from hybrid.recording import Recording
 from hybrid.recording.recording import row_words
+from hybrid.robot import Robot
 
 _LEAP = 10.0  # times a large step of the joint, and times any step nearby
 _TICKS = 10.0  # steps of an encoder: fewer are its noise
@@ -26,12 +27,8 @@ _HELD, _SURE = 3, 0.9  # rows; share of new rows that come so far apart
 _REPEATED = 50  # rows
 
 
-def doubts_of_rows(recording: Recording) -> Iterator[Doubt]:
-    """Rows that no moving arm can have made.
-
-    Args:
-        recording: The log.
-    """
+def doubts_of_rows(recording: Recording, robot: Robot | None = None) -> Iterator[Doubt]:
+    """Rows that no moving arm can have made."""
     yield from _repeated(recording)
     yield from _held(recording)
     for joint, x in enumerate(recording.q.T):
@@ -87,10 +84,10 @@ def _largest(size: Array, lags: Iterable[int], *, both: bool) -> Array:
 
 def _held(recording: Recording) -> Iterator[Doubt]:
     """Rows that are written several times each."""
-    parts = [recording.q]
+    q, every = recording.q, recording.q
     if recording.has_torque:
-        parts.append(recording.tau)
-    for name, rows in (("every channel", np.hstack(parts)), ("q", recording.q)):
+        every = np.hstack([q, recording.tau])
+    for name, rows in (("every channel", every), ("q", q)):
         fresh = np.flatnonzero(np.any(np.diff(rows, axis=0) != 0, axis=1))
         apart = np.diff(fresh)
         if len(apart) < _REPEATED:

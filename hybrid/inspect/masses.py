@@ -22,11 +22,10 @@ from hybrid.arrays import Array
 from hybrid.inspect.state import State
 from hybrid.robot.chain import Chain
 
+SURE = 0.5  # gain in log volume; of logs that are right, no other reading reached 0.3
+CREEP = 0.02  # of the highest speed: below, dry friction changes its sign gradually
 _REACH = 0.25  # of the arm's length: how far masses of a link, or a tool, may be
-_CREEP = 0.02  # of the highest speed: below, dry friction changes its sign gradually
-_OWN = (
-    6  # columns of each joint's drive: rotor, viscous, dry, spring, offset either way
-)
+_OWN = 6  # columns of a drive: rotor, viscous, dry, spring, offset either way
 _OFFSET = 0.1  # of an offset counts as left over: gravity is likelier
 _LEAST = 1e-3  # of a torque's variance: less left is as good as nothing
 _RANK = 1e-4  # of the largest singular value: below, columns are not told apart
@@ -134,16 +133,14 @@ class MassColumns:
 def direction(v: Array) -> Array:
     """Sign of speeds, shape (M, n), that changes gradually where they creep."""
     fastest = np.maximum(np.abs(v).max(axis=0), _TINY)
-    return np.asarray(np.tanh(v / (_CREEP * fastest)))
+    return np.asarray(np.tanh(v / (CREEP * fastest)))
 
 
 def _drives(state: State) -> Array:
     """Columns of each joint's rotor, friction, spring and offset, shape (n, 6, M)."""
-    n = state.q.shape[1]
-    relaxed = np.full(n, np.nan) if state.relaxed is None else state.relaxed
-    relaxed = np.where(np.isfinite(relaxed), relaxed, state.q.mean(axis=0))
-    dry = direction(state.v)
-    one = np.ones_like(dry)
+    free = np.isnan(state.relaxed)
+    relaxed = np.where(free, state.q.mean(axis=0), state.relaxed)
+    dry, one = direction(state.v), np.ones_like(state.v)
     own = state.a, state.v, dry, state.q - relaxed, one, -one
     return np.stack([x.T for x in own], axis=1)
 

@@ -1,4 +1,9 @@
-"""Positions against joint limits: wrong unit, wrong order, or just outside."""
+"""Positions against joint limits: wrong unit, wrong order, or just outside.
+
+Another unit is told by going half a turn beyond a limit, or past two turns, while the
+value in that unit is plausible; another order by positions that fit the limits of other
+joints but not those of their own.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.inspect.doubt import Doubt
+from hybrid.inspect.doubt import Doubt, error_if
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 
@@ -18,57 +23,38 @@ _TURNING = ((np.pi / 180, "degrees"), (1e-3, "milliradians"))
 _SLIDING = ((1e-3, "millimetres"),)
 
 
-def doubts_of_positions(recording: Recording, robot: Robot) -> Iterator[Doubt]:
-    """Hold positions against the limits of their joints.
-
-    Another unit is told by going half a turn beyond a limit, or past two turns, while
-    the value in that unit is plausible; another order by positions that fit the limits
-    of other joints but not those of their own.
-
-    Args:
-        recording: The log, its columns in the order of the robot's joints.
-        robot: The arm.
-    """
-    low, high = recording.q.min(axis=0), recording.q.max(axis=0)
-    beyond = _beyond(low, high, robot)  # (n, n): column i held against joint j
+def doubts_of_positions(recording: Recording, robot: Robot | None) -> Iterator[Doubt]:
+    """Hold positions against the limits of their joints."""
+    if robot is None:
+        return
+    beyond = _beyond(recording.q, robot)
     own = np.diagonal(beyond)
     units = list(_units(recording, robot, own))
     yield from units
-    outside = np.flatnonzero(own > SLACK)
-    if not outside.size or units:
+    outside = np.flatnonzero(own > SLACK).tolist()
+    if not outside or units:
         return
     first = outside[0]
-    row = int(np.argmax(_outside(recording.q[:, first], robot, first)))
-    text = (
-        f"{recording.place('q', first, row)}: "
-        f"{recording.q[row, first]:.6g} is outside the limits "
-        f"{robot.q_min[first]:.6g} to {robot.q_max[first]:.6g}"
-    )
+    low, high, x = robot.q_min[first], robot.q_max[first], recording.q[:, first]
+    row = int(np.argmax(np.maximum(x - high, low - x)))
+    place = recording.place("q", first, row)
+    text = f"{place}: {x[row]:.6g} is outside the limits {low:.6g} to {high:.6g}"
     order = _fitting_order(beyond)
-    joints = tuple(outside.tolist())
     if order is not None:
-        names = [""] * recording.size
-        for column, joint in enumerate(order):
-            names[column] = robot.joints[joint]
-        text += (
-            f", but all positions fit if the columns are in the order "
-            f"{', '.join(names)}"
-        )
-        remedy = f"valid is {', '.join(robot.joints)}"
-        yield Doubt("q", joints, text, remedy, "error", float(own.max()))
-        return
-    others = [recording.place("q", k) for k in outside[1:]]
-    also = f"so are {', '.join(others)}" if others else ""
-    yield Doubt("q", joints, text, also, evidence=float(own.max()))
+        names = ", ".join(robot.joints[joint] for joint in order)
+        text += f", but all positions fit if the columns are in the order {names}"
+        also = f"valid is {', '.join(robot.joints)}"
+    else:
+        others = ", ".join(recording.place("q", k) for k in outside[1:])
+        also = f"so are {others}" if others else ""
+    severity = error_if(order is not None)
+    yield Doubt("q", tuple(outside), text, also, severity, float(own.max()))
 
 
-def _outside(x: Array, robot: Robot, joint: int) -> Array:
-    return np.asarray(np.maximum(x - robot.q_max[joint], robot.q_min[joint] - x))
-
-
-def _beyond(low: Array, high: Array, robot: Robot) -> Array:
+def _beyond(q: Array, robot: Robot) -> Array:
     """How far column i goes beyond the limits of joint j, shape (n, n)."""
-    over = np.maximum(high[:, None] - robot.q_max, robot.q_min - low[:, None])
+    low, high = q.min(axis=0)[:, None], q.max(axis=0)[:, None]
+    over = np.maximum(high - robot.q_max, robot.q_min - low)
     return np.asarray(np.maximum(over, 0.0))
 
 
@@ -89,26 +75,18 @@ def _units(recording: Recording, robot: Robot, own: Array) -> Iterator[Doubt]:
         names = [name for x, name in smaller if _fits(recording.q * x, robot, kind)]
         text = f"{recording.place('q', joint, row)}: {recording.q[row, joint]:.6g} "
         text += f"looks like {names[0]}" if names else "is far outside the limits"
-        remedy = (
-            f"valid are {unit} within {robot.q_min[joint]:.6g} to "
-            f"{robot.q_max[joint]:.6g}"
-        )
+        low, high = robot.q_min[joint], robot.q_max[joint]
+        remedy = f"valid are {unit} within {low:.6g} to {high:.6g}"
         # What turns without a limit may have turned often.
-        sure = bool(names) or bool(np.isfinite(reach[joint]))
-        yield Doubt(
-            "q",
-            tuple(np.flatnonzero(suspect).tolist()),
-            text,
-            remedy,
-            "error" if sure else "warning",
-            float(peak[joint]),
-        )
+        severity = error_if(bool(names) or bool(np.isfinite(reach[joint])))
+        joints = tuple(np.flatnonzero(suspect).tolist())
+        yield Doubt("q", joints, text, remedy, severity, float(peak[joint]))
 
 
 def _fits(q: Array, robot: Robot, kind: NDArray[np.bool_]) -> bool:
     """Whether positions of some joints are within limits and two turns."""
-    beyond = np.diagonal(_beyond(q.min(axis=0), q.max(axis=0), robot))
-    return bool(((beyond <= SLACK) & (np.abs(q).max(axis=0) <= _TURNS))[kind].all())
+    within = np.diagonal(_beyond(q, robot)) <= SLACK
+    return bool((within & (np.abs(q).max(axis=0) <= _TURNS))[kind].all())
 
 
 def _fitting_order(beyond: Array) -> NDArray[np.intp] | None:

@@ -93,21 +93,18 @@ def readings(
     n = chain.size
     kept, ones = np.arange(n), np.ones(n)
     for channels in (("tau",), ("q",), ("q", "tau")):
-        among = list(range(n)) if channels == ("tau",) else moving
+        of_torque = channels == ("tau",)
+        among = list(range(n)) if of_torque else moving
         for j in among:
-            yield OtherReading(
-                channels, (j,), _ROUND, kept, np.where(kept == j, -1.0, 1.0)
-            )
+            turned = np.where(kept == j, -1.0, 1.0)
+            yield OtherReading(channels, (j,), _ROUND, kept, turned)
         for pair in combinations(among, 2):
             order = kept.copy()
             order[list(pair)] = order[list(pair[::-1])]
             yield OtherReading(channels, pair, "swapped", order, ones)
-        seen: set[bytes] = set()
-        for words, order in _orders(chain, best if channels == ("tau",) else kept):
+        for words, order in _orders(chain, best if of_torque else kept):
             joints = tuple(np.flatnonzero(order != kept).tolist())
-            new = order.tobytes() not in seen
-            seen.add(order.tobytes())
-            if new and len(joints) > 2 and set(joints) <= set(among):
+            if len(joints) > 2 and set(joints) <= set(among):
                 yield OtherReading(channels, joints, words, order, ones)
     if n > 1:
         yield OtherReading(("tau",), tuple(range(n)), _ROUND, kept, -ones)
@@ -123,13 +120,17 @@ def readings(
         yield OtherReading(("t",), (), words, kept, ones, clock)
 
 
-def _orders(
-    chain: Chain, best: NDArray[np.intp]
-) -> Iterator[tuple[str, NDArray[np.intp]]]:
-    """Orders in which columns are often written, and one that would suit."""
-    yield "to be in reverse order", np.arange(chain.size)[::-1].copy()
+def _orders(chain: Chain, best: NDArray[np.intp]) -> list[tuple[str, NDArray[np.intp]]]:
+    """Orders in which columns are often written, and one that would suit; each once."""
     sorted_joints = sorted(chain.joints)
     place = np.array([sorted_joints.index(joint) for joint in chain.joints])
-    yield "to be sorted by name", place
-    names = [chain.joints[k] for k in np.argsort(best)]
-    yield f"to be in the order {', '.join(names)}", best
+    names = ", ".join(chain.joints[k] for k in np.argsort(best))
+    orders = {
+        "to be in reverse order": np.arange(chain.size)[::-1].copy(),
+        "to be sorted by name": place,
+        f"to be in the order {names}": best,
+    }
+    once: dict[bytes, tuple[str, NDArray[np.intp]]] = {}
+    for words, order in orders.items():
+        once.setdefault(order.tobytes(), (words, order))
+    return list(once.values())

@@ -11,6 +11,7 @@ from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt
 from hybrid.recording import Recording
 from hybrid.recording.recording import row_words
+from hybrid.robot import Robot
 
 SHORTEST = 1.0  # s: below, not even one slow move
 FEWEST = 100  # samples
@@ -24,12 +25,10 @@ _UNITS = (1e-3, "milli"), (1e-6, "micro"), (1e-9, "nano")
 _USUAL_RATE = 20.0, 2e4  # Hz
 
 
-def doubts_of_samples(recording: Recording) -> Iterator[Doubt]:
-    """What is wrong with samples by themselves, errors first.
-
-    Args:
-        recording: The log.
-    """
+def doubts_of_samples(
+    recording: Recording, robot: Robot | None = None
+) -> Iterator[Doubt]:
+    """What is wrong with samples by themselves, errors first."""
     yield from _size(recording)
     yield from _clock(recording)
     yield from _motion(recording)

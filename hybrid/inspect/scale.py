@@ -12,7 +12,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
-from hybrid.inspect.doubt import Doubt, Severity
+from hybrid.inspect.doubt import Doubt, error_if
 from hybrid.inspect.masses import direction
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
@@ -25,6 +25,7 @@ _UNIT = 3.0  # factor by which a scale may miss a unit
 _FARTHEST = 5.0  # times the rating: gear or unit missing, not overload
 _GEARS = 500.0  # a higher ratio of a gear is rare
 _CONSTANTS = 30.0  # N·m/A at the joint: more is a rare drive
+_VALID = "valid are N·m at the joint"
 
 
 def scales(robot: Robot, state: State) -> Array:
@@ -47,15 +48,11 @@ def scales(robot: Robot, state: State) -> Array:
 
 
 def doubts_of_scale(
-    recording: Recording, robot: Robot, state: State
+    recording: Recording, robot: Robot | None, state: State
 ) -> Iterator[Doubt]:
-    """Torques in another unit, or of the motor side.
-
-    Args:
-        recording: The log, for names.
-        robot: The arm.
-        state: Samples of the log.
-    """
+    """Torques in another unit, or of the motor side."""
+    if robot is None or not recording.has_torque:
+        return
     each = scales(robot, state)
     told = int(np.sum(each > 0))
     if not told:
@@ -66,26 +63,18 @@ def doubts_of_scale(
     # there for one that is too small; a counterbalance takes from one joint alone.
     if more.sum() == told or (2 * less.sum() > told and less.sum() >= min(told, 2)):
         usual = float(np.median(each[less if less.any() else more]))
-        off = max(usual, 1 / usual)
         # Without gravity inertia alone tells, and it goes with the square of time.
-        text = (
-            f"tau is {usual:.3g} times what the robot file's links ask for"
-            f"{_unit(usual)}"
-        )
         remedy = (
-            "valid are N·m at the joint: check the unit of torque, the clock, and the "
-            f"masses of the file{_constants(each)}"
+            f"{_VALID}: check the unit of torque, the clock, and the masses of the "
+            f"file{_constants(each)}"
         )
-        severity: Severity = "error" if off > _WRONG and told > 1 else "warning"
-        yield Doubt("tau", (), text, remedy, severity, usual)
+        severity = error_if(max(usual, 1 / usual) > _WRONG and told > 1)
+        yield Doubt("tau", (), _text("tau", usual), remedy, severity, usual)
         return
     # A tool adds a lot to what a wrist holds; nothing takes so much away.
     for j in np.flatnonzero((each > 0) & (each < 1 / _WRONG)).tolist():
-        text = (
-            f"{recording.place('tau', j)} is {each[j]:.3g} times what the robot file's "
-            f"links ask for{_unit(each[j])}"
-        )
-        yield Doubt("tau", (j,), text, "valid are N·m at the joint", "error", each[j])
+        text = _text(recording.place("tau", j), each[j])
+        yield Doubt("tau", (j,), text, _VALID, "error", each[j])
 
 
 def _above_rating(recording: Recording, robot: Robot) -> Iterator[Doubt]:
@@ -101,21 +90,19 @@ def _above_rating(recording: Recording, robot: Robot) -> Iterator[Doubt]:
             f"torque above {_FARTHEST:g} times the rating ({places}): in milliamps? or "
             "is the rating that of the motor side"
         )
-        remedy = "valid are N·m at the joint"
-        yield Doubt("tau", tuple(far), text, remedy, evidence=float(max(peak / rated)))
+        yield Doubt("tau", tuple(far), text, _VALID, evidence=float(max(peak / rated)))
 
 
-def _unit(scale: float) -> str:
+def _text(what: str, scale: float) -> str:
     """What a scale looks like, in words."""
-    for factor, unit in _UNITS.items():
-        if 1 / _UNIT < scale / factor < _UNIT:
-            return f": it looks like {unit}"
-    looks = []
-    if 1 / _CONSTANTS < scale < 1 / _ODD:
-        looks.append("a motor current in A, which UR's ROS driver calls effort")
-    if 1 / _GEARS < scale < 1 / _WRONG:
-        looks.append(f"torque of the motor side of a gear 1:{1 / scale:.0f}")
-    return f": it looks like {', or '.join(looks)}" if looks else ""
+    looks = [x for unit, x in _UNITS.items() if 1 / _UNIT < scale / unit < _UNIT]
+    if not looks:
+        if 1 / _CONSTANTS < scale < 1 / _ODD:
+            looks.append("a motor current in A, which UR's ROS driver calls effort")
+        if 1 / _GEARS < scale < 1 / _WRONG:
+            looks.append(f"torque of the motor side of a gear 1:{1 / scale:.0f}")
+    text = f"{what} is {scale:.3g} times what the robot file's links ask for"
+    return f"{text}: it looks like {', or '.join(looks)}" if looks else text
 
 
 def _constants(each: Array) -> str:

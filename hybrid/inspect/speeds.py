@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.inspect.doubt import Doubt, Severity
+from hybrid.inspect.doubt import Doubt, error_if
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -23,124 +24,110 @@ _MOVES = 0.02  # rad or m
 _SAME = 1.05  # factor between joints that have one cause in common
 _PACE, _TOO_FAST = 3.0, 3.0  # times the limit; times that, and it is an error
 _FASTEST = 50.0  # rad/s or m/s, of a joint whose limit is not known
+_TINY = 1e-300
 _UNITS = {
-    180 / np.pi: "speeds look to be in degrees per second",
-    30 / np.pi: "speeds look to be in revolutions per minute",
-    np.pi / 180: "positions look to be in degrees",
-    1e3: "time looks to be in milliseconds, or speeds",
-    1e6: "time looks to be in microseconds",
-    1e9: "time looks to be in nanoseconds",
+    180 / np.pi: ("v", "speeds look to be in degrees per second"),
+    30 / np.pi: ("v", "speeds look to be in revolutions per minute"),
+    np.pi / 180: ("q", "positions look to be in degrees"),
+    1e3: ("t", "time looks to be in milliseconds, or speeds"),
+    1e6: ("t", "time looks to be in microseconds"),
+    1e9: ("t", "time looks to be in nanoseconds"),
 }
 
 
-def doubts_of_pace(recording: Recording, robot: Robot, state: State) -> Iterator[Doubt]:
-    """Joints that move faster than any drive does.
-
-    Args:
-        recording: The log, for names.
-        robot: The arm.
-        state: Samples of the log.
-    """
+def doubts_of_pace(
+    recording: Recording, robot: Robot | None, state: State
+) -> Iterator[Doubt]:
+    """Joints that move faster than any drive does."""
+    if robot is None:
+        return
     fastest = np.abs(state.v).max(axis=0)
     limit = np.where(robot.v_max > 0, robot.v_max, np.inf)
     usual = np.where(np.isfinite(limit), _PACE * limit, _FASTEST)
     for j in np.flatnonzero(fastest > usual).tolist():
-        valid = limit[j] if np.isfinite(limit[j]) else _FASTEST
         unit = "rad/s" if robot.chain.revolute[j] else "m/s"
         text = (
             f"{recording.place('q', j)} moves at {fastest[j]:.4g} {unit}: positions "
             "look to be in degrees, or the clock is too fast"
         )
+        valid = limit[j] if np.isfinite(limit[j]) else _FASTEST
         remedy = f"valid are speeds up to {valid:.4g} {unit}"
-        wrong = fastest[j] > _TOO_FAST * usual[j]
-        severity: Severity = "error" if wrong else "warning"
+        severity = error_if(fastest[j] > _TOO_FAST * usual[j])
         yield Doubt("q", (j,), text, remedy, severity, float(fastest[j]))
 
 
-def doubts_of_speeds(recording: Recording, state: State) -> Iterator[Doubt]:
-    """Where measured speeds contradict the positions.
-
-    Args:
-        recording: The log, for names.
-        state: Samples of the log.
-    """
-    if state.logged is None:
+def doubts_of_speeds(
+    recording: Recording, robot: Robot | None, state: State
+) -> Iterator[Doubt]:
+    """Where measured speeds contradict the positions."""
+    moving, factor, alike = _against_slope(state)
+    if not len(moving):
         return
-    moving = _moving(state, state.logged)
-    slope, logged = state.v[:, moving], state.logged[:, moving]
-    squares = np.maximum((slope**2).sum(axis=0), 1e-300)
-    alike = (logged.T @ slope) / np.sqrt(
-        np.maximum((logged**2).sum(axis=0), 1e-300)[:, None] * squares
-    )  # (speed, slope)
-    factor = (logged * slope).sum(axis=0) / squares
     followed = np.abs(np.diagonal(alike)) > _FOLLOWS
     far = followed & (np.maximum(np.abs(factor), 1 / np.abs(factor)) > _WRONG)
-    common = (
-        far.all() and len(moving) > 1 and np.ptp(np.log(np.abs(factor))) < np.log(_SAME)
-    )
+    logs = np.log(np.abs(factor))
+    common = far.all() and len(moving) > 1 and np.ptp(logs) < np.log(_SAME)
     if common and (factor > 0).all():
-        yield _of_all(float(np.exp(np.log(factor).mean())))
+        yield _of_all(float(np.exp(logs.mean())))
         return
-    for k, j in enumerate(moving):
-        yield from _of_joint(recording, j, float(factor[k]), alike[k], k, moving)
+    for k in range(len(moving)):
+        yield from _of_joint(recording, moving, k, float(factor[k]), alike[k])
 
 
 def bear_out(state: State) -> bool:
     """Whether measured speeds confirm the clock."""
-    if state.logged is None:
-        return False
-    moving = _moving(state, state.logged)
-    slope, logged = state.v[:, moving], state.logged[:, moving]
-    factor = (logged * slope).sum(axis=0) / np.maximum((slope**2).sum(axis=0), 1e-300)
+    moving, factor, _ = _against_slope(state)
     return len(moving) > 0 and 1 / _ODD < float(np.median(factor)) < _ODD
 
 
-def _moving(state: State, logged: Array) -> list[int]:
-    """Joints whose position and measured speed both change."""
+def _against_slope(state: State) -> tuple[NDArray[np.intp], Array, Array]:
+    """Joints whose position and measured speed both change, k of them.
+
+    And the factor of each one's speed to its slope, (k,), and the correlation of each
+    speed with every slope, (k, k).
+    """
+    logged = np.zeros_like(state.v) if state.logged is None else state.logged
     moves = (np.ptp(state.q, axis=0) > _MOVES) & (np.ptp(logged, axis=0) > 0)
-    return [int(j) for j in np.flatnonzero(moves)]
+    slope, logged = state.v[:, moves], logged[:, moves]
+    squares = np.maximum((slope**2).sum(axis=0), _TINY)
+    own = np.maximum((logged**2).sum(axis=0), _TINY)
+    alike = (logged.T @ slope) / np.sqrt(own[:, None] * squares)
+    factor = (logged * slope).sum(axis=0) / squares
+    return np.flatnonzero(moves), factor, alike
 
 
 def _of_all(factor: float) -> Doubt:
     """A factor that all joints have in common, in words."""
+    what = "t", "the clock or the speeds look scaled by that"
     near = [x for x in _UNITS if 1 / _SAME < factor / x < _SAME]
-    what = _UNITS[near[0]] if near else "the clock or the speeds look scaled by that"
-    text = f"v is {factor:.4g} times dq/dt at every joint: {what}"
-    channel = "v" if near and "speeds" in what and "time" not in what else "t"
-    if near and what.startswith("positions"):
-        channel = "q"
+    channel, looks = _UNITS[near[0]] if near else what
+    text = f"v is {factor:.4g} times dq/dt at every joint: {looks}"
     remedy = "valid are s, rad and rad/s of one clock"
     return Doubt(channel, (), text, remedy, "error", factor)
 
 
 def _of_joint(
-    recording: Recording,
-    joint: int,
-    factor: float,
-    alike: Array,
-    own: int,
-    moving: list[int],
+    recording: Recording, moving: NDArray[np.intp], k: int, factor: float, alike: Array
 ) -> Iterator[Doubt]:
-    """What is wrong with the speed of one joint, if anything."""
+    """What is wrong with the speed of the k-th joint that moves, if anything."""
+    joint, own, other = int(moving[k]), alike[k], int(np.argmax(np.abs(alike)))
     place, slope = recording.place("v", joint), f"dq{joint + 1}/dt"
-    other = int(np.argmax(np.abs(alike)))
-    if abs(alike[own]) < _FOLLOWS < abs(alike[other]):
+    off = max(factor, 1 / max(factor, _TINY))
+    if abs(own) < _FOLLOWS < abs(alike[other]):
         text = (
             f"{place} looks like the speed of {recording.joints[moving[other]]}: it "
             f"follows dq{moving[other] + 1}/dt, not {slope}"
         )
         remedy = "valid are columns of q and v in one order"
         yield Doubt("v", (joint,), text, remedy, "error", float(alike[other]))
-    elif abs(alike[own]) < _STRANGE:
-        text = f"{place} does not follow {slope} (correlation {alike[own]:.2f})"
-        yield Doubt("v", (joint,), text, "", "warning", float(alike[own]))
-    elif factor < 0 and alike[own] < -_FOLLOWS:
+    elif abs(own) < _STRANGE:
+        text = f"{place} does not follow {slope} (correlation {own:.2f})"
+        yield Doubt("v", (joint,), text, evidence=float(own))
+    elif factor < 0 and own < -_FOLLOWS:
         text = f"{place} is {factor:.3g} times {slope}: one counts the other way round"
         remedy = "valid are q and v of one sign"
         yield Doubt("v", (joint,), text, remedy, "error", factor)
-    elif max(factor, 1 / max(factor, 1e-300)) > _ODD and alike[own] > _FOLLOWS:
-        wrong = max(factor, 1 / factor) > _WRONG
+    elif off > _ODD and own > _FOLLOWS:
         text = f"{place} is {factor:.3g} times {slope}"
         remedy = "valid are rad/s of the joint"
-        severity: Severity = "error" if wrong else "warning"
-        yield Doubt("v", (joint,), text, remedy, severity, factor)
+        yield Doubt("v", (joint,), text, remedy, error_if(off > _WRONG), factor)

@@ -8,6 +8,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.recording import Recording
+from hybrid.robot import Robot
 from hybrid.signals.cutoff import choose_cutoff
 from hybrid.signals.filters import butterworth, central_difference
 
@@ -27,18 +28,18 @@ class State:
         tau: Torques, shape (M, n), [N·m or N].
         logged: Measured speeds, shape (M, n), or None.
         relaxed: Where springs of the robot file pull nothing, shape (n,), [rad or m];
-            NaN at joints without one, None without any.
+            NaN at joints without one.
     """
 
     q: Array
     v: Array
     a: Array
     tau: Array
-    logged: Array | None = None
-    relaxed: Array | None = None
+    logged: Array | None
+    relaxed: Array
 
 
-def sampled(recording: Recording) -> State:
+def sampled(recording: Recording, robot: Robot | None) -> State:
     """Filter, differentiate and decimate a log on a uniform clock.
 
     The clock itself is in question. The band of the motion is therefore sought as if
@@ -46,8 +47,7 @@ def sampled(recording: Recording) -> State:
     time.
     """
     samples = len(recording.t)
-    pretended = replace(recording, t=np.arange(samples) / _PRETENDED)
-    cutoff = choose_cutoff(pretended)
+    cutoff = choose_cutoff(replace(recording, t=np.arange(samples) / _PRETENDED))
     rate = (samples - 1) / recording.duration
 
     def smooth(x: Array, cutoff: float) -> Array:
@@ -58,9 +58,12 @@ def sampled(recording: Recording) -> State:
     kept = np.unique(rows.astype(int))
     # Wider than the torque's: differences follow, and all pass the same filter then.
     q = smooth(recording.q, 2 * cutoff)
-    v = central_difference(q, rate=rate, accuracy=4)
-    a = central_difference(v, rate=rate, accuracy=4)
-    channels = [q, v, a, recording.tau if recording.has_torque else np.zeros_like(q)]
-    if recording.v is not None:
-        channels.append(recording.v)
-    return State(*(smooth(x, cutoff)[kept] for x in channels))
+    v = central_difference(q, rate=rate)
+    a = central_difference(v, rate=rate)
+    tau = recording.tau if recording.has_torque else np.zeros_like(q)
+    channels = [x if x is None else smooth(x, cutoff)[kept]
+                for x in (q, v, a, tau, recording.v)]  # fmt: skip
+    relaxed = np.full(recording.size, np.nan)
+    if robot is not None:
+        relaxed = np.where(robot.stiffness > 0, robot.springref, np.nan)
+    return State(*channels, relaxed)  # type: ignore[call-arg,arg-type]

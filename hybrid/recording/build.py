@@ -10,74 +10,69 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError
-from hybrid.recording.decide import Decision
-from hybrid.recording.reading import Used
+from hybrid.recording.reading import Reading, Used
 from hybrid.recording.recording import Recording
 from hybrid.recording.table import LogTable
 from hybrid.recording.units import seconds
 
 
-def built(table: LogTable, decision: Decision, *, torque: bool) -> Recording:
+def built(table: LogTable, reading: Reading, *, torque: bool) -> Recording:
     """The recording of a table, each of whose numbers is held once.
 
     Args:
         table: Named columns.
-        decision: Which of them is what.
+        reading: Which of them is what.
         torque: Whether torques must be there.
 
     Raises:
         RecordingError: The samples are not a valid recording.
     """
-    reading, time = decision.reading, decision.time
-    clock, channels = _samples(table, decision)
+    time, groups, notes = reading.time, reading.channels, list(reading.notes)
+    clock, channels = _samples(table, time, groups)
     if time.index < 0:  # no clock, but a rate
         t, unit = clock * time.factor, "s"
     else:
         t, unit = seconds(clock, time.unit)
-    time = replace(time, unit=unit, stated=time.stated or unit != "s")
-    used, notes = [time], list(reading.notes)
-    for channel, group in decision.channels.items():
+    used = [replace(time, unit=unit, stated=time.stated or unit != "s")]
+    for channel, group in groups.items():
         x = channels[channel]
         # How ROS says that something was not measured.
         if channel != "q" and x.size and np.isnan(x).all():
             notes.append(f"{channel} holds no number")
             del channels[channel]
-            continue
-        used += group
+        else:
+            used += group
     if torque and "tau" not in channels:
         raise RecordingError(f"{table.place}: no torques: tau holds no number")
-    reading = replace(reading, columns=tuple(used), notes=tuple(notes))
     return Recording(
         t=t,
-        joints=decision.joints,
+        joints=tuple(u.joint for u in groups["q"]),
         source=table.source,
-        reading=reading,
+        reading=replace(reading, columns=tuple(used), notes=tuple(notes)),
         **channels,  # type: ignore[arg-type]
     )
 
 
 def _samples(
-    table: LogTable, decision: Decision
+    table: LogTable, time: Used, groups: dict[str, tuple[Used, ...]]
 ) -> tuple[NDArray[Any], dict[str, Array]]:
     """The clock as in the file, shape (N,), and channels in SI, shape (N, n).
 
     Where a map gives a rate in place of a clock, rows are counted.
     """
-    columns = (u.index for u in decision.reading.columns if u.index >= 0)
+    columns = [time.index] * (time.index >= 0)
+    columns += [u.index for group in groups.values() for u in group]
     blocks = table.load(tuple(dict.fromkeys(columns)))
     sizes = [next(iter(block.values())).size for block in blocks]
-    channels = {
-        name: np.empty((sum(sizes), len(group)))
-        for name, group in decision.channels.items()
-    }
-    clocks, at, time = [np.arange(sum(sizes), dtype=float)], 0, decision.time
+    channels = {k: np.empty((sum(sizes), len(group))) for k, group in groups.items()}
+    clocks, at = [np.arange(sum(sizes), dtype=float)], 0
     if time.index >= 0:
         clocks = [block[time.index] for block in blocks]
         for clock in clocks:
             _check_numbers(clock, time, table)
     for size in sizes:
         block = blocks.pop(0)  # and nobody holds it any more
-        for name, group in decision.channels.items():
+        for name, group in groups.items():
             _fill(channels[name][at : at + size], block, group, table)
         at += size
     return np.concatenate(clocks), channels

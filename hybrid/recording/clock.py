@@ -6,7 +6,6 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording.recording import Recording, row_words
@@ -22,12 +21,6 @@ def resample(recording: Recording) -> Recording:
     Positions are interpolated by PCHIP, which keeps speed continuous and does not
     overshoot, the other channels linearly. A clock that keeps its step within 1 % is
     left as it is.
-
-    Args:
-        recording: Joint log on any increasing clock.
-
-    Returns:
-        The same recording if its clock is uniform, else a resampled one.
 
     Raises:
         RecordingError: Time jumps by more than 10 steps.
@@ -73,13 +66,9 @@ def resample(recording: Recording) -> Recording:
 def unbroken(recording: Recording) -> tuple[Recording, ...]:
     """Split a recording where its clock jumps too far to be filled.
 
-    Args:
-        recording: Joint log on any increasing clock.
-
     Returns:
         The stretches between jumps of more than 10 steps, each on the clock of the
-        whole; without those shorter than 1 s, unless all are. The same recording if
-        there is no such jump.
+        whole; without those shorter than 1 s, unless all are.
 
     Warns:
         HybridWarning: It was split; says into how many, and how much was left out.
@@ -100,9 +89,8 @@ def unbroken(recording: Recording) -> tuple[Recording, ...]:
         HybridWarning,
         stacklevel=2,
     )
-    return tuple(_rows(recording, r) for r in lasting)
-
-
-def _rows(recording: Recording, rows: NDArray[np.intp]) -> Recording:
-    channels = {name: x[rows] for name, x in recording.channels.items()}
-    return replace(recording, t=recording.t[rows], **channels)  # type: ignore[arg-type]
+    parts = []
+    for r in lasting:
+        channels = {name: x[r] for name, x in recording.channels.items()}
+        parts.append(replace(recording, t=recording.t[r], **channels))  # type: ignore[arg-type]
+    return tuple(parts)

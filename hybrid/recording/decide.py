@@ -1,20 +1,18 @@
-"""One mapping for every format: a table, a map and the labels' words -> columns.
+"""Which column of a table is which channel of which joint, in which unit.
 
-For each channel, the map's columns come first; where it has none, the labels' words
-decide. Joints are told by name where columns have names, else by number. A unit is the
-map's, else the label's, else the file's, else the one of SI.
+The map decides, or else the words of the label; then joints are matched to the robot's,
+and units are those of the map, the label, the file, the format or SI, in this order.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.names import printable
-from hybrid.recording.candidates import HELP, Column, columns_of, listed
-from hybrid.recording.joints import MatchedJoints, match_joints
+from hybrid.recording.joints import match_joints
 from hybrid.recording.mapping import Mapping, preset_of
 from hybrid.recording.reading import Reading, Used
 from hybrid.recording.recording import CHANNELS, joint_mismatch, numbered_joints
@@ -24,53 +22,22 @@ from hybrid.recording.words import (
     CHANNEL_WORDS,
     LONGEST,
     TIME,
+    Meaning,
     is_time,
+    meaning,
     split_unit,
 )
 
+_HELP = "or say which column is what with --map FILE.yaml"
 _NEEDED = ("q", "tau")
-MOST = LONGEST + 1  # characters of a label that are kept
 
 
-@dataclass(frozen=True)
-class Decision:
-    """Columns of each channel in the order of the joints, and how it came about."""
+class Decider:
+    """The steps of one decision; what is set aside is gathered along the way.
 
-    joints: tuple[str, ...]
-    time: Used
-    channels: dict[str, tuple[Used, ...]]
-    reading: Reading
-
-
-def decide(
-    table: LogTable,
-    *,
-    joints: tuple[str, ...] | None = None,
-    mapping: Mapping | None = None,
-    torque: bool = True,
-    quiet: bool = False,
-) -> Decision:
-    """Decide which column of a table is which channel of which joint in which unit.
-
-    Args:
-        table: Named columns.
-        joints: Joint names of the robot, base to tip; None if not known.
-        mapping: What the user says.
-        torque: Whether torques must be there.
-        quiet: Whether to keep the warning about columns set aside.
-
-    Raises:
-        RecordingError: Time, positions or torques are missing, two columns are for the
-            same joint, a unit fits no channel, or the joints are not the robot's.
-
-    Warns:
-        HybridWarning: Columns were set aside; they are listed.
+    Joints are the robot's, base to tip, if they are known; ``torque`` says whether
+    torques must be there.
     """
-    return _Decider(table, joints, mapping or Mapping(), torque).decide(quiet)
-
-
-class _Decider:
-    """The steps of one decision; what is set aside is gathered along the way."""
 
     def __init__(
         self,
@@ -84,67 +51,86 @@ class _Decider:
                 f"{table.place}: {len(table.labels)} columns; valid are up to "
                 f"{MOST_COLUMNS}"
             )
-        labels = tuple(printable(label.strip())[:MOST] for label in table.labels)
+        # One character more than the longest label that may have a meaning.
+        labels = tuple(printable(x.strip())[: LONGEST + 1] for x in table.labels)
         found = preset_of(labels, mapping.preset or table.preset)
         self.table, self.labels, self.torque = table, labels, torque
         self.map = mapping.over(found)
-        self.joints = joints or self.map.joints or table.joints or None
+        self.joints = joints or self.map.joints or table.joints or ()
         self.aside: dict[int, str] = {}
-        self.notes = [table.note] if table.note else []
 
-    def decide(self, quiet: bool) -> Decision:
-        time = self.time()
-        columns = self.columns(time.index)
-        self._check_needed(columns)
-        joints = self.joints or self._joints_of(columns)
-        channels: dict[str, tuple[Used, ...]] = {}
+    def decide(self, *, quiet: bool = False) -> Reading:
+        """What each column is.
+
+        Raises:
+            RecordingError: Time, positions or torques are missing, two columns are for
+                the same joint, a unit fits no channel, or joints are not the robot's.
+
+        Warns:
+            HybridWarning: Columns were set aside; they are listed unless ``quiet``.
+        """
+        time = self._time()
+        columns = self._columns(time.index)
+        needed = _NEEDED if self.torque else _NEEDED[:1]
+        joints, used = self.joints or self._joints_of(columns), [time]
         for channel in CHANNELS:
-            if placed := self.placed(channel, columns.get(channel, []), joints):
-                channels[channel] = placed
-        if self.torque and "tau" not in channels:
-            raise self._missing("tau")
-        taken = {u.index for used in channels.values() for u in used} | {time.index}
+            placed = self._placed(channel, columns[channel], joints)
+            if channel in needed and not placed:
+                raise self._missing(channel)
+            used += placed
+        taken = {u.index for u in used}
         aside = {
             k: self.aside.get(k, "not used")
             for k, label in enumerate(self.labels)
             if label and k not in taken
         }
         if not quiet:
-            self._warn([self.labels[k] for k in aside], channels["q"])
-        used = (time, *(u for group in channels.values() for u in group))
-        reading = Reading(
-            self.table.kind, self.table.name, self.map.preset, used,
+            self._warn([self.labels[k] for k in aside], stated=used[1].stated)
+        return Reading(
+            self.table.kind, self.table.name, self.map.preset, tuple(used),
             tuple((self.labels[k], why) for k, why in aside.items()),
-            tuple(self.notes),
+            (self.table.note,) if self.table.note else (),
         )  # fmt: skip
-        return Decision(joints, time, channels, reading)
 
-    def _warn(self, aside: list[str], positions: tuple[Used, ...]) -> None:
+    def command(self) -> Reading | None:
+        """Columns of the command alone, for a stream without positions, if any."""
+        try:
+            time = self._time()
+            columns = self._columns(time.index)["command"]
+            used = self._placed("command", columns, self.joints)
+        except RecordingError:
+            return None
+        table = self.table
+        return Reading(table.kind, table.name, "", (time, *used)) if used else None
+
+    def _warn(self, aside: list[str], stated: bool) -> None:
         """Say once for a file what was set aside, and which unit nobody knows."""
         home = self.table.home or self.table.place
-        lines = [f"ignored columns: {listed(aside)}"] if aside else []
-        if self.map.preset == "lerobot" and not positions[0].stated:
+        lines = [f"ignored columns: {_listed(aside)}"] if aside else []
+        if self.map.preset == "lerobot" and not stated:
             lines.append(
                 "units are not in a LeRobot dataset: positions are taken as radians; "
                 "if they are degrees, use --map FILE.yaml with q: {unit: deg}, "
                 "command: {unit: deg}"
             )
         for line in lines:
-            warnings.warn(f"{home}: {line}", HybridWarning, stacklevel=6)
+            warnings.warn(f"{home}: {line}", HybridWarning, stacklevel=5)
+
+    def _label(self, column: Meaning) -> str:
+        return self.labels[column.index]
 
     def _error(self, text: str) -> RecordingError:
         return RecordingError(f"{self.table.place}: {text}")
 
-    def time(self) -> Used:
+    def _time(self) -> Used:
         """The column of time, or one of index -1 if the map gives a rate."""
-        source = self.map.source("time")
+        source, name = self.map.source("time"), self.map.source("time").columns
         if "rate" in source.factors:
             step = 1 / source.factor("time", 0)
             return Used(-1, "", "t", "", "s", True, step)
-        if source.columns is not None and (not self.map.preset or "time" in str(
-            source.columns) or source.columns in self.labels):  # fmt: skip
-            found = [k for k, x in enumerate(self.labels) if x == source.columns]
-            what = f"no column {source.columns!r}"
+        if name is not None and (self.map.own("time") or name in self.labels):
+            found = [k for k, x in enumerate(self.labels) if x == name]
+            what = f"no column {name!r}"
         else:
             words = [split_unit(label)[0] for label in self.labels]
             exact = [k for k, word in enumerate(words) if word.lower() in TIME]
@@ -152,8 +138,8 @@ class _Decider:
             what = "no column of time" if not found else "more than one column of time"
         if len(found) != 1:
             raise self._error(
-                f"{what} among {listed(self.labels)}; valid is one of "
-                f"{', '.join(TIME)}, in seconds or with its unit (time_ms), {HELP}"
+                f"{what} among {_listed(self.labels)}; valid is one of "
+                f"{', '.join(TIME)}, in seconds or with its unit (time_ms), {_HELP}"
             )
         label = self.labels[found[0]]
         unit = source.unit or split_unit(label)[1] or self.table.unit(found[0])
@@ -161,156 +147,191 @@ class _Decider:
             raise self._unit_error(label, unit, "time")
         return Used(found[0], label, "t", "", unit, bool(unit))
 
-    def columns(self, time: int) -> dict[str, list[Column]]:
-        """Columns of each channel, not yet of joints."""
-        found, aside = columns_of(
-            self.labels, self.map, self.joints or (), time, self.table.place
-        )
-        self.aside |= aside
+    def _columns(self, time: int) -> dict[str, list[Meaning]]:
+        """Columns of each channel, by the map or by their words, not yet of joints."""
+        spoken, found = self._spoken(time), {}
+        for channel in CHANNELS:
+            dropped = self.map.source(channel).dropped
+            mapped = [] if dropped else self._mapped(channel)
+            found[channel] = mapped or ([] if dropped else spoken.get(channel, []))
+        currents = spoken.get("current", [])
+        if not found["tau"] and not self.map.source("tau").dropped:
+            found["tau"] = currents
+        taken = {c.index for columns in found.values() for c in columns}
+        for c in currents:
+            if c.index not in taken:
+                self.aside[c.index] = "current, beside a torque"
         return found
 
-    def _check_needed(self, columns: dict[str, list[Column]]) -> None:
-        for channel in _NEEDED if self.torque else ("q",):
-            if not columns.get(channel):
-                raise self._missing(channel)
+    def _spoken(self, time: int) -> dict[str, list[Meaning]]:
+        """Columns by their words."""
+        known, topic = (*self.joints, *self.map.names), self.map.topic.strip("/")
+        said = {k: meaning(x, known) for k, x in enumerate(self.labels) if k != time}
+        # Of an arm with one joint, columns may be called just q and tau.
+        single = any(m.channel == "q" and not m.joint for m in said.values())
+        spoken: dict[str, list[Meaning]] = {}
+        for k, m in said.items():
+            if m.channel and not m.joint and single:
+                m = replace(m, number=1, joint="1")
+            if not self.labels[k].strip("/").startswith(topic):
+                self.aside[k] = f"not of {self.map.topic}"
+            elif not m.channel:
+                self.aside[k] = m.why
+            elif m.joint:
+                spoken.setdefault(m.channel, []).append(replace(m, index=k))
+        return spoken
+
+    def _mapped(self, channel: str) -> list[Meaning]:
+        """Columns by the map's pattern, or its table of joints."""
+        source, where = self.map.source(channel), f"{channel} of {self.map.origin}"
+        if source.columns is None:
+            return []
+        try:
+            found = source.found(self.labels)
+            if not found and self.map.own(channel):
+                raise ValueError(f"no column like {source.columns!r}")
+        except ValueError as error:
+            among = _listed(self.labels)
+            raise self._error(f"{error} for {where} among {among}") from error
+        columns = []
+        for k, joint in found.items():
+            number = int(joint) if joint.isascii() and joint.isdigit() else None
+            unit = split_unit(self.labels[k])[1]
+            columns.append(Meaning(channel, joint, number, "", unit, "", k))
+        return columns
 
     def _missing(self, channel: str) -> RecordingError:
         word = "positions" if channel == "q" else "torques"
-        currents = [k for k, why in self.aside.items() if why.startswith("current")]
+        currents = [self.labels[k] for k, why in self.aside.items()
+                    if why.startswith("current")]  # fmt: skip
         if channel == "tau" and currents:
-            labels = listed([self.labels[k] for k in currents])
             return self._error(
-                f"no torques, but currents ({labels}); valid is --map FILE.yaml with "
-                "tau: {torque_constant: N·m/A, gear_ratio: ...}, each a number or a "
-                "list in the order of the joints"
+                f"no torques, but currents ({_listed(currents)}); valid is --map "
+                "FILE.yaml with tau: {torque_constant: N·m/A, gear_ratio: ...}, each a "
+                "number or a list in the order of the joints"
             )
-        words = (w for w in CHANNEL_WORDS[channel].split()[:3] if w != "tauj")
+        words = [w for w in CHANNEL_WORDS[channel].split()[:3] if w != "tauj"]
         return self._error(
-            f"no {word} among the columns {listed(self.labels)}; valid are "
-            f"{', '.join(f'{w}1 or {w}_<joint>' for w in words)}, {HELP}"
+            f"no {word} among the columns {_listed(self.labels)}; valid are "
+            f"{', '.join(f'{w}1 or {w}_<joint>' for w in words)}, {_HELP}"
         )
 
-    def _joints_of(self, columns: dict[str, list[Column]]) -> tuple[str, ...]:
+    def _joints_of(self, columns: dict[str, list[Meaning]]) -> tuple[str, ...]:
         """Joint names of the file: those of the first channel that has names."""
         for channel in _NEEDED:
-            group = self._numbered_first(columns.get(channel, []))
-            names = [c.said.joint for c in group if c.said.number is None]
+            group = self._numbered_first(columns[channel])
+            names = [c.joint for c in group if c.number is None]
             if names:
                 return tuple(dict.fromkeys(self.map.names.get(x, x) for x in names))
         group = self._numbered_first(columns["q"])
-        return numbered_joints(len({c.said.joint for c in self._one_space(group)}))
+        return numbered_joints(len({c.joint for c in self._one_space(group)}))
 
-    def _numbered_first(self, columns: list[Column]) -> list[Column]:
+    def _numbered_first(self, columns: list[Meaning]) -> list[Meaning]:
         """Without names beside numbers: q_motor1 beside q1 is no joint."""
-        numbered = [c for c in columns if c.said.number is not None]
+        numbered = [c for c in columns if c.number is not None]
         for c in columns:
-            if numbered and c.said.number is None:
+            if numbered and c.number is None:
                 self.aside[c.index] = "a name beside numbered joints"
         return numbered or columns
 
     def _one_space(
-        self, columns: list[Column], joints: tuple[str, ...] | None = None
-    ) -> list[Column]:
+        self, columns: list[Meaning], joints: tuple[str, ...] = ()
+    ) -> list[Meaning]:
         """The columns under one topic or group: the one that has the joints."""
-        spaces = dict.fromkeys(c.said.space for c in columns)
-        if len(spaces) < 2:
+        groups: dict[str, list[Meaning]] = {}
+        for c in columns:
+            groups.setdefault(c.space, []).append(c)
+        if len(groups) < 2:
             return columns
-        groups = {s: [c for c in columns if c.said.space == s] for s in spaces}
-        good = {
-            s: group
-            for s, group in groups.items()
-            if joints is None or not self._match(group, joints).missing
-        }
+        good = [s for s, group in groups.items()
+                if {*joints} <= {*self._match(group, joints)}]  # fmt: skip
         if "" in good:  # the plain names: q1 beside motor_position_1
-            good = {"": good[""]}
+            good = [""]
         if len(good) != 1:
             raise self._error(
-                f"columns of {columns[0].said.channel} under {listed(list(spaces))}"
+                f"columns of {columns[0].channel} under {_listed([*groups])}"
                 f", {len(good) or 'none'} of them for the joints; valid is --map "
                 "FILE.yaml with topic: and the beginning of the right ones"
             )
-        ((space, group),) = good.items()
         for c in columns:
-            if c.said.space != space:
-                self.aside[c.index] = f"not of {space or 'the joints'}"
-        return group
+            if c.space != good[0]:
+                self.aside[c.index] = f"not of {good[0] or 'the joints'}"
+        return groups[good[0]]
 
-    def _match(self, group: list[Column], joints: tuple[str, ...]) -> MatchedJoints:
-        names = [self.map.names.get(c.said.joint, c.said.joint) for c in group]
-        return match_joints(names, [c.said.number for c in group], joints)
+    def _match(self, group: list[Meaning], joints: tuple[str, ...]) -> tuple[str, ...]:
+        names = [self.map.names.get(c.joint, c.joint) for c in group]
+        return match_joints(names, [c.number for c in group], joints)
 
-    def placed(
-        self, channel: str, columns: list[Column], joints: tuple[str, ...]
-    ) -> tuple[Used, ...]:
+    def _placed(
+        self, channel: str, columns: list[Meaning], joints: tuple[str, ...]
+    ) -> list[Used]:
         """Columns of one channel in the order of the joints, with their units."""
         if not columns:
-            return ()
-        named = self._match(columns, joints)
-        if named.missing:
+            return []
+        if not {*joints} <= {*self._match(columns, joints)}:
             columns = self._numbered_first(columns)
         columns = self._one_space(columns, joints)
-        match = self._match(columns, joints)
-        places: dict[str, Column] = {}
-        for column, joint in zip(columns, match.joints, strict=True):
+        places: dict[str, Meaning] = {}
+        for column, joint in zip(columns, self._match(columns, joints), strict=True):
             if joint in places:
+                both = f"{self._label(places[joint])!r} and {self._label(column)!r}"
                 raise self._error(
-                    f"columns {places[joint].label!r} and {column.label!r} are both "
-                    f"{channel} of {joint}; valid is one column for each joint, {HELP}"
+                    f"columns {both} are both {channel} of {joint}; valid is one "
+                    f"column for each joint, {_HELP}"
                 )
             places[joint] = column
         extra = [joint for joint in places if joint not in joints]
         if channel not in _NEEDED and len(extra) == len(places):
             self.aside |= {c.index: "of no joint of the arm" for c in columns}
-            return ()
-        if match.missing or (extra and places[extra[0]].said.number is not None):
+            return []
+        if not {*joints} <= {*places} or (
+            extra and places[extra[0]].number is not None
+        ):
             raise self._error(
-                f"columns of {channel} ({listed([c.label for c in columns])}): "
+                f"columns of {channel} ({_listed([self._label(c) for c in columns])}): "
                 f"{joint_mismatch(tuple(places), joints)}"
             )
         for joint in extra:
-            self.aside[places.pop(joint).index] = f"{joint} is no joint of the arm"
+            self.aside[places[joint].index] = f"{joint} is no joint of the arm"
         return self._used(channel, [places[joint] for joint in joints], joints)
 
     def _used(
-        self, channel: str, columns: Sequence[Column], joints: tuple[str, ...]
-    ) -> tuple[Used, ...]:
+        self, channel: str, columns: Sequence[Meaning], joints: tuple[str, ...]
+    ) -> list[Used]:
         """Columns of a channel with their units; none if they are but currents."""
         source, used = self.map.source(channel), []
+        constant = "torque_constant" in source.factors
         for place, (column, joint) in enumerate(zip(columns, joints, strict=True)):
             unit = self._unit(channel, column)
             known = converted(unit or SI[channel][0], channel)
-            if channel == "tau" and (current := converted(unit, "current")):
-                if "torque_constant" not in source.factors:
-                    if not self._bare_current(column):
-                        raise self._unit_error(column.label, unit, channel)
-                    why = f"current in {unit}: a map with a torque_constant is needed"
-                    self.aside |= {c.index: why for c in columns}
-                    return ()
-                known = current
-            elif known is None or "torque_constant" in source.factors:
-                raise self._unit_error(column.label, unit, channel)
+            current = converted(unit, "current") if channel == "tau" else None
+            if current and not constant and self._bare_current(column):
+                why = f"current in {unit}: a map with a torque_constant is needed"
+                self.aside |= {c.index: why for c in columns}
+                return []
+            known = current or known
+            if known is None or constant != bool(current):
+                raise self._unit_error(self._label(column), unit, channel)
             factor = known[0] * source.factor(joint, place)
-            words = (column.index, column.label, channel, joint)
+            words = (column.index, self._label(column), channel, joint)
             shown = unit or SI[channel][0]
             used.append(Used(*words, shown, bool(unit), factor, known[1]))
-        return tuple(used)
+        return used
 
-    def _unit(self, channel: str, column: Column) -> str:
+    def _unit(self, channel: str, column: Meaning) -> str:
         """Unit of a column: the user's, the label's, the file's, the preset's."""
         source = self.map.source(channel)
-        stated = (source.unit, column.said.unit, self.table.unit(column.index))
+        stated = [source.unit, column.unit, self.table.unit(column.index)]
         if not self.map.own(channel):  # what a file states is above a preset
-            stated = (*stated[1:], source.unit)
-        unit = next(filter(None, stated), "")
-        current = (
-            column.said.channel == "current" or "torque_constant" in source.factors
-        )
-        return "A" if current and not unit else unit
+            stated = [*stated[1:], source.unit]
+        if column.channel == "current" or "torque_constant" in source.factors:
+            stated.append("A")
+        return next(filter(None, stated), "")
 
-    def _bare_current(self, column: Column) -> bool:
+    def _bare_current(self, column: Meaning) -> bool:
         """Whether a current is set aside, not refused as the torque it should be."""
         of_preset = bool(self.map.preset) and not self.map.own("tau")
-        return not self.torque or column.said.channel == "current" or of_preset
+        return not self.torque or column.channel == "current" or of_preset
 
     def _unit_error(self, label: str, unit: str, channel: str) -> RecordingError:
         valid = " and ".join(SI[channel])
@@ -321,22 +342,7 @@ class _Decider:
         )
 
 
-def decide_command(
-    table: LogTable, joints: tuple[str, ...], mapping: Mapping
-) -> Decision | None:
-    """Columns of the command alone, for a stream without positions; None if none.
-
-    Args:
-        table: Named columns.
-        joints: Joints of the recording that the command is for.
-        mapping: What the user says of channels; its topic does not count here.
-    """
-    decider = _Decider(table, joints, replace(mapping, topic=""), torque=False)
-    try:
-        time = decider.time()
-        columns = decider.columns(time.index).get("command", [])
-        used = decider.placed("command", columns, joints)
-    except RecordingError:
-        return None
-    reading = Reading(table.kind, table.name, "", (time, *used))
-    return Decision(joints, time, {"command": used}, reading) if used else None
+def _listed(labels: Sequence[str]) -> str:
+    """Labels for a message: a dozen, and how many more."""
+    shown = ", ".join(label[:80] for label in labels[:12])
+    return shown if len(labels) <= 12 else f"{shown} and {len(labels) - 12} more"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping as MappingType
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from hybrid.errors import RecordingError
 from hybrid.files import read_yaml
 from hybrid.recording.recording import CHANNELS
 from hybrid.recording.units import SI, converted
+from hybrid.recording.words import split_unit
 
 _FACTORS = ("torque_constant", "gear_ratio", "scale", "rate")
 _KEYS = ("preset", "joints", "topic", "time", *CHANNELS)
@@ -23,15 +25,15 @@ class Source:
     """Where a channel comes from.
 
     Attributes:
-        columns: A pattern with ``{}`` for the joint's name or number, labels in the
-            order of the joints, or joint -> label; None leaves it to the labels' words.
+        columns: A pattern with ``{}`` for the joint's name or number, or the joint's
+            name or number from 1 -> label; None leaves it to the labels' words.
         unit: Unit of the columns, whatever the file states; empty leaves it to that.
         factors: Numbers to multiply with, each one for all joints, a list in the order
             of the joints, or joint -> number.
         dropped: Whether the channel is not to be read at all.
     """
 
-    columns: str | tuple[str, ...] | dict[str, str] | None = None
+    columns: str | dict[str, str] | None = None
     unit: str = ""
     factors: dict[str, Factor] = field(default_factory=dict)
     dropped: bool = False
@@ -42,15 +44,35 @@ class Source:
         factors = below.factors | self.factors
         return Source(columns, self.unit or below.unit, factors, self.dropped)
 
+    def found(self, labels: Sequence[str]) -> dict[int, str]:
+        """Index of each column -> the joint that it is for.
+
+        Raises:
+            ValueError: A label is not there; says which.
+        """
+        if isinstance(self.columns, dict):
+            for label in self.columns.values():
+                if label not in labels:
+                    raise ValueError(f"no column {label!r}")
+            return {labels.index(x): joint for joint, x in self.columns.items()}
+        start, braces, end = (self.columns or "").partition("{}")
+        found = {}
+        for k, label in enumerate(labels):
+            for text in (split_unit(label)[0], label):
+                joint = text[len(start) : len(text) - len(end)]
+                if text == start + joint + end and bool(joint) == bool(braces):
+                    found[k] = joint or "1"
+        return found
+
     def factor(self, joint: str, place: int) -> float:
         """Product of all factors for a joint at its place from 0."""
         product = 1.0
         for name, value in self.factors.items():
-            if isinstance(value, float):
-                product *= value
-                continue
             try:
-                product *= value[joint] if isinstance(value, dict) else value[place]
+                if isinstance(value, dict):
+                    product *= value[joint]
+                else:
+                    product *= value[place] if isinstance(value, tuple) else value
             except (KeyError, IndexError) as error:
                 raise RecordingError(
                     f"the map gives no {name} for {joint}; valid is a number, a list "
@@ -90,13 +112,11 @@ class Mapping:
 
     def over(self, below: Mapping) -> Mapping:
         """This map, completed from another."""
+        own = {k: x.over(below.source(k)) for k, x in self.sources.items()}
         return replace(
-            self,
-            preset=self.preset or below.preset,
-            joints=self.joints or below.joints,
-            sources=below.sources
-            | {k: x.over(below.source(k)) for k, x in self.sources.items()},
-        )
+            self, preset=self.preset or below.preset,
+            joints=self.joints or below.joints, sources=below.sources | own,
+        )  # fmt: skip
 
 
 Map = str | Path | MappingType[str, Any] | Mapping | None
@@ -139,39 +159,40 @@ def preset_of(labels: tuple[str, ...], name: str = "") -> Mapping:
 
 
 def _mapping(content: Any, origin: str) -> Mapping:
-    if not isinstance(content, dict):
-        raise RecordingError(f"{origin}: no map; valid keys are {', '.join(_KEYS)}")
-    if unknown := [str(key) for key in content if key not in _KEYS]:
+    unknown = [content]
+    if isinstance(content, dict):
+        unknown = [key for key in content if key not in _KEYS]
+    if unknown:
         raise RecordingError(
-            f"{origin}: unknown key {unknown[0]!r}; valid are {', '.join(_KEYS)}"
+            f"{origin}: unknown key {str(unknown[0])!r}; valid are {', '.join(_KEYS)}"
         )
-    preset = str(content.get("preset", ""))
+    preset, joints = str(content.get("preset", "")), content.get("joints", [])
     if preset and preset not in PRESETS:
         raise RecordingError(
             f"{origin}: unknown preset {preset!r}; valid are {', '.join(PRESETS)}"
         )
-    joints = content.get("joints", [])
     if not isinstance(joints, (list, dict, tuple)):
         raise RecordingError(
             f"{origin}: joints is {joints!r}; valid are a list of names in the order "
             "of the columns, or file's name: robot's name"
         )
-    names = {str(k): str(v) for k, v in joints.items()} if isinstance(
-        joints, dict) else {}  # fmt: skip
-    sources = {
-        key: _source(content[key], key, origin)
-        for key in ("time", *CHANNELS)
-        if key in content
-    }
+    named = isinstance(joints, dict)
     found = Mapping(
-        preset, () if names else tuple(map(str, joints)), names,
-        str(content.get("topic", "")), sources, origin,
-    )  # fmt: skip
+        preset,
+        joints=() if named else tuple(map(str, joints)),
+        names={str(k): str(joints[k]) for k in joints} if named else {},
+        topic=str(content.get("topic", "")),
+        sources={
+            key: _source(content[key], key, f"{origin}: {key}")
+            for key in ("time", *CHANNELS)
+            if key in content
+        },
+        origin=origin,
+    )
     return found.over(preset_of((), preset)) if preset else found
 
 
-def _source(value: Any, channel: str, origin: str) -> Source:
-    where = f"{origin}: {channel}"
+def _source(value: Any, channel: str, where: str) -> Source:
     if value is None or value is False or value == "none":
         return Source(dropped=True)
     if not isinstance(value, dict) or not (
@@ -198,11 +219,11 @@ def _source(value: Any, channel: str, origin: str) -> Source:
     return Source(None if columns is None else _columns(columns, where), unit, factors)
 
 
-def _columns(value: Any, where: str) -> str | tuple[str, ...] | dict[str, str]:
+def _columns(value: Any, where: str) -> str | dict[str, str]:
     if isinstance(value, str):
         return value
-    if isinstance(value, (list, tuple)) and all(isinstance(x, str) for x in value):
-        return tuple(value)
+    if isinstance(value, (list, tuple)):
+        value = {k + 1: label for k, label in enumerate(value)}
     if isinstance(value, dict) and all(isinstance(x, str) for x in value.values()):
         return {str(k): x for k, x in value.items()}
     raise RecordingError(

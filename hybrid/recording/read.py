@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -18,33 +18,13 @@ from hybrid.recording.streams import recording_of
 from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
 
 
-def read(
-    path: str | Path,
-    *,
-    joints: tuple[str, ...] | None = None,
-    map: Map = None,
-    torque: bool = True,
-    progress: Callable[[str], None] | None = None,
-) -> Recording:
-    """Read one recording.
-
-    Args:
-        path: File of a kind in ``READERS``, or the folder of a bag or a dataset.
-        joints: Joint names of the robot, base to tip: columns by name are put in this
-            order, columns by number get these names. None keeps the file's.
-        map: Which column is which channel: a YAML file, its content as a dict, or the
-            name of a preset. None leaves it to the labels and the file's format.
-        torque: Refuse a log without torques.
-        progress: Told now and then how far a large bag is read.
+def read(path: str | Path, **options: Any) -> Recording:
+    """Read the one recording of a file or folder, as :func:`read_all` does.
 
     Raises:
-        RecordingError: The file is missing, of an unknown kind, or not a valid log.
-
-    Warns:
-        HybridWarning: Columns were set aside.
+        RecordingError: It is missing, of an unknown kind, not a valid log, or several.
     """
-    path = Path(path)
-    logs = list(_logs(_opened(path), progress))
+    logs = list(_logs(Path(path), options.pop("progress", None)))
     if len(logs) != 1:
         names = [tables[0].name for tables in logs]
         raise RecordingError(
@@ -52,7 +32,7 @@ def read(
             f"{' ...' if len(names) > 6 else ''}) where one is asked for; valid is a "
             "file of one"
         )
-    return recording_of(logs[0], joints=joints, map=map, torque=torque)
+    return recording_of(logs[0], **options)
 
 
 def read_all(
@@ -69,10 +49,12 @@ def read_all(
         paths: One or more of: a file; a folder, for all recordings in it; the folder of
             a ROS 2 bag or of a LeRobot dataset; a glob. Folders and globs give their
             files in alphabetical order.
-        joints: As in :func:`read`.
-        map: As in :func:`read`.
-        torque: As in :func:`read`.
-        progress: As in :func:`read`.
+        joints: Joint names of the robot, base to tip: columns by name are put in this
+            order, columns by number get these names. None keeps the file's.
+        map: Which column is which channel: a YAML file, its content as a dict, or the
+            name of a preset. None leaves it to the labels and the file's format.
+        torque: Refuse a log without torques.
+        progress: Told now and then how far a large bag is read.
 
     Raises:
         RecordingError: A path holds no recording, or one is not valid.
@@ -80,16 +62,18 @@ def read_all(
     Warns:
         HybridWarning: Columns were set aside, or files of a folder that hold no joint.
     """
-    if isinstance(paths, (str, Path)):
-        paths = [paths]
-    found = _all_files(paths)
+    found: dict[Path, bool] = {}
+    for path in [paths] if isinstance(paths, (str, Path)) else paths:
+        for file, single in _files(Path(path)):
+            found[file] = single or found.get(file, False)
+    if not found:
+        raise RecordingError("no paths given; valid are files, folders and globs")
     mapping, recordings = read_mapping(map), []
     for file, single in found.items():
         try:
-            logs = _logs(_opened(file), progress)
             recordings += [
                 recording_of(log, joints=joints, map=mapping, torque=torque)
-                for log in logs
+                for log in _logs(file, progress)
             ]
         except NoJointsError as error:
             if single:
@@ -126,68 +110,45 @@ def recording_from_table(
     return recording_of(tables, joints=joints, map=map, torque=torque)
 
 
-def _opened(path: Path) -> Path:
-    """The path, if a reader may have it."""
-    if path.is_dir():
-        if kind_of(path) is None:
-            raise RecordingError(
-                f"{path}: is a folder, and neither a bag nor a dataset; valid are "
-                f"these and files of {', '.join(READERS)}"
-            )
-        return path
-    if kind_of(path) is None:
-        raise RecordingError(
-            f"{path}: unknown kind of recording; valid are {', '.join(READERS)}"
-        )
-    if not path.is_file():
+def _logs(
+    path: Path, progress: Callable[[str], None] | None
+) -> Iterable[tuple[LogTable, ...]]:
+    """The tables of each recording of a file or folder."""
+    kind = kind_of(path)
+    if kind is None:
+        what = "unknown kind of recording"
+        if path.is_dir():
+            what = "is a folder, and neither a bag nor a dataset"
+        raise RecordingError(f"{path}: {what}; valid are {', '.join(READERS)}")
+    if not path.exists():
         raise RecordingError(f"{path}: no such file")
-    if (size := path.stat().st_size) > LARGEST_FILE and kind_of(path) not in STREAMED:
+    if (size := path.stat().st_size) > LARGEST_FILE and kind not in STREAMED:
         raise RecordingError(
             f"{path}: {size:.3g} bytes; valid are {LARGEST_FILE:.3g} or less"
         )
-    return path
-
-
-def _logs(
-    path: Path, progress: Callable[[str], None] | None
-) -> Iterator[tuple[LogTable, ...]]:
-    """The tables of each recording of a file or folder."""
-    kind = kind_of(path) or ""
-    reader = FOLDERS.get(kind) or READERS[kind]
-    if reader is read_ros and progress is not None:
-        tell = progress
-
-        def told(done: int, total: int) -> None:
-            tell(f"reading {path.name}: {done:,} of {total:,} messages")
-
-        return iter(read_ros(path, tell=told))
-    return iter(reader(path))
-
-
-def _all_files(paths: Iterable[str | Path]) -> dict[Path, bool]:
-    """Files of all paths, each once, and whether it was asked for by itself."""
-    found: dict[Path, bool] = {}
-    for path in paths:
-        for file, single in _files(Path(path)):
-            found[file] = single or found.get(file, False)
-    if not found:
-        raise RecordingError("no paths given; valid are files, folders and globs")
-    return found
+    reader = (READERS | FOLDERS)[kind]
+    if reader is not read_ros or progress is None:
+        return reader(path)
+    tell = progress
+    return read_ros(
+        path,
+        tell=lambda done, total: tell(
+            f"reading {path.name}: {done:,} of {total:,} messages"
+        ),
+    )
 
 
 def _files(path: Path) -> list[tuple[Path, bool]]:
     """Files of a path, each with whether it was asked for by itself."""
     if path.is_file() or kind_of(path) in FOLDERS:
         return [(path, True)]
-    if path.is_dir():
-        candidates = sorted(path.iterdir())
-    else:
-        candidates = [Path(name) for name in sorted(glob.glob(str(path)))]
+    inside = sorted(path.iterdir()) if path.is_dir() else [
+        Path(name) for name in sorted(glob.glob(str(path)))]  # fmt: skip
     found = [
         file
-        for file in candidates
+        for file in inside
         # a name that starts with a dot is a file still being written
-        if kind_of(file) and file.name[0] != "." and (file.is_file() or file.is_dir())
+        if kind_of(file) and file.name[0] != "." and file.exists()
     ]
     if not found:
         raise RecordingError(

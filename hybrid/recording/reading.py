@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 
@@ -11,7 +11,7 @@ class Used:
     """One column that was taken.
 
     Attributes:
-        index: Its place in the table, from 0.
+        index: Its place in the table, from 0; -1 for a rate in place of a clock.
         label: Its label in the file.
         channel: ``t``, or the field of the recording.
         joint: Joint that it belongs to; empty for time.
@@ -51,10 +51,21 @@ class Reading:
     aside: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
 
+    @property
+    def time(self) -> Used:
+        """The column of time."""
+        return self.columns[0]
+
+    @property
+    def channels(self) -> dict[str, tuple[Used, ...]]:
+        """The columns of each channel in the order of the joints."""
+        found: dict[str, tuple[Used, ...]] = {}
+        for u in self.columns[1:]:
+            found[u.channel] = (*found.get(u.channel, ()), u)
+        return found
+
     def as_dict(self) -> dict[str, Any]:
         """The same in words and numbers of JSON."""
-        content = {k: v for k, v in vars(self).items() if k not in ("columns", "aside")}
-        content["columns"] = [dict(vars(column)) for column in self.columns]
-        content["aside"] = [{"label": a, "why": b} for a, b in self.aside]
-        content["notes"] = list(self.notes)
-        return content
+        return asdict(self) | {
+            "aside": [{"label": label, "why": why} for label, why in self.aside]
+        }

@@ -84,10 +84,9 @@ class Recording:
     @property
     def channels(self) -> dict[str, Array]:
         """The joint channels that are present, by name, each of shape (N, n)."""
-        values = {name: getattr(self, name) for name in CHANNELS}
-        if not self.has_torque:
-            del values["tau"]
-        return {name: value for name, value in values.items() if value is not None}
+        present = {name: getattr(self, name) for name in CHANNELS}
+        present["tau"] = self.tau if self.has_torque else None
+        return {name: x for name, x in present.items() if x is not None}
 
     def __eq__(self, other: object) -> bool:
         """Same joints, clock and samples; where it comes from does not count."""
@@ -97,17 +96,15 @@ class Recording:
             self.joints == other.joints
             and np.array_equal(self.t, other.t)
             and self.channels.keys() == other.channels.keys()
-            and all(np.array_equal(x, other.channels[k]) for k, x in self._items())
+            and all(
+                np.array_equal(x, other.channels[k]) for k, x in self.channels.items()
+            )
         )
 
     __hash__ = None  # type: ignore[assignment]
 
     def in_order(self, joints: tuple[str, ...]) -> Recording:
-        """The same log with its columns in the order of ``joints``.
-
-        Args:
-            joints: The same names in another order, or new names for a recording
-                whose joints are only numbered.
+        """The same log with its joints in another order; numbered ones get the names.
 
         Raises:
             RecordingError: Joints are missing or unknown; both are listed.
@@ -116,7 +113,7 @@ class Recording:
             return self
         if sorted(self.joints) == sorted(joints):
             order = [self.joints.index(joint) for joint in joints]
-            channels = {name: x[:, order] for name, x in self._items()}
+            channels = {name: x[:, order] for name, x in self.channels.items()}
             return replace(self, joints=joints, **channels)  # type: ignore[arg-type]
         if self.joints == numbered_joints(self.size):
             if self.size == len(joints):
@@ -127,18 +124,9 @@ class Recording:
         raise self._error(joint_mismatch(self.joints, joints))
 
     def place(self, channel: str, joint: int, row: int | None = None) -> str:
-        """Words for a column, and a row, as messages name them.
-
-        Args:
-            channel: Field name, such as ``q``.
-            joint: Column index from 0.
-            row: Row index from 0; the words count from 1.
-        """
+        """Words for a column, and a row, as messages name them: counted from 1."""
         where = f"{channel}{joint + 1} ({self.joints[joint]})"
         return where if row is None else f"{where}, {row_words(row)}"
-
-    def _items(self) -> list[tuple[str, Array]]:
-        return list(self.channels.items())
 
     def _error(self, text: str) -> RecordingError:
         return RecordingError(f"{self.source or 'recording'}: {text}")
@@ -155,7 +143,7 @@ class Recording:
                 f"t has shape {self.t.shape}; valid is one column of two rows or more"
             )
         shape = (len(self.t), self.size)
-        for name, x in self._items():
+        for name, x in self.channels.items():
             if x.shape != shape:
                 raise self._error(
                     f"{name} has shape {x.shape}; valid is {shape}, a row for each "
@@ -171,7 +159,7 @@ class Recording:
         bad = np.flatnonzero(~np.isfinite(self.t))
         if bad.size:
             raise self._error(f"t, {row_words(bad[0])}: {_not_finite(self.t[bad[0]])}")
-        for name, x in self._items():
+        for name, x in self.channels.items():
             if np.isfinite(x).all():
                 continue
             row, joint = np.argwhere(~np.isfinite(x))[0]

@@ -12,8 +12,9 @@ import numpy as np
 
 from hybrid.errors import RecordingError
 from hybrid.recording.build import built
-from hybrid.recording.decide import Decision, decide, decide_command
+from hybrid.recording.decide import Decider
 from hybrid.recording.mapping import Map, Mapping, read_mapping
+from hybrid.recording.reading import Reading
 from hybrid.recording.recording import Recording
 from hybrid.recording.table import LogTable
 from hybrid.recording.units import seconds
@@ -26,13 +27,7 @@ def recording_of(
     map: Map = None,
     torque: bool = True,
 ) -> Recording:
-    """Build the recording of a log's tables.
-
-    Args:
-        tables: The log's streams, each on its own clock.
-        joints: As in :func:`read`.
-        map: As in :func:`read`.
-        torque: As in :func:`read`.
+    """The recording of a log's streams; options as in :func:`read_all`.
 
     Raises:
         RecordingError: No stream has the joints, several have them alike, or the
@@ -41,11 +36,12 @@ def recording_of(
     said = read_mapping(map)
     tables = tuple(x for x in tables if x.name == said.topic) or tables
     first = _best(tables, joints, said, torque) if len(tables) > 1 else tables[0]
-    decision = decide(first, joints=joints, mapping=said, torque=torque)
-    recording = built(first, decision, torque=torque)
-    if recording.command is None:
-        for table in (x for x in tables if x is not first):
-            if commanded := decide_command(table, recording.joints, said):
+    reading = Decider(first, joints, said, torque).decide()
+    recording = built(first, reading, torque=torque)
+    for table in tables if recording.command is None else ():
+        if table is not first:
+            other = Decider(table, recording.joints, replace(said, topic=""), False)
+            if commanded := other.command():
                 return _with_command(recording, first, table, commanded)
     return recording
 
@@ -61,14 +57,13 @@ def _best(
     bad = []
     for table in tables:
         try:
-            channels = decide(
-                table, joints=joints, mapping=mapping, torque=torque, quiet=True
-            ).channels
+            reading = Decider(table, joints, mapping, torque).decide(quiet=True)
         except RecordingError as error:
             bad.append(str(error))
-            continue
-        rank = ("tau" in channels, table.preset == "joint_state", len(channels))
-        good.append((rank, table))
+        else:
+            found = reading.channels
+            rank = ("tau" in found, table.preset == "joint_state", len(found))
+            good.append((rank, table))
     if not good:
         raise RecordingError(min(bad, key=lambda line: "no positions among" in line))
     best = max(rank for rank, _ in good)
@@ -83,20 +78,20 @@ def _best(
 
 
 def _with_command(
-    recording: Recording, main: LogTable, table: LogTable, decision: Decision
+    recording: Recording, main: LogTable, table: LogTable, commanded: Reading
 ) -> Recording:
     """The recording with a command of another stream, interpolated to its clock.
 
     A controller keeps to the last command; before the first, nothing is known, and the
     arm is taken to stay at it.
     """
-    used = decision.channels["command"]
-    wanted = (decision.time.index, *(u.index for u in used))
+    time, *used = commanded.columns
+    wanted = tuple(u.index for u in commanded.columns)
     blocks = table.load(wanted)
     columns = {k: np.concatenate([block[k] for block in blocks]) for k in wanted}
     first = main.load((0,))[0][0][0]
     # Both clocks are nanoseconds of the same epoch.
-    at = seconds(columns[decision.time.index] - first, "ns")[0] + recording.t[0]
+    at = seconds(columns[time.index] - first, "ns")[0] + recording.t[0]
     reading = recording.reading
     assert reading is not None
     if len(at) < 2 or at[-1] < recording.t[0] or at[0] > recording.t[-1]:
@@ -110,7 +105,6 @@ def _with_command(
         f"command of {table.name}, interpolated; it covers {share:.0%} of the samples "
         "and is held before and after"
     )
-    reading = replace(
-        reading, columns=(*reading.columns, *used), notes=(*reading.notes, note)
-    )
+    columns_read = (*reading.columns, *used)
+    reading = replace(reading, columns=columns_read, notes=(*reading.notes, note))
     return replace(recording, command=command, reading=reading)

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.recording import Recording, numbered_joints
 
 LARGEST_FILE = 4 << 30  # bytes: an hour at 1 kHz of 50 joints is less
 MOST_COLUMNS = 20_000  # of a table: more are no log of an arm
-
-_NAME = re.compile(r"(.*[./]|)(?:joint_)?names?[_.]?\[?(\d+)\]?")
-_STATE = re.compile(r"(.*[./]|)(position|velocity|effort)s?[_.]?\[?(\d+)\]?")
 
 Load = Callable[[tuple[int, ...]], list[dict[int, NDArray[Any]]]]
 
@@ -65,74 +59,9 @@ class LogTable:
         return self.units[index] if self.units else ""
 
 
-def table_of_arrays(
-    columns: dict[str, NDArray[Any]], source: str, **more: Any
-) -> LogTable:
-    """A table of columns at hand.
-
-    Args:
-        columns: Label -> samples, each of shape (N,).
-        source: File for messages.
-        more: Further fields of the table.
-    """
-    values = list(columns.values())
-    return LogTable(
-        source, tuple(columns), lambda used: [{k: values[k] for k in used}], **more
-    )
-
-
-def named_labels(labels: Sequence[str], texts: Mapping[str, str]) -> tuple[str, ...]:
-    """Labels of numbered columns with the names that stand in columns beside them.
-
-    ``rostopic echo -p`` writes ``field.name0`` with a joint's name in it, and its
-    position as ``field.position0``.
-
-    Args:
-        labels: Labels of a table.
-        texts: Label -> text in the first row.
-    """
-    names = {
-        (match.group(1), match.group(2)): text
-        for label, text in texts.items()
-        if text and (match := _NAME.fullmatch(label))
-    }
-
-    def named(label: str) -> str:
-        match = _STATE.fullmatch(label)
-        name = names.get((match.group(1), match.group(3))) if match else None
-        return f"{match.group(1)}{match.group(2)}/{name}" if match and name else label
-
-    return tuple(map(named, labels)) if names else tuple(labels)
-
-
-def labels_of(recording: Recording) -> dict[str, NDArray[np.float64]]:
-    """Columns of a recording, under labels that the readers understand.
-
-    Args:
-        recording: Joint log.
-
-    Returns:
-        Label -> samples, shape (N,): ``time``, then ``q1`` ... or ``q_elbow`` ...
-    """
-    numbered = recording.joints == numbered_joints(recording.size)
-    columns = {"time": recording.t}
-    for channel, x in recording.channels.items():
-        for k, joint in enumerate(recording.joints):
-            columns[f"{channel}{k + 1}" if numbered else f"{channel}_{joint}"] = x[:, k]
-    return columns
-
-
 @contextmanager
 def whole(source: object, kind: str) -> Iterator[None]:
-    """Turn whatever a library raises of a damaged file into one line.
-
-    Args:
-        source: File for the message.
-        kind: What it should be.
-
-    Raises:
-        RecordingError: The block raised an error; those of this package stay as is.
-    """
+    """Turn whatever a library raises of a damaged file into one line."""
     try:
         yield
     except RecordingError:

@@ -32,12 +32,7 @@ EPOCH = 1e9  # s: times after 2001 that count from 1970
 
 
 def converted(unit: str, channel: str) -> tuple[float, float] | None:
-    """Factor and offset that take a unit to the channel's in SI; None if it has none.
-
-    Args:
-        unit: As the file or the map states it, such as ``deg``, ``rpm`` or ``mA``.
-        channel: A key of ``SI``.
-    """
+    """Factor and offset from a unit to the channel's in SI; None if there are none."""
     unit = unit.strip()
     unit = _SPELLED.get(unit, unit).replace("·", "*").replace("°", "deg")
     if unit in SI[channel]:
@@ -82,21 +77,16 @@ def seconds(x: NDArray[Any], unit: str) -> tuple[Array, str]:
 
     Times after 2001 that count from 1970 tell their unit by their size; other than
     floating seconds they are counted from the first one, so that no digit is lost.
-
-    Args:
-        x: Times as numbers or dates, shape (N,).
-        unit: Unit that is stated; empty if none is.
     """
     if x.dtype.kind == "M":
         x, unit = x.astype("datetime64[ns]").astype(np.int64), "ns"
     if not unit:
         first = float(x[0]) if len(x) else 0.0
         sizes = {1e3: "ms", 1e6: "us", 1e9: "ns"}
-        found = [u for s, u in sizes.items() if EPOCH <= first / s < 4.2 * EPOCH]
-        unit = found[0] if found else ""
-    factor, _ = converted(unit or "s", "time") or (1.0, 0.0)
+        unit = next((u for s, u in sizes.items() if 1 <= first / s / EPOCH < 4.2), "s")
+    factor, _ = converted(unit, "time") or (1.0, 0.0)
     if factor == 1.0:
-        return np.asarray(x, dtype=np.float64), unit or "s"
+        return np.asarray(x, dtype=np.float64), unit
     if len(x) and float(x[0]) * factor >= EPOCH:
         x = x - x[0]
     parts = 1 / factor

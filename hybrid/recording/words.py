@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 from hybrid.recording.units import fits
 
@@ -62,6 +63,7 @@ class Meaning:
         space: What stands before the words, such as a topic; empty if nothing.
         unit: Unit that the label states; empty if none.
         why: Why it is no channel of a joint; empty if it is one.
+        index: Place of the label among those of a table, from 0.
     """
 
     channel: str = ""
@@ -70,6 +72,7 @@ class Meaning:
     space: str = ""
     unit: str = ""
     why: str = "no word for a channel"
+    index: int = -1
 
 
 @dataclass(frozen=True)
@@ -108,12 +111,7 @@ def split_unit(label: str) -> tuple[str, str]:
 
 
 def meaning(label: str, joints: tuple[str, ...] = ()) -> Meaning:
-    """Read a label.
-
-    Args:
-        label: As the file has it.
-        joints: Names of joints, which are recognised before any other word.
-    """
+    """Read a label, in which names of known joints come before any other word."""
     if len(label) > LONGEST:
         return Meaning(why=f"a label of more than {LONGEST} characters")
     # 'q_A' is joint A, not a current
@@ -127,26 +125,19 @@ def meaning(label: str, joints: tuple[str, ...] = ()) -> Meaning:
 
 def _named(text: str, joints: tuple[str, ...]) -> Meaning | None:
     """The meaning of a label around the name of a known joint."""
-    lower = text.lower()
     for joint in sorted(joints, key=len, reverse=True):
-        at = lower.rfind(joint.lower())
-        end = at + len(joint)
-        if at < 0 or joint.isdigit():
+        at = text.lower().rfind(joint.lower())
+        before, after = text[: max(at, 0)], text[at + len(joint) :]
+        if at < 0 or joint.isdigit() or before[-1:].isalnum() or after[:1].isalnum():
             continue
-        if (at and lower[at - 1].isalnum()) or (
-            end < len(text) and text[end].isalnum()
-        ):
-            continue
-        before, after = text[:at], text[end:]
-        words = [w for part in (before, after) for w in _words(part)]
-        channel, why = _channel_of([w for w in words if w.kind != "name"])
-        own = [w for w in _words(after) if w.kind in ("name", "number")]
-        if channel and not own:
-            names = [w for w in _words(before) if w.kind in ("name", "number")]
-            space = before if names else ""
-            if names and any(w.kind == "quantity" for w in _words(before)):
+        ahead, behind = _words(before), _words(after)
+        channel, why = _channel_of([w for w in ahead + behind if w.kind != "name"])
+        if channel and not any(w.kind in ("name", "number") for w in behind):
+            if not any(w.kind in ("name", "number") for w in ahead):
+                return Meaning(channel, joint, why="")
+            if any(w.kind == "quantity" for w in ahead):
                 continue
-            return Meaning(channel, joint, None, space.strip(_SEPARATORS), why="")
+            return Meaning(channel, joint, None, before.strip(_SEPARATORS), why="")
         if why:
             return Meaning(why=why)
     return None
@@ -154,18 +145,23 @@ def _named(text: str, joints: tuple[str, ...]) -> Meaning | None:
 
 def _meant(text: str) -> Meaning:
     words = _words(text)
-    if not any(w.kind in ("quantity", "commanded") for w in words):
+    phrase = _phrase(words)
+    if not phrase:
         return Meaning()
-    first, last = _phrase(words)
-    phrase = words[first:last]
     after = text[phrase[-1].end :].strip(" _./:-")
     before = text[: phrase[0].start].strip(" _./:-")
     tail = _words(after)
     while tail and tail[-1].kind in _QUALIFIES:
         phrase.append(tail.pop())
         after = after[: tail[-1].end].strip(" _./:-") if tail else ""
-    path, before = _qualified(before)
-    channel, why = _channel_of([*path, *phrase])
+    # Parts of a path may only qualify (reference, action), and name nothing.
+    for part in re.split(r"[/.]", before):
+        words = _words(part)
+        if words and all(w.kind in _QUALIFIES for w in words):
+            phrase += words
+            whole = rf"(^|[/.]){re.escape(part)}(?=$|[/.])"
+            before = re.sub(whole, "", before, count=1).strip("/.")
+    channel, why = _channel_of(phrase)
     if not channel:
         return Meaning(why=why)
     if after and (match := _NUMBER.fullmatch(after)):
@@ -173,58 +169,37 @@ def _meant(text: str) -> Meaning:
             return Meaning(why="of the motor; a map with its gear_ratio says so")
         return Meaning(channel, after, int(match.group(1)), before, why="")
     if after:
-        return Meaning(channel, _unbracketed(after), None, before, why="")
-    space, _, joint = before.rpartition("/")
-    if not space:
-        space, _, joint = before.rpartition(".")
+        bracketed = after[0] == "[" and after[-1] == "]"
+        return Meaning(channel, after[1:-1] if bracketed else after, None, before,
+                       why="")  # fmt: skip
+    space, _, joint = before.rpartition("/" if "/" in before else ".")
     return Meaning(channel, joint, None, space, why="")
 
 
-def _qualified(before: str) -> tuple[list[_Word], str]:
-    """Parts of a path that only qualify (reference, action), and the path without."""
-    found, rest = [], before
-    for part in re.split(r"[/.]", before):
-        words = _words(part)
-        if words and all(w.kind in _QUALIFIES for w in words):
-            found += words
-            rest = re.sub(rf"(^|[/.]){re.escape(part)}(?=$|[/.])", "", rest, count=1)
-    return found, rest.strip("/.")
-
-
-def _phrase(words: list[_Word]) -> tuple[int, int]:
+def _phrase(words: list[_Word]) -> list[_Word]:
     """The run of words that holds the quantity: the first one, or else the last."""
-    runs, k = [], 0
-    while k < len(words):
-        end = k
-        while end < len(words) and words[end].kind not in ("name", "number"):
-            end += 1
-        if end > k:
-            runs.append((k, end))
-        k = max(end, k + 1)
-    quantity = [r for r in runs if any(w.kind == "quantity" for w in words[slice(*r)])]
-    commanded = [
-        r for r in runs if any(w.kind == "commanded" for w in words[slice(*r)])
-    ]
-    good = quantity or commanded
-    return good[0] if good[0][0] == 0 else good[-1]
+    runs = [list(run) for named, run in
+            groupby(words, lambda w: w.kind in ("name", "number"))
+            if not named]  # fmt: skip
+    for kind in ("quantity", "commanded"):
+        good = [run for run in runs if any(w.kind == kind for w in run)]
+        if good:
+            return good[0] if good[0][0] is words[0] else good[-1]
+    return []
 
 
 def _channel_of(words: list[_Word]) -> tuple[str, str]:
-    quantities = {w.channel for w in words if w.kind == "quantity"}
+    quantities = sorted({w.channel for w in words if w.kind == "quantity"})
     kinds = {w.kind for w in words}
     if "other" in kinds:
         return "", "not a measured or commanded channel of a joint"
     if len(quantities) > 1:
-        return "", f"stands for {' and '.join(sorted(quantities))}"
-    commanded = "commanded" in kinds
-    if quantities:
-        (channel,) = quantities
-        if not commanded:
-            return channel, ""
-        if channel == "q":
-            return "command", ""
-        return "", f"commanded, not measured ({channel})"
-    return ("command", "") if commanded else ("", "")
+        return "", f"stands for {' and '.join(quantities)}"
+    if "commanded" not in kinds:
+        return "".join(quantities), ""
+    if quantities in ([], ["q"]):
+        return "command", ""
+    return "", f"commanded, not measured ({quantities[0]})"
 
 
 def _words(text: str) -> list[_Word]:
@@ -234,20 +209,16 @@ def _words(text: str) -> list[_Word]:
         if token == "j" and found and text[found[-1].start : found[-1].end] in _TAU:
             found[-1] = replace(found[-1], end=end)
             continue
-        kind, channel = "name", ""
+        kind = "name"
         if token.isdigit():
             kind = "number"
         elif token in _QUANTITY:
-            kind, channel = "quantity", _QUANTITY[token]
+            kind = "quantity"
         elif token in _OTHER:
             kind = "other"
         elif token in _MEASURED:
             kind = "measured"
         elif token in _COMMANDED and (token != "d" or (found and found[-1].channel)):
             kind = "commanded"
-        found.append(_Word(kind, channel, start, end))
+        found.append(_Word(kind, _QUANTITY.get(token, ""), start, end))
     return found
-
-
-def _unbracketed(text: str) -> str:
-    return text[1:-1] if text[:1] == "[" and text[-1:] == "]" else text

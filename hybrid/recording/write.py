@@ -11,25 +11,22 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.files import atomic_path
-from hybrid.recording.recording import Recording
-from hybrid.recording.table import labels_of
+from hybrid.recording.recording import Recording, numbered_joints
 
 Columns = Mapping[str, NDArray[Any]]
 
 
 def write(recording: Recording, path: str | Path) -> None:
-    """Write one recording; it reads back equal to the last bit.
-
-    The file appears whole or not at all: if writing fails, an older file stays.
-
-    Args:
-        recording: Joint log.
-        path: ``.csv``, ``.parquet`` or ``.npz`` file.
+    """Write one recording as :func:`write_columns` does; it reads back equal.
 
     Raises:
         RecordingError: The suffix is unknown or the file cannot be written.
     """
-    columns: dict[str, NDArray[Any]] = {**labels_of(recording)}
+    numbered = recording.joints == numbered_joints(recording.size)
+    columns: dict[str, NDArray[Any]] = {"time": recording.t}
+    for channel, x in recording.channels.items():
+        for k, joint in enumerate(recording.joints):
+            columns[f"{channel}{k + 1}" if numbered else f"{channel}_{joint}"] = x[:, k]
     if Path(path).suffix.lower() == ".npz":  # whole arrays, and the names beside them
         columns = {"t": recording.t, "joints": np.array(recording.joints)}
         columns |= recording.channels
@@ -60,11 +57,7 @@ def write_columns(path: str | Path, columns: Columns) -> None:
 
 
 def writer_of(path: Path) -> Callable[[Columns, Path], None]:
-    """The function that writes files of this suffix.
-
-    Raises:
-        RecordingError: The suffix is unknown.
-    """
+    """The function that writes files of this suffix, or a RecordingError."""
     if path.suffix.lower() not in WRITERS:
         raise RecordingError(
             f"{path}: unknown kind of file; valid are {', '.join(WRITERS)}"

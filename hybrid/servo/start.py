@@ -107,7 +107,7 @@ def _signals(
     """Position, speed, acceleration and weight of a stretch, (N, n) each."""
     rate = 1.0 / stretch.step
     q = butterworth(stretch.q, rate=rate, cutoff=min(_BAND, 0.4 * rate))
-    v = central_difference(q, rate=rate, accuracy=4)
-    a = central_difference(v, rate=rate, accuracy=4)
+    v = central_difference(q, rate=rate)
+    a = central_difference(v, rate=rate)
     rest = np.zeros_like(q)
     return q, v, a, inverse_dynamics(robot.chain, inertial, q, rest, rest)

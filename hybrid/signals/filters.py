@@ -14,6 +14,7 @@ from hybrid.arrays import Array
 Label = TypeVar("Label", bound=np.generic)
 Spectrum = NDArray[np.complex128]
 
+_ORDER = 5  # of one pass
 _AT_ONCE = 6  # signals filtered: more would not stay in the cache
 _PART = 0.7  # of a signal: to filter less than that alone is worth the cut
 
@@ -28,7 +29,7 @@ class Sampler:
 
     Attributes:
         rate: Rate of the input, [Hz].
-        cutoff: Cut-off of the 5th-order Butterworth filter, [Hz]; inf for none.
+        cutoff: Cut-off of :func:`butterworth`, [Hz]; inf for none.
         factor: Every ``factor``-th sample is kept.
     """
 
@@ -49,10 +50,6 @@ class Sampler:
 
         At 2.5 times the cut-off, the Nyquist frequency that is left, the filter passes
         1e-4 of the amplitude, so aliasing does not matter.
-
-        Args:
-            rate: Rate of the input, [Hz].
-            cutoff: Cut-off of the filter, [Hz]; inf for none.
         """
         factor = max(1, int(rate / (5.0 * cutoff) + 1e-9))
         return cls(rate=rate, cutoff=cutoff, factor=factor)
@@ -62,7 +59,7 @@ class Sampler:
         """Input samples after which the influence of a sample is below 1e-6."""
         if passes_all(self.rate, self.cutoff):
             return 0
-        return filter_reach(self.cutoff / self.rate, order=5, tolerance=1e-6)
+        return filter_reach(self.cutoff / self.rate)
 
     def __call__(self, x: Array, axis: int = 0) -> Array:
         """Filter along ``axis`` (edges padded), then keep every ``factor``-th sample.
@@ -74,103 +71,77 @@ class Sampler:
         Returns:
             The same with ceil(N / factor) samples along ``axis``, contiguous.
         """
-        return _filtered(x, self.rate, self.cutoff, 5, axis, self.factor)
+        return _filtered(x, self.rate, self.cutoff, axis, self.factor)
 
     def keep(self, x: NDArray[Label]) -> NDArray[Label]:
-        """Masks or labels of the samples that decimation keeps, (ceil(N/factor), ...).
-
-        Args:
-            x: Those of all samples, shape (N, ...).
-        """
+        """Masks or labels (N, ...) of the samples that decimation keeps."""
         return x[:: self.factor]
 
 
-def butterworth(
-    x: Array, *, rate: float, cutoff: float, order: int = 5, axis: int = 0
-) -> Array:
+def butterworth(x: Array, *, rate: float, cutoff: float) -> Array:
     """Low-pass filter without delay: a Butterworth filter run forward and backward.
 
-    The product of both passes is the squared gain of the bilinear Butterworth filter,
-    1 / (1 + (tan(π f / rate) / tan(π cutoff / rate))^(2·order)), applied here in the
+    The product of both passes is the squared gain of the bilinear Butterworth filter of
+    order 5, 1 / (1 + (tan(π f / rate) / tan(π cutoff / rate))^10), applied here in the
     frequency domain: a third of the time of second-order sections, no start-up state.
     Edges are continued by their point reflection, which keeps value and slope.
 
     Args:
-        x: Signals in any unit, uniform samples along ``axis``.
+        x: Signals in any unit, uniform samples along the first axis.
         rate: Samples per second, [Hz].
         cutoff: Frequency at which half of the amplitude is left, [Hz]. From 0.98 of
             the Nyquist frequency, and at inf, ``x`` is returned unchanged.
-        order: Order of one pass.
-        axis: The axis of time.
 
     Returns:
         Filtered signals, the shape of ``x``.
     """
-    return _filtered(x, rate, cutoff, order, axis, 1)
+    return _filtered(x, rate, cutoff, 0, 1)
 
 
-def butterworth_gain(
-    frequency: Array, *, rate: float, cutoff: float, order: int = 5
-) -> Array:
-    """Gain of :func:`butterworth` at some frequencies; none above half the rate.
-
-    Args:
-        frequency: Frequencies, any shape, [Hz].
-        rate: Samples per second, [Hz].
-        cutoff: Cut-off, [Hz].
-        order: Order of one pass.
-    """
+def butterworth_gain(frequency: Array, *, rate: float, cutoff: float) -> Array:
+    """Gain of :func:`butterworth` at some frequencies, [Hz]; 0 above half the rate."""
     if passes_all(rate, cutoff):
         return np.asarray(frequency < rate / 2, dtype=np.float64)
     below = np.clip(np.abs(frequency) / rate, 0.0, 0.4999)
     with np.errstate(over="ignore"):
         warped = np.tan(np.pi * below) / np.tan(np.pi * cutoff / rate)
-        return np.asarray(1.0 / (1.0 + warped ** (2 * order)))
+        return np.asarray(1.0 / (1.0 + warped ** (2 * _ORDER)))
 
 
-def filter_reach(
-    relative_cutoff: float, *, order: int = 5, tolerance: float = 1e-6
-) -> int:
+@lru_cache(maxsize=64)
+def filter_reach(relative_cutoff: float, *, tolerance: float = 1e-6) -> int:
     """Samples beyond which :func:`butterworth` weighs less than ``tolerance``.
 
     Args:
         relative_cutoff: Cut-off divided by rate.
-        order: Order of one pass.
         tolerance: Sum of the absolute weights that may lie farther off; a quarter of
             it is used, as point reflection may be off by four times the signal.
     """
-    return _reach(float(relative_cutoff), order, tolerance / 4)
+    size = 1 << int(np.ceil(np.log2(64 * _ORDER / relative_cutoff)))
+    weights = np.abs(np.fft.irfft(_gain(relative_cutoff, size)))[: size // 2]
+    outside = 2 * np.cumsum(weights[::-1])[::-1]  # weight from lag k on, both sides
+    return int(np.argmax(outside < tolerance / 4))
 
 
-def central_difference(
-    x: Array, *, rate: float, axis: int = 0, accuracy: int = 2
-) -> Array:
-    """Time derivative by central differences, one-sided at the edges.
+def central_difference(x: Array, *, rate: float) -> Array:
+    """Time derivative by differences of fourth order, of second order at the edges.
 
     Args:
-        x: Signals in any unit, three uniform samples or more along ``axis``.
+        x: Signals in any unit, three uniform samples or more along the first axis.
         rate: Samples per second, [Hz].
-        axis: The axis of time.
-        accuracy: Order of the error inside, 2 or 4; the edges have order 2.
 
     Returns:
         Derivative in that unit per second, the shape of ``x``.
     """
-    if accuracy not in (2, 4):
-        raise ValueError(f"accuracy {accuracy}; valid are 2 and 4")
-    x = np.moveaxis(np.asarray(x, dtype=np.float64), axis, 0)
+    x = np.asarray(x, dtype=np.float64)
     slope = np.gradient(x, axis=0, edge_order=2) * rate
-    if accuracy == 4 and len(x) >= 5:
+    if len(x) >= 5:
         slope[2:-2] = (8 * (x[3:-1] - x[1:-3]) - (x[4:] - x[:-4])) * (rate / 12)
-    return np.moveaxis(slope, 0, axis)
+    return np.asarray(slope)
 
 
 def passes_all(rate: float, cutoff: float) -> bool:
-    """Whether a cut-off is so near the Nyquist frequency that nothing is filtered.
-
-    Args:
-        rate: Samples per second, [Hz].
-        cutoff: Cut-off, [Hz].
+    """Whether a cut-off, [Hz], is so near the Nyquist frequency that all passes.
 
     Raises:
         ValueError: The cut-off is not positive.
@@ -181,19 +152,16 @@ def passes_all(rate: float, cutoff: float) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _gain(relative_cutoff: float, order: int, size: int) -> Array:
+def _gain(relative_cutoff: float, size: int) -> Array:
     """Gain of both passes at the frequencies of ``rfft``, shape (size//2 + 1,)."""
     f = np.asarray(np.fft.rfftfreq(size), dtype=np.float64)
-    return butterworth_gain(f, rate=1.0, cutoff=relative_cutoff, order=order)
+    return butterworth_gain(f, rate=1.0, cutoff=relative_cutoff)
 
 
 def _folded(spectrum: Spectrum, size: int, factor: int) -> Spectrum:
-    """Spectra as they are once all but every ``factor``-th of ``size`` samples drop.
+    """Spectra (k, size//2 + 1) of ``rfft`` once only every ``factor``-th sample stays.
 
-    Args:
-        spectrum: As of ``rfft``, shape (k, size//2 + 1).
-        size: A multiple of the factor.
-        factor: How many frequencies fall onto each one.
+    The size is a multiple of the factor: of how many frequencies fall onto each one.
     """
     few = size // factor
     half = few // 2 + 1
@@ -207,36 +175,26 @@ def _folded(spectrum: Spectrum, size: int, factor: int) -> Spectrum:
     return out
 
 
-@lru_cache(maxsize=64)
-def _reach(relative_cutoff: float, order: int, tolerance: float) -> int:
-    size = 1 << int(np.ceil(np.log2(64 * order / relative_cutoff)))
-    weights = np.abs(np.fft.irfft(_gain(relative_cutoff, order, size)))[: size // 2]
-    outside = 2 * np.cumsum(weights[::-1])[::-1]  # weight from lag k on, both sides
-    return int(np.argmax(outside < tolerance))
-
-
-def _filtered(
-    x: Array, rate: float, cutoff: float, order: int, axis: int, factor: int
-) -> Array:
+def _filtered(x: Array, rate: float, cutoff: float, axis: int, factor: int) -> Array:
     x = np.moveaxis(np.asarray(x, dtype=np.float64), axis, -1)
     if passes_all(rate, cutoff) or x.size == 0:
         return np.ascontiguousarray(np.moveaxis(x[..., ::factor], -1, axis))
     from scipy.fft import irfft, next_fast_len, rfft
 
     samples = x.shape[-1]
-    pad = filter_reach(cutoff / rate, order=order, tolerance=1e-9)
+    pad = filter_reach(cutoff / rate, tolerance=1e-9)
     pad = -(-pad // factor) * factor
     kept = -(-samples // factor)
     first, last = _support(x, pad, factor)
     if last - first < samples:  # nothing happens elsewhere
         out = np.zeros((*x.shape[:-1], kept))
         if last > first:
-            part = _filtered(x[..., first:last], rate, cutoff, order, -1, factor)
+            part = _filtered(x[..., first:last], rate, cutoff, -1, factor)
             out[..., first // factor :][..., : part.shape[-1]] = part
         return np.ascontiguousarray(np.moveaxis(out, -1, axis))
     few = next_fast_len(-(-(samples + 2 * pad) // factor), real=True)
     size = factor * few
-    gain = _gain(cutoff / rate, order, size) / factor
+    gain = _gain(cutoff / rate, size) / factor
     signals = np.ascontiguousarray(x).reshape(-1, samples)
     out = np.empty((len(signals), kept))
     for i in range(0, len(signals), _AT_ONCE):

@@ -74,7 +74,7 @@ def motion_from_recording(
     positions, exactly consistent with them and with each other.
 
     Args:
-        recording: Joint log; an irregular clock is made uniform first.
+        recording: Joint log; an irregular clock is made uniform first, with a warning.
         cutoff: Cut-off of the position filter, [Hz]; inf for none; chosen from the
             spectrum by :func:`choose_cutoff` if not given.
         speed: What the measured speed of such a log is worth, if that is known.
@@ -82,9 +82,6 @@ def motion_from_recording(
     Returns:
         The motion at the full rate; its mask leaves out both edges for as long as the
         filter gives what lies outside the log a weight above 1 %.
-
-    Warns:
-        HybridWarning: The clock was irregular.
     """
     recording = resample(recording)
     rate = (len(recording.t) - 1) / recording.duration
@@ -96,8 +93,8 @@ def motion_from_recording(
     mask[edge:-edge] = True
     q = butterworth(recording.q, rate=rate, cutoff=cutoff)
     q = q + correction_by_speed(recording, cutoff=cutoff, mask=mask, check=speed)
-    v = central_difference(q, rate=rate, accuracy=4)
-    a = central_difference(v, rate=rate, accuracy=4)
+    v = central_difference(q, rate=rate)
+    a = central_difference(v, rate=rate)
     return Motion(
         t=recording.t,
         q=q,

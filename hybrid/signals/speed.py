@@ -15,7 +15,6 @@ filtered or wrong loses its weight at the frequencies at which that shows.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -72,11 +71,9 @@ class SpeedCheck:
 def speed_against_position(recording: Recording) -> SpeedCheck:
     """Scale, lag and coherence of each joint's measured speed, and its best weight.
 
-    Scale and lag are those of least squares in the frequency domain. Each frequency
-    counts by the noise of both channels there, so only those at which the arm moves do.
-
-    Args:
-        recording: Joint log on a uniform clock.
+    The clock is uniform. Scale and lag are those of least squares in the frequency
+    domain. Each frequency counts by the noise of both channels there, so only those at
+    which the arm moves do.
     """
     n, v = recording.size, recording.v
     if v is None or len(v) < _FEWEST:
@@ -96,7 +93,7 @@ def speed_against_position(recording: Recording) -> SpeedCheck:
 
 def _judged(both: _Spectra, lag: Array) -> SpeedCheck:
     """Judge spectra of two signals that are in step, after one came late."""
-    uu, vv, uv = both.uu, both.vv, both.uv.real
+    uu, vv, uv = both.uu, both.vv, both.uv
     worth, of_position = both.worth, both.of_position
     with np.errstate(divide="ignore", invalid="ignore"):
         moving = worth * np.maximum(uu - of_position, 0)
@@ -111,9 +108,9 @@ def _judged(both: _Spectra, lag: Array) -> SpeedCheck:
             _smooth(both.f, apart) - of_position, both.of_speed / scale**2
         )
         weight = np.nan_to_num(np.where(good, 1 / (1 + more / of_position), 0))
-    noise, lag = (of_position / both.w**2)[0], np.where(np.isnan(scale), np.nan, lag)
+    lag = np.where(np.isnan(scale), np.nan, lag)
     return SpeedCheck(
-        scale, std, lag, coherence, both.same_noise, noise, both.f, weight
+        scale, std, lag, coherence, both.same_noise, both.noise, both.f, weight
     )
 
 
@@ -124,19 +121,16 @@ def correction_by_speed(
     mask: NDArray[np.bool_],
     check: SpeedCheck | None = None,
 ) -> Array:
-    """Correction of low-passed positions by measured speed, for the least noise.
+    """Correction (N, n) of low-passed positions by measured speed, for the least noise.
 
     Where that is more than the noise of positions can be, a speed contradicts them: it
-    is then not used at all.
+    is then not used at all, and the correction exactly zero.
 
     Args:
         recording: Joint log on a uniform clock.
         cutoff: Cut-off of the same filter as :func:`butterworth`, [Hz]; inf for none.
         mask: Samples by which a speed is judged, shape (N,).
         check: What :func:`speed_against_position` says of it, if that is known.
-
-    Returns:
-        Shape (N, n), [rad]; exactly zero for a joint whose speed is not worth anything.
     """
     check, v = check or speed_against_position(recording), recording.v
     added = np.zeros_like(recording.q)
@@ -172,75 +166,57 @@ def _difference(recording: Recording) -> Array:
 
 @dataclass(frozen=True)
 class _Spectra:
-    """Densities of differentiated positions u, their slope a, and speeds v.
+    """What spectra tell of differentiated positions u and speeds v.
 
     Attributes:
         f: Frequencies, shape (F,), [Hz].
-        uu: Of u, shape (F, n), [rad²/s²/Hz].
+        uu: Density of u, shape (F, n), [rad²/s²/Hz].
         vv: Of v.
-        uv: Of u and v, complex.
-        aa: Of a.
-        av: Of a and v, real part.
-        au: Of a and u, real part.
+        uv: Of both, real part.
         count: Number of segments they are means of.
+        same_noise: Coherence where nothing moves, shape (n,).
+        noise: Density of the positions' noise that is not in v, shape (n,), [rad²/Hz].
+        of_position: The same in u, shape (F, n).
+        of_speed: Noise of v where nothing moves, shape (n,).
+        worth: Weight of each frequency in least squares, shape (F, n); 0 for noise.
+        lag: By least squares of v ≈ scale · (u − lag · du/dt), shape (n,), [s].
     """
 
     f: Array
     uu: Array
     vv: Array
-    uv: Spectrum
-    aa: Array
-    av: Array
-    au: Array
+    uv: Array
     count: int
-
-    @cached_property
-    def w(self) -> Array:
-        """Frequencies, shape (F, 1), [rad/s]."""
-        return 2 * np.pi * self.f[:, None]
-
-    @cached_property
-    def quiet(self) -> slice:
-        """Frequencies at which nothing moves."""
-        return slice(
-            int(np.searchsorted(self.f, self.f[-1] * QUIET[0] / QUIET[1])), None
-        )
-
-    @cached_property
-    def same_noise(self) -> Array:
-        """Coherence where nothing moves, shape (n,)."""
-        uu, vv, uv = (x[self.quiet] for x in (self.uu, self.vv, self.uv))
-        return np.asarray(np.mean(np.abs(uv) ** 2 / np.maximum(uu * vv, _TINY), axis=0))
-
-    @cached_property
-    def of_position(self) -> Array:
-        """Noise of u that is not in v, shape (F, n)."""
-        noise = np.median((self.uu / self.w**2)[self.quiet], axis=0)
-        return np.asarray(self.w**2 * (1 - self.same_noise) * noise)
-
-    @cached_property
-    def of_speed(self) -> Array:
-        """Noise of v where nothing moves, shape (n,)."""
-        return np.asarray(np.median(self.vv[self.quiet], axis=0))
-
-    @cached_property
-    def worth(self) -> Array:
-        """Weight of each frequency in least squares, shape (F, n); 0 for noise."""
-        noise = np.maximum(self.of_position + self.of_speed, _TINY)
-        return np.where(self.uu > 2 * self.of_position, 1 / noise, 0)
-
-    @cached_property
-    def lag(self) -> Array:
-        """By least squares of v ≈ scale · (u − lag · a), shape (n,), [s]."""
-        terms = self.uu, self.aa, self.au, self.uv.real, self.av
-        uu, aa, au, uv, av = ((self.worth * x).sum(axis=0) for x in terms)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            found = (au * uv - uu * av) / (aa * uv - au * av)
-        return np.asarray(np.nan_to_num(found))
+    same_noise: Array
+    noise: Array
+    of_position: Array
+    of_speed: Array
+    worth: Array
+    lag: Array
 
 
 def _spectra(u: Array, v: Array, rate: float) -> _Spectra:
     """Spectra of central differences of position and of speed, shapes (N, n)."""
+    f, count, densities = _densities(u, v, rate)
+    uu, vv, uv, aa, av, au = (x.real for x in densities)
+    w, still = 2 * np.pi * f[:, None], f >= f[-1] * QUIET[0] / QUIET[1]
+    alike = np.abs(densities[2]) ** 2 / np.maximum(uu * vv, _TINY)
+    same = np.mean(alike[still], axis=0)
+    noise = (1 - same) * np.median((uu / w**2)[still], axis=0)
+    of_position, of_speed = w**2 * noise, np.median(vv[still], axis=0)
+    worth = 1 / np.maximum(of_position + of_speed, _TINY)
+    worth = np.where(uu > 2 * of_position, worth, 0)
+    terms = (uv, au, uu, av, aa)
+    uv_, au_, uu_, av_, aa_ = ((worth * x).sum(axis=0) for x in terms)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lag = np.nan_to_num((au_ * uv_ - uu_ * av_) / (aa_ * uv_ - au_ * av_))
+    return _Spectra(
+        f, uu, vv, uv, count, same, noise, of_position, of_speed, worth, lag
+    )
+
+
+def _densities(u: Array, v: Array, rate: float) -> tuple[Array, int, list[Spectrum]]:
+    """Frequencies, segments, and densities of pairs of u, its slope a, and v."""
     from scipy.fft import rfft
 
     size = min(len(u), int(_SEGMENT * rate))
@@ -257,8 +233,7 @@ def _spectra(u: Array, v: Array, rate: float) -> _Spectra:
         U, A = U / slope, A / slope**2
         terms = (U, U), (V, V), (U, V), (A, A), (A, V), (A, U)
         sums = [s + x.conj() * y for s, (x, y) in zip(sums, terms, strict=True)]
-    uu, vv, uv, aa, av, au = (s.T / count for s in sums)
-    return _Spectra(f, uu.real, vv.real, uv, aa.real, av.real, au.real, count)
+    return f, count, [s.T / count for s in sums]
 
 
 def _moving_band(size: int, rate: float) -> Array:

@@ -56,10 +56,7 @@ class LocalPolynomial:
         self._known = np.zeros((0, 0), dtype=np.intp)
 
     def windows(self, t: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Powers of time in the window around every group.
-
-        Args:
-            t: Time stamps, ascending, of B groups and the margins around, [s].
+        """Powers of time in the window around every one of B groups.
 
         Returns:
             Powers 0 to 4 of the time from the middle in half spans, shape (B, 5, W);
@@ -74,21 +71,12 @@ class LocalPolynomial:
         s[~whole] = self._even
         powers = np.empty((len(s), _ORDER + 1, self._length))
         powers[:, 0] = 1.0
-        powers[:, 1] = s
-        for k in range(2, _ORDER + 1):
-            np.multiply(powers[:, k - 1], s, out=powers[:, k])
+        for k in range(_ORDER):
+            np.multiply(powers[:, k], s, out=powers[:, k + 1])
         return powers, whole
 
     def moments(self, powers: Array, q: Array) -> tuple[Array, Array]:
-        """Products of the powers with each other and with the positions.
-
-        Args:
-            powers: See :meth:`windows`.
-            q: Position, of as many samples as there were time stamps, shape (N, n).
-
-        Returns:
-            Arrays of shape (B, 5, 5) and (B, 5, n).
-        """
+        """Products of the powers with each other, (B, 5, 5), and with q, (B, 5, n)."""
         return powers @ powers.transpose(0, 2, 1), powers @ q[self._index(len(q))]
 
     def fit(self, moments: tuple[Array, Array]) -> Array:
@@ -105,13 +93,7 @@ class LocalPolynomial:
         )
 
     def left(self, powers: Array, q: Array, fitted: Array) -> Array:
-        """What the polynomials leave of the positions, shape (B, W, n), [rad].
-
-        Args:
-            powers: See :meth:`windows`.
-            q: Position, shape (N, n), [rad].
-            fitted: See :meth:`fit`.
-        """
+        """What the polynomials leave of the positions, shape (B, W, n), [rad]."""
         found: Array = q[self._index(len(q))] - powers.transpose(0, 2, 1) @ fitted
         return found
 
@@ -159,14 +141,7 @@ class BlockLowPass:
         self._state: Array | None = None
 
     def __call__(self, x: Array) -> Array:
-        """The last output of a block.
-
-        Args:
-            x: Inputs, shape (B, P).
-
-        Returns:
-            Output, shape (P,).
-        """
+        """The last output, shape (P,), of a block of inputs, shape (B, P)."""
         if self._state is None:
             self._state = np.multiply.outer(np.array(self._settled), x[0])
         out = self._step @ np.concatenate([self._state, x])

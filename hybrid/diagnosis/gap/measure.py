@@ -131,7 +131,7 @@ def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Fau
     both = np.column_stack([found.posture, found.torque])[near]
     reach = 0
     if np.isfinite(cutoff):
-        reach = filter_reach(cutoff / motion.rate, order=5, tolerance=1e-3)
+        reach = filter_reach(cutoff / motion.rate, tolerance=1e-3)
     both = _around(both, reach)
     return replace(found, posture=both[:, 0], torque=both[:, 1:])
 

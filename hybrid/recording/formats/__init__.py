@@ -35,11 +35,7 @@ STREAMED = (".mcap", ".db3", ".bag", *FOLDERS)  # not held in memory as a whole
 
 
 def kind_of(path: Path) -> str | None:
-    """Key of ``READERS`` or ``FOLDERS`` for a path, by its name; None if it has none.
-
-    Args:
-        path: File or folder.
-    """
+    """Key of ``READERS`` or ``FOLDERS`` for a file or folder; None if it has none."""
     if path.is_dir():
         if is_dataset(path):
             return "LeRobot"

@@ -7,9 +7,8 @@ that thousands are decoded at once.
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ _TIME: tuple[Any, Any] = (
     [],
     [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))],
 )
+_MESSAGE, _LIST = 2, 4  # kinds of nodes of a definition; an array is 3, the rest is 1
 _DEEPEST = 12  # messages within each other
 MOST_NUMBERS = 1 << 20  # of a message: more are no state and no trajectory
 
@@ -79,7 +79,7 @@ def layout_of(
     walk = _Walk(raw, types, ros2)
     try:
         walk.message(kind, (), 0)
-    except (struct.error, UnicodeDecodeError, IndexError, ValueError) as error:
+    except ValueError as error:
         raise LayoutError(f"not a whole {kind}: {error}") from error
     varies = np.zeros(len(raw), dtype=bool)
     for start, dtype in walk.numbers.values():
@@ -92,10 +92,10 @@ def layout_of(
 class _Walk:
     def __init__(self, raw: bytes, types: dict[str, Any], ros2: bool) -> None:
         self.raw, self.types, self.ros2 = raw, types, ros2
-        if ros2 and len(raw) < 4:
-            raise LayoutError("shorter than four bytes")
         self.at = 4 if ros2 else 0
-        self.order = ">" if ros2 and raw[1] % 2 == 0 else "<"
+        self.order: Literal["big", "little"] = "little"
+        if ros2 and len(raw) > 1 and raw[1] % 2 == 0:
+            self.order = "big"
         self.numbers: dict[Path, tuple[int, np.dtype[Any]]] = {}
         self.texts: dict[Path, str] = {}
 
@@ -109,46 +109,35 @@ class _Walk:
             self.field(int(node), what, (*path, name), depth)
 
     def field(self, node: int, what: Any, path: Path, depth: int) -> None:
-        if node <= 2:
-            self.one(node, what, path, depth)
-            return
-        (inner, element), count = what
-        if node == 4:
-            count = self.length()
-        if count > min(MOST_NUMBERS, len(self.raw)):
-            raise LayoutError(f"{count} numbers in {path[-1]}")
-        for k in range(count):
-            self.one(int(inner), element, (*path, k), depth)
-
-    def one(self, node: int, what: Any, path: Path, depth: int) -> None:
-        if node == 2:
+        if node == _MESSAGE:
             self.message(what, path, depth + 1)
-            return
-        name = what[0]
-        if name == "string":
-            size = self.length()
-            text = self.raw[self.at : self.at + size]
-            if len(text) != size:
-                raise LayoutError("text beyond the end")
-            self.at += size
+        elif node > _MESSAGE:
+            (inner, element), count = what
+            count = self.length() if node == _LIST else count
+            if count > min(MOST_NUMBERS, len(self.raw)):
+                raise LayoutError(f"{count} numbers in {path[-1]}")
+            for k in range(count):
+                self.field(int(inner), element, (*path, k), depth)
+        elif what[0] == "string":
+            text = self.taken(self.length())
             self.texts[path] = text.rstrip(b"\0").decode("utf-8")
-            return
-        if name not in _SIZES:
-            raise LayoutError(f"numbers of type {name}")
-        dtype = np.dtype(self.order + _SIZES[name])
-        self.align(dtype.itemsize)
-        if self.at + dtype.itemsize > len(self.raw) or (
-            len(self.numbers) > MOST_NUMBERS
-        ):
-            raise LayoutError("number beyond the end, or too many")
-        self.numbers[path] = (self.at, dtype)
-        self.at += dtype.itemsize
+        elif what[0] in _SIZES and len(self.numbers) <= MOST_NUMBERS:
+            dtype = np.dtype(_SIZES[what[0]]).newbyteorder(self.order)
+            self.align(dtype.itemsize)
+            self.numbers[path] = (self.at, dtype)
+            self.taken(dtype.itemsize)
+        else:
+            raise LayoutError(f"numbers of type {what[0]}, or too many")
+
+    def taken(self, size: int) -> bytes:
+        self.at += size
+        if self.at > len(self.raw):
+            raise LayoutError("text or number beyond the end")
+        return self.raw[self.at - size : self.at]
 
     def length(self) -> int:
         self.align(4)
-        (size,) = struct.unpack_from(f"{self.order}I", self.raw, self.at)
-        self.at += 4
-        return int(size)
+        return int.from_bytes(self.taken(4), self.order)
 
     def align(self, size: int) -> None:
         if self.ros2:

@@ -7,8 +7,9 @@ import gzip
 import io
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
+from hybrid.recording.formats.fields import named_labels, spread_table
 from hybrid.recording.recording import row_words
-from hybrid.recording.table import LARGEST_FILE, LogTable, named_labels
+from hybrid.recording.table import LARGEST_FILE, LogTable
 
 DELIMITERS = (",", ";", "\t")
+_DATE = re.compile(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
+_WHOLE = re.compile(r"\s*\d{16,19}\s*")  # digits beyond a float's
+_LINE = 1 << 20  # bytes
 
 
 @dataclass(frozen=True)
-class _Dialect:
+class _Text:
+    path: Path
+    content: bytes | None  # of a file that was gzipped
     labels: tuple[str, ...]
     delimiter: str
     decimal_point: str
-    first: tuple[str, ...] = ()  # cells of the first row
+    first: tuple[str, ...]  # cells of the first row
 
 
 def read_csv(path: Path) -> list[tuple[LogTable]]:
@@ -41,44 +48,52 @@ def read_csv(path: Path) -> list[tuple[LogTable]]:
         RecordingError: The file is empty, not UTF-8, has a ragged row or a cell that
             is no number; the message names column and row.
     """
-    dialect = _dialect_of(path)
-    labels = dialect.labels
-    if labels and not labels[0].strip() and _is_date(dialect.first[:1]):
+    text = _text(path)
+    labels = text.labels
+    if labels and not labels[0].strip() and text.first and _DATE.match(text.first[0]):
         labels = ("time", *labels[1:])  # the index of pandas, which has no name
-    texts = dict(zip(labels, dialect.first, strict=False))
-    labels = named_labels(labels, texts)
-    return [
-        (LogTable(str(path), labels, lambda used: _read_columns(path, dialect, used),
-               kind="CSV"),)
-    ]  # fmt: skip
+    labels = named_labels(labels, dict(zip(labels, text.first, strict=False)))
+    spread = [(label, str(k), None) for k, label in enumerate(labels)]
+    return [(spread_table(str(path), spread, partial(_columns, text), kind="CSV"),)]
 
 
-def _read_columns(
-    path: Path, dialect: _Dialect, used: tuple[int, ...]
-) -> list[dict[int, NDArray[Any]]]:
+def _columns(text: _Text, names: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """Columns by their indices from 0, as text."""
     import pyarrow as pa
+
+    first, kinds = dict(enumerate(text.first)), {}
+    for k in names:
+        cell = first.get(int(k), "")
+        whole = pa.int64() if _WHOLE.fullmatch(cell) else pa.float64()
+        kinds[k] = pa.timestamp("ns") if _DATE.match(cell) else whole
+    try:
+        table = _table(text, kinds)
+    except pa.ArrowException:
+        try:  # once more: several threads do not count rows
+            table = _table(text, kinds, use_threads=False)
+        except pa.ArrowException as error:
+            reason = _explained(text, str(error))
+            raise RecordingError(f"{text.path}: {reason}") from error
+    if table.num_rows == 0:
+        raise RecordingError(f"{text.path}: no rows below the column names")
+    return {k: _numbers(table.column(k)) for k in kinds}
+
+
+def _table(text: _Text, kinds: dict[str, Any], use_threads: bool = True) -> Any:
     from pyarrow import csv as arrow_csv
 
-    names = [str(k) for k in range(len(dialect.labels))]
-    kinds = {k: _kind(dialect.first[k : k + 1]) for k in used}
-    types = {"date": pa.timestamp("ns"), "whole": pa.int64(), "real": pa.float64()}
-    try:
-        table = arrow_csv.read_csv(
-            _inflated(path),
-            arrow_csv.ReadOptions(column_names=names, skip_rows=1),
-            arrow_csv.ParseOptions(delimiter=dialect.delimiter),
-            arrow_csv.ConvertOptions(
-                column_types={str(k): types[kinds[k]] for k in used},
-                include_columns=[str(k) for k in used],
-                decimal_point=dialect.decimal_point,
-                null_values=["", "nan", "NaN", "NAN"],
-            ),
-        )
-    except pa.ArrowException as error:
-        raise _explained(path, dialect, used, error) from error
-    if table.num_rows == 0:
-        raise RecordingError(f"{path}: no rows below the column names")
-    return [{k: _numbers(table.column(str(k))) for k in used}]
+    names = [str(k) for k in range(len(text.labels))]
+    return arrow_csv.read_csv(
+        text.path if text.content is None else io.BytesIO(text.content),
+        arrow_csv.ReadOptions(column_names=names, skip_rows=1, use_threads=use_threads),
+        arrow_csv.ParseOptions(delimiter=text.delimiter),
+        arrow_csv.ConvertOptions(
+            column_types=kinds,
+            include_columns=list(kinds),
+            decimal_point=text.decimal_point,
+            null_values=["", "nan", "NaN", "NAN"],
+        ),
+    )
 
 
 def _numbers(column: Any) -> NDArray[Any]:
@@ -93,14 +108,10 @@ def _numbers(column: Any) -> NDArray[Any]:
     return np.concatenate(parts)
 
 
-def _opener(path: Path) -> Any:
-    return gzip.open if path.suffix.lower() == ".gz" else open
-
-
-def _inflated(path: Path) -> Any:
-    """The file, or what is in it if it is gzipped, up to the size of any log."""
+def _unpacked(path: Path) -> bytes | None:
+    """What is in a file that is gzipped, up to the size of any log."""
     if path.suffix.lower() != ".gz":
-        return path
+        return None
     try:
         with gzip.open(path) as file:
             content = file.read(LARGEST_FILE + 1)
@@ -108,23 +119,19 @@ def _inflated(path: Path) -> Any:
         raise RecordingError(f"{path}: not a whole gzip file: {error}") from error
     if len(content) > LARGEST_FILE:
         raise RecordingError(f"{path}: unpacks to more than {LARGEST_FILE:.3g} bytes")
-    return io.BytesIO(content)
+    return content
 
 
-def _kind(cells: tuple[str, ...]) -> str:
-    """How to hold a column: digits beyond a float's, dates, or real numbers."""
-    if _is_date(cells):
-        return "date"
-    return "whole" if cells and re.fullmatch(r"\d{16,19}", cells[0].strip()) else "real"
-
-
-def _is_date(cells: tuple[str, ...]) -> bool:
-    return bool(cells and re.match(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d", cells[0].strip()))
-
-
-def _dialect_of(path: Path) -> _Dialect:
+def _text(path: Path) -> _Text:
     """Labels and delimiter from the first line, decimal sign from the second."""
-    header, first = _first_lines(path)
+    try:
+        content = _unpacked(path)
+        with path.open("rb") if content is None else io.BytesIO(content) as file:
+            lines = file.readline(_LINE), file.readline(_LINE)
+    except OSError as error:
+        reason = error.strerror or error
+        raise RecordingError(f"{path}: cannot be read: {reason}") from error
+    header, first = _header(path, lines[0]), lines[1].decode("utf-8", errors="replace")
     if not header.strip():
         empty = "is empty" if path.stat().st_size == 0 else "has an empty first line"
         raise RecordingError(f"{path}: {empty}; valid is a first line of column names")
@@ -143,65 +150,35 @@ def _dialect_of(path: Path) -> _Dialect:
         )
     cells = tuple(next(csv.reader([first], delimiter=delimiter), ()))
     comma = delimiter != "," and "," in first and "." not in first
-    return _Dialect(labels, delimiter, "," if comma else ".", cells)
+    return _Text(path, content, labels, delimiter, "," if comma else ".", cells)
 
 
-def _first_lines(path: Path) -> tuple[str, str]:
-    try:
-        with _opener(path)(path, "rb") as file:
-            header, first = (file.readline(1 << 20) for _ in range(2))
-    except (OSError, EOFError, zlib.error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise RecordingError(f"{path}: cannot be read: {reason}") from error
-    if header.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in header:
+def _header(path: Path, line: bytes) -> str:
+    if line.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in line:
         raise RecordingError(
             f"{path}: not UTF-8 text (UTF-16 or binary); valid is CSV saved as UTF-8"
         )
     try:
-        words = header.decode("utf-8-sig").rstrip("\r\n")
+        return line.decode("utf-8-sig").rstrip("\r\n")
     except UnicodeDecodeError as error:
         raise RecordingError(
             f"{path}: column names are not UTF-8 (byte "
             f"{error.object[error.start]:#04x}); valid is CSV saved as UTF-8"
         ) from error
-    return words, first.decode("utf-8", errors="replace")
 
 
-def _explained(
-    path: Path, dialect: _Dialect, used: tuple[int, ...], error: Exception
-) -> RecordingError:
-    """The reader's error with file, column and row, found by reading line by line."""
-    for row, cells in enumerate(_cells(path, dialect)):
-        if len(cells) != len(dialect.labels):
-            return RecordingError(
-                f"{path}: {row_words(row)} has {len(cells)} cells; valid are "
-                f"{len(dialect.labels)}, one for each column name"
-            )
-        for k in used:
-            cell = cells[k].strip()
-            if (
-                cell
-                and not _is_date((cell,))
-                and not _is_number(cell.replace(dialect.decimal_point, "."))
-            ):
-                return RecordingError(
-                    f"{path}: {dialect.labels[k].strip()}, {row_words(row)}: {cell!r} "
-                    "is not a number"
-                )
-    reason = str(error).splitlines()[0]
-    return RecordingError(f"{path}: cannot be read as CSV: {reason}")
-
-
-def _cells(path: Path, dialect: _Dialect) -> Iterator[list[str]]:
-    with _opener(path)(
-        path, "rt", encoding="utf-8-sig", errors="replace", newline=""
-    ) as file:
-        reader = csv.reader(file, delimiter=dialect.delimiter)
-        try:
-            next(reader)
-            yield from (cells for cells in reader if cells)
-        except csv.Error:  # the reason of the fast reader is all there is to tell
-            return
+def _explained(text: _Text, error: str) -> str:
+    """The reader's error in words; it counts rows from 1, the header's among them."""
+    ragged = r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+)"
+    if match := re.match(ragged, error):
+        row, valid, found = map(int, match.groups())
+        cells = f"{found} cells; valid are {valid}, one for each column name"
+        return f"{row_words(row - 2)} has {cells}"
+    wrong = r"In CSV column #(\d+): Row #(\d+): .* value '(.*)'"
+    if match := re.match(wrong, error):
+        label, cell = text.labels[int(match[1])].strip(), match[3].strip()
+        return f"{label}, {row_words(int(match[2]) - 2)}: {cell!r} is not a number"
+    return f"cannot be read as CSV: {error.splitlines()[0]}"
 
 
 def _is_number(text: str) -> bool:

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from hybrid.errors import RecordingError
-from hybrid.recording.formats.npz import table_of_named
-from hybrid.recording.formats.parquet import loaded, spread_columns
+from hybrid.recording.formats.fields import table_of_arrays
+from hybrid.recording.formats.parquet import arrow_table
 from hybrid.recording.table import LogTable
+from hybrid.recording.words import is_time, split_unit
 
 
 def table_of_frame(frame: Any) -> LogTable:
@@ -24,39 +25,27 @@ def table_of_frame(frame: Any) -> LogTable:
     """
     if isinstance(frame, Mapping):
         arrays = {str(label): np.asarray(x) for label, x in frame.items()}
-        return table_of_named(arrays, None, "table", "dict of arrays")
+        return table_of_arrays(arrays, "table", kind="dict of arrays")
     import pyarrow as pa
+    from pyarrow.interchange import from_dataframe
 
     if hasattr(frame, "index") and hasattr(frame, "reset_index"):
         frame = _with_index(frame)
     try:
-        if isinstance(frame, pa.Table):
-            table = frame
-        elif hasattr(frame, "__arrow_c_stream__"):
-            table = pa.table(frame)
-        else:
-            from pyarrow.interchange import from_dataframe
-
-            table = from_dataframe(frame)
+        plain = isinstance(frame, pa.Table) or hasattr(frame, "__arrow_c_stream__")
+        table = pa.table(frame) if plain else from_dataframe(frame)
     except (AttributeError, TypeError, ValueError, pa.ArrowException) as error:
         raise RecordingError(
             f"table: {type(frame).__name__} is no table; valid are tables of pandas, "
             "polars and pyarrow, and a dict of arrays"
         ) from error
-    rows = table.slice(0, 1).combine_chunks().to_batches()
-    spread = spread_columns(table.schema, rows[0] if rows else None)
-    labels = tuple(label for label, _, _ in spread)
-    load = loaded(table, spread, "table")
-    return LogTable("table", labels, load, kind=type(frame).__module__.split(".")[0])
+    return arrow_table(table, "table", kind=type(frame).__module__.split(".")[0])
 
 
 def _with_index(frame: Any) -> Any:
     """A table of pandas with its index as a column of time, if it is one."""
-    from hybrid.recording.words import is_time, split_unit
-
     name = str(frame.index.name or "")
     if np.asarray(frame.index[:0]).dtype.kind == "M":
         return frame.rename_axis(name if is_time(name) else "time").reset_index()
-    if name and is_time(split_unit(name)[0]):
-        return frame.reset_index()
-    return frame.reset_index(drop=True)
+    timed = bool(name) and is_time(split_unit(name)[0])
+    return frame.reset_index(drop=not timed)

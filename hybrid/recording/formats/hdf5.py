@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import mmap
 import re
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.formats.hdf5_heap import check_heaps
-from hybrid.recording.formats.npz import table_of_named
+from hybrid.recording.formats.fields import NAMES, table_of_arrays
 from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError, whole
 from hybrid.recording.words import is_time, meaning, split_unit
 
+_HEAP = re.compile(rb"GCOL\x01\0\0\0")
+_HEADER = 16  # bytes: of a heap, and of an object in it
 _MOST = 20_000  # groups and arrays in a file
 _DEEPEST = 16
 _EPISODE = re.compile(
@@ -25,9 +28,6 @@ _EPISODE = re.compile(
 
 def read_hdf5(path: Path) -> list[tuple[LogTable]]:
     """The arrays of a file, or of each group that is named like an episode.
-
-    Args:
-        path: File.
 
     Raises:
         RecordingError: It is damaged, too large, or h5py is not installed.
@@ -41,8 +41,8 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
         label = name[len(episode) :].strip("/")
         groups.setdefault(episode, {})[label] = x
     logs = [
-        _table(group, episode, str(path), rate)
-        for episode, group in sorted(groups.items(), key=_natural)
+        (_table(group, episode, str(path), rate),)
+        for episode, group in sorted(groups.items(), key=lambda x: _natural(x[0]))
         if any(meaning(split_unit(label)[0]).channel == "q" or label == "joints"
                for label in group) or len(groups) == 1
     ]  # fmt: skip
@@ -55,9 +55,6 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
 def arrays_of(path: Path) -> tuple[dict[str, NDArray[Any]], float]:
     """All arrays of a file by path, and the rate that robomimic states, [Hz].
 
-    Args:
-        path: File of HDF5.
-
     Raises:
         RecordingError: It is damaged, too large, or h5py is not installed.
     """
@@ -68,35 +65,24 @@ def arrays_of(path: Path) -> tuple[dict[str, NDArray[Any]], float]:
             f"{path}: HDF5 is read by h5py; install it: pip install 'hybrid-arm[hdf5]'"
         ) from error
     with whole(path, "HDF5 file"):
-        check_heaps(path)
+        _check_heaps(path)
         with h5py.File(path, "r") as file:
             return _arrays(file, str(path)), _rate(file)
 
 
-def _natural(item: tuple[str, Any]) -> tuple[str, int]:
-    name = re.sub(r"\d+$", "", item[0])
-    return name, int(item[0][len(name) :] or 0)
+def _natural(name: str) -> tuple[str, int]:
+    start = re.sub(r"\d+$", "", name)
+    return start, int(name[len(start) :] or 0)
 
 
 def _table(
     group: dict[str, NDArray[Any]], episode: str, source: str, rate: float
-) -> tuple[LogTable]:
-    names = group.pop("joints", None)
-    if names is None:
-        names = group.pop("joint_names", None)
-    joints = None
-    if names is not None and names.dtype.kind in "SUO":
-        joints = tuple(
-            x.decode("utf-8", "replace") if isinstance(x, bytes) else str(x)
-            for x in names.ravel()
-        )
-    numbers = {
-        k: x for k, x in group.items() if x.dtype.kind in "fiu" and 0 < x.ndim < 3
-    }
-    rows = max((len(x) for x in numbers.values()), default=0)
+) -> LogTable:
+    numbers = {k: x for k, x in group.items() if x.dtype.kind in "fiu"}
     if rate > 0 and not any(is_time(split_unit(label)[0]) for label in numbers):
-        numbers["time"] = np.arange(rows) / rate
-    return (table_of_named(numbers, joints, source, "HDF5", episode),)
+        numbers["time"] = np.arange(max(map(len, numbers.values()), default=0)) / rate
+    numbers |= {k: group[k] for k in NAMES if k in group}
+    return table_of_arrays(numbers, source, kind="HDF5", name=episode)
 
 
 def _arrays(file: Any, source: str) -> dict[str, NDArray[Any]]:
@@ -151,3 +137,30 @@ def _rate(file: Any) -> float:
         return float(content["env_kwargs"]["control_freq"])
     except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
         return 0.0
+
+
+def _check_heaps(path: Path) -> None:
+    """Walk every heap as the HDF5 library does, which hangs on a damaged one.
+
+    Text of any length lies in global heaps, object after object until the heap's end.
+    The library goes on by the size that each states, and one of no size never ends
+    (HDF5 2.0).
+
+    Source: HDF5 File Format Specification, version 3.0, section III.E.
+    """
+    with (
+        path.open("rb") as file,
+        mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
+    ):
+        for heap in _HEAP.finditer(data):
+            start = at = heap.start()
+            size = int.from_bytes(data[at + 8 : at + _HEADER], "little")
+            end, room = min(start + size, len(data)), _HEADER
+            while room >= _HEADER and (at := at + room) + _HEADER <= end:
+                index, _, length = struct.unpack_from("<HH4xQ", data, at)
+                # What is free counts its header; an object does not, and is padded.
+                room = length if index == 0 else _HEADER + -(-length // 8) * 8
+            if room < _HEADER:
+                raise RecordingError(
+                    f"{path}: not a whole HDF5 file: a heap at byte {start} is damaged"
+                )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from hybrid.errors import RecordingError
 from hybrid.files import read_json
-from hybrid.recording.formats.parquet import column_of, loaded, spread_columns
+from hybrid.recording.formats.parquet import arrow_table, field_of
 from hybrid.recording.table import LARGEST_FILE, LogTable, whole
 
 VERSIONS = ("v2.0", "v2.1", "v3.0")
@@ -50,29 +51,24 @@ def read_lerobot(folder: Path) -> Iterator[tuple[LogTable]]:
     if not files:
         raise RecordingError(f"{folder}: no Parquet files in data/")
     for file in files:
-        yield from _episodes(file, features, str(folder))
+        for episode in _episodes(file):
+            labels = tuple(_label(label, features) for label in episode.labels)
+            yield (replace(episode, labels=labels, home=str(folder)),)
 
 
-def _episodes(
-    file: Path, features: dict[str, Any], home: str
-) -> Iterator[tuple[LogTable]]:
-    table = _loaded(file)
-    first = table.slice(0, 1).combine_chunks().to_batches()
-    if "episode_index" not in table.column_names or not first:
-        raise RecordingError(f"{file}: no rows, or no episode_index")
-    spread = [
-        x for x in spread_columns(table.schema, first[0]) if x[1] != "episode_index"
-    ]
-    labels = tuple(_label(label, features) for label, _, _ in spread)
-    index = column_of(table, ("episode_index", "episode_index", None), str(file))
+def _episodes(file: Path) -> Iterator[LogTable]:
+    table, source, own = _loaded(file), str(file), "episode_index"
+    if own not in table.column_names or not len(table):
+        raise RecordingError(f"{file}: no rows, or no {own}")
+    index = field_of(table, own, source)
     for episode in np.unique(index):
         rows = np.flatnonzero(index == episode)
-        part = table.take(rows) if np.ptp(rows) >= len(rows) else table.slice(
-            rows[0], len(rows))  # fmt: skip
-        yield (
-            LogTable(str(file), labels, loaded(part, spread, str(file)),
-                     kind="LeRobot", name=f"episode {episode}", preset="lerobot",
-                     home=home),
+        part = table.slice(rows[0], len(rows))
+        if np.ptp(rows) >= len(rows):
+            part = table.take(rows)
+        yield arrow_table(
+            part, source, left_out=own, kind="LeRobot", name=f"episode {episode}",
+            preset="lerobot",
         )  # fmt: skip
 
 
@@ -98,18 +94,15 @@ def _loaded(file: Path) -> Any:
 def _label(label: str, features: dict[str, Any]) -> str:
     """``observation.state[0]`` with the joint's name in it, if the dataset has one."""
     match = _FEATURE.fullmatch(label)
-    if not match:
-        return label
-    feature = features.get(match.group(1))
+    feature = features.get(match.group(1)) if match else None
     names = feature.get("names") if isinstance(feature, dict) else None
     if isinstance(names, dict):  # {"motors": [...]}
         names = next(iter(names.values()), None)
-    place = int(match.group(2))
-    if not isinstance(names, list) or len(names) <= place or len(names) == 1:
+    if not match or not isinstance(names, list) or len(names) == 1:
+        return label
+    if (place := int(match.group(2))) >= len(names):
         return label
     name, _, kind = str(names[place]).rpartition(".")
-    if not name:
-        name, kind = kind, ""
-    if kind in ("", "pos", "position"):
-        return f"{match.group(1)}[{name}]"
+    if not name or kind in ("pos", "position"):
+        return f"{match.group(1)}[{name or kind}]"
     return f"{match.group(1)}/{kind}/{name}"

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.recording.formats.fields import NAMES, table_of_arrays
+from hybrid.recording.formats.hdf5 import arrays_of
 from hybrid.recording.formats.mat_elements import check_elements
-from hybrid.recording.formats.npz import table_of_named
 from hybrid.recording.table import LogTable, whole
 from hybrid.recording.words import is_time, split_unit
 
@@ -18,29 +19,29 @@ from hybrid.recording.words import is_time, split_unit
 def read_mat(path: Path) -> list[tuple[LogTable]]:
     """The variables of a file, or the fields of its struct.
 
-    Args:
-        path: File.
-
     Raises:
         RecordingError: It is damaged, or a library that reads it is not installed.
     """
     with path.open("rb") as file:
         head = file.read(128)
     with whole(path, "MATLAB file"):
-        arrays = _new(path) if head[:10] == b"MATLAB 7.3" else _old(path)
-    joints = None
-    for key in ("joints", "joint_names"):
-        if key in arrays and arrays[key].dtype.kind == "U":
-            joints = tuple(str(x).strip() for x in arrays[key].ravel())
-    numbers = {k: x for k, x in arrays.items() if x.dtype.kind in "fiu" and x.ndim < 3}
-    return [(table_of_named(_upright(numbers), joints, str(path), "MATLAB"),)]
+        if head[:10] == b"MATLAB 7.3":  # whose columns are rows to HDF5
+            found = {k.replace("/", "."): x.T for k, x in arrays_of(path)[0].items()
+                     if k[0] != "#"}  # fmt: skip
+        else:
+            found = _old(path)
+    structs = {name.split(".")[0] for name in found if "." in name}
+    if len(structs) == 1:  # fields of the only one go by their own names
+        found = {name.split(".", 1)[-1]: x for name, x in found.items()}
+    plain = {k: x for k, x in found.items() if x.dtype.kind in "fiu" and x.ndim < 3}
+    names = {k: found[k] for k in NAMES if k in found and found[k].dtype.kind == "U"}
+    return [(table_of_arrays(_upright(plain) | names, str(path), kind="MATLAB"),)]
 
 
 def _upright(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Transpose arrays so that rows are samples."""
-    times = [x for k, x in arrays.items() if is_time(split_unit(k)[0])]
-    rows = max((x.size for x in times), default=0)
-    found = {}
+    times = [x.size for k, x in arrays.items() if is_time(split_unit(k)[0])]
+    rows, found = max(times, default=0), {}
     for name, x in arrays.items():
         if x.ndim == 2 and x.shape[1] == rows != x.shape[0]:
             x = x.T
@@ -61,11 +62,10 @@ def _old(path: Path) -> dict[str, NDArray[Any]]:
         if name.startswith("__"):
             continue
         if isinstance(x, np.ndarray) and x.dtype.names and x.size == 1:
-            for key in x.dtype.names:
-                found[f"{name}.{key}"] = _plain(x[key].item())
+            found |= {f"{name}.{k}": _plain(x[k].item()) for k in x.dtype.names}
         else:
             found[name] = _plain(x)
-    return _without_struct(found)
+    return found
 
 
 def _plain(x: Any) -> NDArray[Any]:
@@ -75,20 +75,3 @@ def _plain(x: Any) -> NDArray[Any]:
     if cells and all(v.dtype.kind == "U" and v.size for v in cells):
         return np.array([str(v.ravel()[0]) for v in cells])
     return plain
-
-
-def _without_struct(found: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Fields of the only struct go by their own names."""
-    structs = {name.split(".")[0] for name in found if "." in name}
-    if len(structs) != 1:
-        return found
-    return {name.split(".", 1)[-1]: x for name, x in found.items()}
-
-
-def _new(path: Path) -> dict[str, NDArray[Any]]:
-    from hybrid.recording.formats.hdf5 import arrays_of
-
-    # MATLAB's columns are rows to HDF5.
-    arrays, _ = arrays_of(path)
-    plain = {k.replace("/", "."): x.T for k, x in arrays.items() if k[0] != "#"}
-    return _without_struct(plain)

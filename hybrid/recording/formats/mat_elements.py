@@ -28,15 +28,12 @@ _DEEPEST = 32  # structs and cells within each other
 
 
 def check_elements(path: Path) -> None:
-    """Walk every element of a file.
-
-    Args:
-        path: MATLAB file; of version 4, which has no elements, nothing is checked.
+    """Walk every element of a file; version 4 has none.
 
     Raises:
         RecordingError: An element has no type, or a file unpacks to more than any log.
     """
-    source, total = str(path), 0
+    total = 0
     with path.open("rb") as file:
         head = file.read(_HEADER)
         if 0 in head[:4]:  # that is a version 4 file
@@ -51,12 +48,10 @@ def check_elements(path: Path) -> None:
                 total += len(data)
             if total > LARGEST_FILE:
                 raise RecordingError(
-                    f"{source}: unpacks to more than {LARGEST_FILE:.3g} bytes"
+                    f"{path}: unpacks to more than {LARGEST_FILE:.3g} bytes"
                 )
-            if kind == _COMPRESSED:
-                _walk(memoryview(data), order, source, 0)
-            elif kind == _MATRIX:
-                _walk(memoryview(data), order, source, 1)
+            if kind in (_COMPRESSED, _MATRIX):
+                _walk(memoryview(data), order, str(path), int(kind == _MATRIX))
 
 
 def _walk(data: memoryview, order: str, source: str, depth: int) -> None:

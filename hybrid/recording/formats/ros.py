@@ -13,24 +13,22 @@ from pathlib import Path
 from typing import Any
 
 from hybrid.errors import HybridWarning, RecordingError
+from hybrid.files import read_yaml
 from hybrid.names import printable
 from hybrid.recording.formats.topic import Topic
-from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError, whole
+from hybrid.recording.table import LogTable, NoJointsError, whole
 
 _LARGEST_DEFINITION = 200_000  # bytes of text
 _MOST_TOPICS = 10_000
+_DEEPEST = 6  # messages within each other in which lists are looked for
+LARGEST_CHUNK = 1 << 30  # bytes, unpacked
 TELL_EVERY = 20_000  # messages between two words on the progress
 
 
 def is_bag(folder: Path) -> bool:
     """Whether a folder is a ROS 2 bag, whose files are all there."""
-    listed = folder / "metadata.yaml"
-    if not listed.is_file():
-        return False
-    from hybrid.files import read_yaml
-
     try:
-        content = read_yaml(listed)["rosbag2_bagfile_information"]
+        content = read_yaml(folder / "metadata.yaml")["rosbag2_bagfile_information"]
         names = [Path(str(x)).name for x in content["relative_file_paths"]]
     except (OSError, ValueError, KeyError, TypeError):
         return False
@@ -47,75 +45,48 @@ def read_ros(
         tell: Called with messages read and messages in all, now and then.
 
     Raises:
-        RecordingError: It is damaged, or rosbags is not installed.
+        RecordingError: It is damaged.
         NoJointsError: It holds no joints; the message says what it holds instead.
     """
+    from rosbags import rosbag1, rosbag2
+
     ros2 = path.suffix.lower() != ".bag"
-    opened = _reader(path, ros2)
     with whole(path, "bag"):
-        _check_chunks(path)
-        with opened(path) as reader:
+        for file in [path] if path.is_file() else sorted(path.glob("*.mcap")):
+            if file.suffix.lower() == ".mcap":
+                _check_chunks(file)
+        with (rosbag2 if ros2 else rosbag1).Reader(path) as reader:
             topics = _topics(reader.connections, ros2, str(path))
-            held = _held(reader.connections)
+            held = [printable(f"{c.topic} ({c.msgtype}, {c.msgcount})")[:200]
+                    for c in reader.connections]  # fmt: skip
             _fill(reader, topics, tell)
     tables = tuple(table for topic in topics.values() for table in topic.tables())
     if all(table.kind.endswith("JointTrajectory)") for table in tables):
+        more = f" and {len(held) - 8} more" if held[8:] else ""
         raise NoJointsError(
-            f"{path}: no joint states there; it holds {held or 'no messages'}; valid "
+            f"{path}: no joint states there; it holds "
+            f"{', '.join(held[:8]) or 'no messages'}{more}; valid "
             "is a topic of sensor_msgs/JointState"
         )
     yield tables
 
 
-def _reader(path: Path, ros2: bool) -> Any:
-    """The class of rosbags that reads a bag."""
-    try:
-        import rosbags.rosbag1
-        import rosbags.rosbag2
-    except ImportError as error:
-        raise RecordingError(
-            f"{path}: a bag is read by rosbags; install it: pip install "
-            "'hybrid-arm[ros]'"
-        ) from error
-    return rosbags.rosbag2.Reader if ros2 else rosbags.rosbag1.Reader
-
-
-def _held(connections: Any) -> str:
-    held = [
-        printable(f"{c.topic} ({c.msgtype}, {c.msgcount})")[:200] for c in connections
-    ]
-    return ", ".join(held[:8]) + (f" and {len(held) - 8} more" if held[8:] else "")
-
-
 def _topics(connections: Any, ros2: bool, source: str) -> dict[Any, Topic]:
     """The topics to be read, by connection; others may be named in a warning."""
-    from rosbags.interfaces import MessageDefinitionFormat as Format
-    from rosbags.typesys import (
-        Stores,
-        get_types_from_idl,
-        get_types_from_msg,
-        get_typestore,
-    )
+    from rosbags.typesys import Stores, get_typestore
 
     if len(connections) > _MOST_TOPICS:
         raise RecordingError(f"{source}: {len(connections)} topics")
     known = get_typestore(Stores.ROS2_JAZZY if ros2 else Stores.ROS1_NOETIC).fielddefs
     topics: dict[Any, Topic] = {}
     for c in connections:
-        types = dict(known)
-        form, text = c.msgdef.format, c.msgdef.data
-        if form != Format.NONE and len(text) <= _LARGEST_DEFINITION:
-            try:
-                types |= (
-                    get_types_from_msg(text, c.msgtype)
-                    if form == Format.MSG
-                    else get_types_from_idl(_idl(text))
-                )
-            except RecursionError:
-                continue
-            except Exception as error:  # a definition is a text like any other
-                _warn(source, c.topic, str(error))
-                continue
+        try:
+            types = {**known, **_defined(c)}
+        except RecursionError:
+            continue
+        except Exception as error:  # a definition is a text like any other
+            _warn(source, c.topic, str(error))
+            continue
         if _has_lists(c.msgtype, types, 0):
             topics[c.id, id(c.owner)] = Topic(c.topic, c.msgtype, types, ros2, source)
         elif c.msgtype not in types and "msgs/" in c.msgtype:
@@ -123,8 +94,18 @@ def _topics(connections: Any, ros2: bool, source: str) -> dict[Any, Topic]:
     return topics
 
 
-def _idl(text: str) -> str:
-    return "\n".join(x for x in text.splitlines() if not x.startswith(("===", "IDL:")))
+def _defined(connection: Any) -> dict[str, Any]:
+    """Types that a bag defines for a connection."""
+    from rosbags.interfaces import MessageDefinitionFormat as Format
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+    form, text = connection.msgdef.format, connection.msgdef.data
+    if form == Format.NONE or len(text) > _LARGEST_DEFINITION:
+        return {}
+    if form == Format.MSG:
+        return get_types_from_msg(text, connection.msgtype)
+    lines = (x for x in text.splitlines() if not x.startswith(("===", "IDL:")))
+    return get_types_from_idl("\n".join(lines))
 
 
 def _warn(source: str, topic: str, reason: str) -> None:
@@ -136,7 +117,7 @@ def _warn(source: str, topic: str, reason: str) -> None:
 
 def _has_lists(kind: str, types: dict[str, Any], depth: int) -> bool:
     """Whether a type has lists of real numbers, and none of bytes (an image)."""
-    if kind not in types or depth > 6:
+    if kind not in types or depth > _DEEPEST:
         return False
     found = False
     for _, (node, what) in types[kind][1]:
@@ -166,51 +147,38 @@ def _fill(reader: Any, topics: dict[Any, Topic], tell: Any) -> None:
         topic.decode()
 
 
-def _check_chunks(path: Path) -> None:
+def _check_chunks(file: Path) -> None:
     """Refuse a bag of MCAP of which a chunk unpacks to more than any log.
 
     The size that a chunk declares is checked against what comes out of it, but only
     after it did; zstandard may hold a thousand times what it takes.
     """
-    files = [path] if path.is_file() else sorted(path.glob("*.mcap"))
-    for file in files:
-        if file.suffix.lower() != ".mcap":
-            continue
-        with file.open("rb") as content:
-            size, at = file.stat().st_size, 8
-            while at + 9 <= size:
-                content.seek(at)
-                head = content.read(9 + 28)
-                length = int.from_bytes(head[1:9], "little")
-                if head[0] == 0x06 and len(head) == 37:
-                    declared = int.from_bytes(head[25:33], "little")
-                    kind = int.from_bytes(content.read(4), "little")
-                    name = content.read(min(kind, 16))
-                    if declared > LARGEST_CHUNK:
-                        raise RecordingError(
-                            f"{file}: a chunk unpacks to {declared:.3g} bytes; valid "
-                            f"are {LARGEST_CHUNK:.3g} or less"
-                        )
-                    packed = int.from_bytes(content.read(8), "little")
-                    if name == b"zstd" and packed < size:
-                        _check_frame(content.read(18), declared, file)
-                at += 9 + length
+    size, at = file.stat().st_size, 8
+    with file.open("rb") as content:
+        while at + 9 <= size:
+            content.seek(at)
+            head = content.read(128)
+            if head[0] == 0x06:  # its name of compression is followed by the packed
+                packed = head[49 + _number(head[37:41]) :]
+                unpacked = max(_number(head[25:33]), _frame_size(packed))
+                if unpacked > LARGEST_CHUNK:
+                    raise RecordingError(
+                        f"{file}: a chunk unpacks to {unpacked:.3g} bytes; valid "
+                        f"are {LARGEST_CHUNK:.3g} or less"
+                    )
+            at += 9 + _number(head[1:9])
 
 
-LARGEST_CHUNK = min(1 << 30, LARGEST_FILE)  # bytes, unpacked
+def _number(data: bytes) -> int:
+    return int.from_bytes(data, "little")
 
 
-def _check_frame(head: bytes, declared: int, file: Path) -> None:
-    """Refuse a zstandard frame of another size than its chunk's (RFC 8878)."""
+def _frame_size(head: bytes) -> int:
+    """Bytes that a zstandard frame unpacks to (RFC 8878); 0 if it does not say."""
     if len(head) < 6 or head[:4] != b"\x28\xb5\x2f\xfd":
-        return
+        return 0
     flags = head[4]
-    single, size_flag = (flags >> 5) & 1, flags >> 6
-    width = (1, 2, 4, 8)[size_flag] if size_flag or single else 0
-    start = 5 + (0 if single else 1) + (0, 1, 2, 4)[flags & 3]
-    size = int.from_bytes(head[start : start + width], "little")
-    size += 256 if width == 2 else 0
-    if width and size != declared:
-        raise RecordingError(
-            f"{file}: a chunk of {declared} bytes unpacks to {size:.3g}"
-        )
+    single = flags >> 5 & 1
+    width = (single, 2, 4, 8)[flags >> 6]
+    start = 6 - single + (0, 1, 2, 4)[flags & 3]
+    return _number(head[start : start + width]) + 256 * (width == 2)

@@ -9,24 +9,19 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 
-FIRST = 4096  # rows of the first block; the next is as large as all before it
 # Allocators give blocks above 32 MiB back to the system as soon as they are dropped.
-_LARGEST = 5 << 20  # numbers in a block
+BLOCK = 5 << 20  # numbers in a block
 
 
 class Stream:
-    """Columns that grow block by block, without ever being copied as a whole.
-
-    Args:
-        labels: Label of each column of numbers.
-    """
+    """Columns of numbers that grow block by block, never copied as a whole."""
 
     def __init__(self, labels: tuple[str, ...]) -> None:
-        self.labels, self.rows = labels, 0
+        self.labels = labels
         self._stamps: list[NDArray[np.int64]] = []
         self._times: list[NDArray[np.int64]] = []
-        self._blocks: list[Array] = []
-        self._room = 0  # rows in all blocks
+        self._blocks: list[Array] = []  # each of shape (columns, rows)
+        self._parts: list[Array] = []  # of the next block
 
     def add(
         self,
@@ -34,34 +29,24 @@ class Stream:
         times: NDArray[np.int64],
         columns: list[NDArray[Any]],
     ) -> None:
-        """Take rows.
-
-        Args:
-            stamps: Times in the messages, shape (N,), [ns].
-            times: Times of the recorder, shape (N,), [ns].
-            columns: Numbers of each column, shape (N,).
-        """
+        """Take rows: times in the messages and of the recorder, [ns], and numbers."""
         self._stamps.append(stamps)
         self._times.append(times)
-        done = 0
-        while done < len(times):
-            if self.rows == self._room:
-                widest = max(1, _LARGEST // max(1, len(columns)))
-                rows = min(max(self.rows, FIRST), widest)
-                self._blocks.append(np.empty((len(columns), rows)))
-                self._room += rows
-            block = self._blocks[-1]
-            at = block.shape[1] - (self._room - self.rows)
-            count = min(self._room - self.rows, len(times) - done)
-            for own, x in zip(block, columns, strict=True):
-                own[at : at + count] = x[done : done + count]
-            self.rows, done = self.rows + count, done + count
+        part = np.empty((len(columns), len(times)))
+        for own, x in zip(part, columns, strict=True):
+            own[:] = x
+        self._parts.append(part)
+        if sum(part.size for part in self._parts) >= BLOCK:
+            self._close()
+
+    def _close(self) -> None:
+        if self._parts:
+            self._blocks.append(np.concatenate(self._parts, axis=1))
+            self._parts = []
 
     def clock(self) -> tuple[NDArray[np.int64], bool]:
-        """Times of all rows, [ns], and whether they are those in the messages.
-
-        They are given away, as columns are.
-        """
+        """Times of all rows, [ns], given away; whether they are the messages' own."""
+        self._close()
         stamps, self._stamps = np.concatenate(self._stamps), []
         times, self._times = self._times, []
         headed = bool((stamps[1:] > stamps[:-1]).all())
@@ -70,20 +55,13 @@ class Stream:
     def given(
         self, used: tuple[int, ...], clock: NDArray[np.int64]
     ) -> list[dict[int, NDArray[Any]]]:
-        """The clock as column 0, and columns from 1; these are given away.
-
-        Args:
-            used: Columns.
-            clock: Times of all rows, shape (N,).
-        """
+        """The clock as column 0, and columns from 1; these are given away."""
         if used == (0,):
             return [{0: clock}]
-        found, at = [], 0
         blocks, self._blocks = self._blocks, []
-        for block in blocks:
-            rows = clock[at : at + block.shape[1]]
-            found.append(
-                {k: rows if k == 0 else block[k - 1, : len(rows)] for k in used}
-            )
-            at += block.shape[1]
-        return found
+        ends = np.cumsum([block.shape[1] for block in blocks])[:-1]
+        rows = np.split(clock, ends)
+        return [
+            {k: part if k == 0 else block[k - 1] for k in used}
+            for block, part in zip(blocks, rows, strict=True)
+        ]

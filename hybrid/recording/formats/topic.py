@@ -43,7 +43,7 @@ class Topic:
         self._stamps: list[int] = []
         self._held = self._size = 0
         self._streams: dict[tuple[str, ...], Stream] = {}
-        self._layouts: dict[int, list[tuple[MessageLayout, dict[str, Path]]]] = {}
+        self._layouts: list[tuple[MessageLayout, dict[str, Path]]] = []
         self._plans: list[tuple[int, MessageLayout, bytes]] = []
 
     def add(self, stamp: int, raw: bytes) -> None:
@@ -68,7 +68,7 @@ class Topic:
             joined = b"".join(raws[k] for k in rows)
             messages = np.frombuffer(joined, np.uint8).reshape(len(rows), length)
             while len(rows):
-                layout, columns = self._layout(messages, int(length))
+                layout, columns = self._layout(messages[:1])
                 same = layout.fits(messages)
                 self._take(layout, columns, messages[same], stamps[rows[same]])
                 messages, rows = messages[~same], rows[~same]
@@ -92,31 +92,27 @@ class Topic:
         )  # fmt: skip
 
     def _layout(
-        self, messages: NDArray[np.uint8], length: int
+        self, message: NDArray[np.uint8]
     ) -> tuple[MessageLayout, dict[str, Path]]:
-        """The layout of the first message, known or walked."""
-        known = self._layouts.setdefault(length, [])
-        for layout, columns in known:
-            if layout.fits(messages[:1])[0]:
+        """The layout of a message, known or walked, and its columns."""
+        for layout, columns in self._layouts:
+            if layout.length == message.size and layout.fits(message)[0]:
                 return layout, columns
-        if sum(map(len, self._layouts.values())) >= _MOST_LAYOUTS:
-            raise RecordingError(
-                f"{self.source}: {self.name}: messages of more than {_MOST_LAYOUTS} "
-                "kinds; valid are joint states of an arm"
-            )
-        raw = messages[0].tobytes()
+        if len(self._layouts) >= _MOST_LAYOUTS:
+            raise self._error(f"messages of more than {_MOST_LAYOUTS} kinds")
         try:
-            layout = layout_of(raw, self.kind, self.types, ros2=self.ros2)
+            layout = layout_of(message.tobytes(), self.kind, self.types, ros2=self.ros2)
         except LayoutError as error:
             raise RecordingError(f"{self.source}: {self.name}: {error}") from error
-        planned = any(path[0] == "points" for path in layout.numbers)
+        planned = _is_plan(layout)
         if not planned and len(layout.numbers) > MOST_COLUMNS:
-            raise RecordingError(
-                f"{self.source}: {self.name}: {len(layout.numbers)} numbers in a "
-                "message; valid are joint states of an arm"
-            )
-        known.append((layout, {} if planned else self._labels(layout)))
-        return known[-1]
+            raise self._error(f"{len(layout.numbers)} numbers in a message")
+        self._layouts.append((layout, {} if planned else self._labels(layout)))
+        return self._layouts[-1]
+
+    def _error(self, what: str) -> RecordingError:
+        valid = "valid are joint states of an arm"
+        return RecordingError(f"{self.source}: {self.name}: {what}; {valid}")
 
     def _labels(self, layout: MessageLayout) -> dict[str, Path]:
         """Label -> path of the numbers in lists, with names for places where it can."""
@@ -142,7 +138,7 @@ class Topic:
         if _STAMP in layout.numbers:
             whole = layout.values(messages, _STAMP).astype(np.int64)
             stamps = whole * 10**9 + layout.values(messages, _NANO)
-        if any(path[0] == "points" for path in layout.numbers):
+        if _is_plan(layout):
             pairs = zip(stamps, times, messages, strict=True)
             self._plans += [
                 (int(s or t), layout, message.tobytes()) for s, t, message in pairs
@@ -152,17 +148,13 @@ class Topic:
         stream = self._streams.setdefault(labels, Stream(labels))
         self._size += 8 * len(labels) * len(times)
         if self._size > LARGEST_FILE:
-            raise RecordingError(
-                f"{self.source}: {self.name}: more than {LARGEST_FILE:.3g} bytes of "
-                "numbers; valid are logs of as many or less"
-            )
+            raise self._error(f"more than {LARGEST_FILE:.3g} bytes of numbers")
         values = [layout.values(messages, path) for path in columns.values()]
         stream.add(stamps, times, values)
 
     def _planned(self) -> LogTable:
         """Points of trajectories as a command; a new one takes over from the last."""
-        clock: list[int] = []
-        rows: list[list[float]] = []
+        points: list[tuple[int, list[float]]] = []
         joints: tuple[str, ...] = ()
         for start, layout, raw in sorted(self._plans, key=lambda plan: plan[0]):
             names = tuple(
@@ -173,23 +165,26 @@ class Topic:
             joints = names
             message = np.frombuffer(raw, np.uint8)[None]
             get = {p: layout.values(message, p)[0] for p in layout.numbers}
-            while clock and clock[-1] >= start:
-                clock.pop()
-                rows.pop()
+            while points and points[-1][0] >= start:
+                points.pop()
             count = 1 + max((int(p[1]) for p in get if p[0] == "points"), default=-1)
             for k in range(count):
                 after: Path = ("points", k, "time_from_start")
                 at = start + int(get[*after, "sec"]) * 10**9
                 at += int(get[*after, "nanosec"])
-                row = [get.get(("points", k, "positions", j), np.nan)
-                       for j in range(len(joints))]  # fmt: skip
-                if not clock or at > clock[-1]:
-                    clock.append(at)
-                    rows.append([float(x) for x in row])
+                if not points or at > points[-1][0]:
+                    row = [float(get.get(("points", k, "positions", j), np.nan))
+                           for j in range(len(joints))]  # fmt: skip
+                    points.append((at, row))
         labels = tuple(f"{self.name}/command/positions/{joint}" for joint in joints)
-        values = np.array(rows, dtype=float).reshape(len(clock), len(joints))
-        columns = [np.array(clock, dtype=np.int64), *values.T]
+        rows = [row for _, row in points]
+        values = np.array(rows, dtype=float).reshape(len(points), len(joints))
+        columns = [np.array([at for at, _ in points], dtype=np.int64), *values.T]
         return self._table(labels, lambda used: [{k: columns[k] for k in used}])
+
+
+def _is_plan(layout: MessageLayout) -> bool:
+    return any(path[0] == "points" for path in layout.numbers)
 
 
 def _words(
