@@ -12,7 +12,7 @@ from hybrid.diagnosis.answer.clocks import clocks_apart
 from hybrid.diagnosis.answer.command import Link, command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnosis.answer.events import events_at_rest
-from hybrid.diagnosis.answer.findings import findings
+from hybrid.diagnosis.answer.findings import by_share, findings
 from hybrid.diagnosis.answer.links import joined
 from hybrid.diagnosis.answer.locate import locate
 from hybrid.diagnosis.answer.replayed import replayed
@@ -146,7 +146,8 @@ def examine(
         doubts.append(far)
     if logged.clocks and not foreign:
         apart = clocks_apart(as_logged, scored, logged, rng)
-        causes, effects = apart.beside(causes), (*effects, *apart.effects)
+        effects = (*effects, *apart.effects)
+        causes = by_share(causes, [apart.finding], apart.share)
         found = replace(found, before=found.before + apart.squares)
     verdict, unexplained = _verdict(
         gap, found, causes, left_unseen(scored, found, search)

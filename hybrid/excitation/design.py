@@ -25,7 +25,6 @@ from hybrid.excitation.observation import Observation, rigid_conditions
 from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import PENALTY, Optimum, solve
-from hybrid.excitation.stack import StackProgram
 from hybrid.robot.robot import Robot
 from hybrid.shown import Shown
 
@@ -197,8 +196,12 @@ def design(
         measure = ExpectedError.of(robot, observation, program.usage(rng))
     if isinstance(measure, ExpectedError):
         program = _program(measure.observation, measure, family, kept, bounds, rate)
-    choose = _together if together else _in_turn
-    found, worst = choose(program, trajectories, starts, rng)
+    if together:
+        program = replace(program, count=trajectories)
+        x, worst = best_point(program, [program.random(rng) for _ in range(starts)])
+        found = tuple(map(program.trajectory, program.parts(x)))
+    else:
+        found, worst = _in_turn(program, trajectories, starts, rng)
     grams = tuple(_gram(observation, x, rate) for x in found)
     seen = np.asarray(sum(_gram(program.observation, x, rate) for x in found))
     return Design(
@@ -250,15 +253,6 @@ def _in_turn(
     return tuple(found), worst
 
 
-def _together(
-    program: MotionProgram, count: int, starts: int, rng: np.random.Generator
-) -> tuple[tuple[Trajectory, ...], dict[str, float]]:
-    """Motions chosen as a set, and the largest excess of each limit."""
-    stack = StackProgram(program, count)
-    x, excess = best_point(stack, [stack.random(rng) for _ in range(starts)])
-    return stack.trajectories(x), excess
-
-
 def _gram(observation: Observation, trajectory: Trajectory, rate: float) -> Array:
     """Information of one motion on the design grid."""
     t = uniform(trajectory.family.duration, rate)
@@ -266,7 +260,7 @@ def _gram(observation: Observation, trajectory: Trajectory, rate: float) -> Arra
 
 
 def best_point(
-    program: MotionProgram | StackProgram, points: Sequence[Array]
+    program: MotionProgram, points: Sequence[Array]
 ) -> tuple[Array, dict[str, float]]:
     """The best point reached from several, and how far it stays from every limit.
 
@@ -278,11 +272,11 @@ def best_point(
         ExcitationError: No motion within the limits was found.
     """
     power, iterations = _EXPLORE
-    rough = program.changed(power=power)
+    rough = replace(program, power=power)
     tries = [solve(rough, x, iterations=iterations) for x in points]
     solution = min(tries, key=_merit)
     for power, iterations in _POLISH:
-        solution = _continued(program.changed(power=power), solution, iterations)
+        solution = _continued(replace(program, power=power), solution, iterations)
     margin, penalty = program.margin, PENALTY
     left = _RETRIES
     while (worst := max((excess := program.verified(solution.x)).values())) > 0:
@@ -294,7 +288,7 @@ def best_point(
         # Between the samples of the design grid the torque may be a little higher, and
         # where another link becomes the closest one the distance has a kink.
         margin += 1.2 * worst
-        sharp = program.changed(power=_POLISH[-1][0], margin=margin)
+        sharp = replace(program, power=_POLISH[-1][0], margin=margin)
         solution = _continued(sharp, solution, _REPAIR, penalty)
     return solution.x, excess
 
@@ -304,7 +298,7 @@ def _merit(solution: Optimum) -> tuple[bool, float]:
 
 
 def _continued(
-    program: MotionProgram | StackProgram,
+    program: MotionProgram,
     last: Optimum,
     iterations: int,
     penalty: float = PENALTY,

@@ -6,14 +6,13 @@ effects included. So it is no term of a search, and is scored here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Finding
-from hybrid.diagnosis.answer.findings import fall, listed, values
+from hybrid.diagnosis.answer.findings import fall, found_at, values
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import Gap
@@ -38,16 +37,6 @@ class Clocks:
     squares: Array
     share: float
 
-    def beside(self, others: Sequence[Finding]) -> tuple[Finding, ...]:
-        """All findings, with their shares of what they explain together.
-
-        Args:
-            others: Findings of the log without the delay.
-        """
-        found = [replace(self.finding, share=self.share)]
-        found += [replace(f, share=(1.0 - self.share) * f.share) for f in others]
-        return tuple(sorted(found, key=lambda f: -f.share))
-
 
 def clocks_apart(
     logged: Gap, scored: Explanation, convention: Convention, rng: np.random.Generator
@@ -60,8 +49,8 @@ def clocks_apart(
         convention: By how much torque is late.
         rng: Draws of the bootstrap.
     """
-    gap, size = scored.gap, logged.robot.size
-    moving = [j for j in range(size) if logged.moving[:, j].any()]
+    gap = scored.gap
+    moving = np.flatnonzero(logged.moving.any(axis=0)).tolist()
     std = float(np.hypot(convention.std, Delay.inexact["time"] * convention.late))
     time = {"time": convention.late}
     effects = tuple(Delay((j,), time, {"time": std}) for j in moving)
@@ -78,15 +67,10 @@ def clocks_apart(
         for left in (late(learnt), learnt.before)
     )
     names = [gap.robot.joints[j] for j in moving]
-    finding = Finding(
-        effect=Delay.id,
-        joints=tuple(names),
-        alternatives=(Delay.id,),
-        share=1.0,
-        parameters=tuple(v for e in effects for v in values(gap, e)),
+    parameters = [v for e in effects for v in values(gap, e)]
+    finding = replace(
+        found_at(Delay, names, (), parameters),
         shrink={"torque": fall(scored, late(scored), rng)},
-        sentence=Delay.sentence.format(joints=listed(names)),
-        remedy=Delay.remedy,
     )
     share = own.sum() / max(own.sum() + others.sum(), 1e-300)
     return Clocks(finding, effects, own, float(share))
