@@ -107,7 +107,7 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.excitation import Limits, design, observe
-    from hybrid.excitation.folder import DESIGN, reference_paths, write_design
+    from hybrid.excitation.folder import DESIGN, reference_paths
     from hybrid.plant.noise import Noise
 
     robot = load_robot(args)
@@ -136,7 +136,7 @@ def run(args: Namespace, screen: Screen) -> None:
             rate=max(20.0, 8.0 * args.order / args.duration),
         )
     how = record(args, [args.robot])
-    write_design(args.out, found, rate=args.rate, more={"provenance": how})
+    found.save(args.out, rate=args.rate, more={"provenance": how})
     _draw(args, found, limits)
     write_record(args, how, found.as_dict())
     _tell(args, screen, found)

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.errors import ExcitationError, HybridWarning
@@ -197,16 +198,13 @@ class Workspace:
 
     def slope(self, path: Path, which: Index) -> Array:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
-        out = np.zeros((len(which), 4, self.robot.size))
-        end, x, sign, _ = self._rows
-        for k in np.unique(which):
-            at = np.flatnonzero(which == k)
-            q, link = path.q[at], int(self.capsules.link[end[k] // 2])
-            ends = ends_in_world(self.robot.chain, self.capsules, q)
-            point = ends.reshape(len(at), -1, 3)[:, end[k]]
-            direction = np.tile(sign[k] * np.eye(3)[x[k]], (len(at), 1))
-            change = point_change(self.robot.chain, q, link, point, direction)
-            out[at, 0] = change / _LENGTH
+        end, x, sign, _ = (rows[which] for rows in self._rows)
+        chain, capsules, at = self.robot.chain, self.capsules, np.arange(len(which))
+        point = ends_in_world(chain, capsules, path.q)[at, end // 2, end % 2]
+        direction = sign[:, None] * np.eye(3)[x]
+        link, out = capsules.link[end // 2], np.zeros((len(which), 4, chain.size))
+        change = point_change(chain, path.q, link, point, direction)
+        out[:, 0] = change / _LENGTH
         return out
 
 
@@ -228,11 +226,7 @@ def frames(chain: Chain, q: Array) -> tuple[Array, Array, Array]:
         R = R @ chain.rotation[k]
         axis = R @ chain.axis[k]
         if chain.revolute[k]:
-            x, y, z = chain.axis[k]
-            skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-            sine, cosine = np.sin(q[:, k]), 1 - np.cos(q[:, k])
-            turn = np.eye(3) + sine[:, None, None] * skew
-            R = R @ (turn + cosine[:, None, None] * (skew @ skew))
+            R = R @ Rotation.from_rotvec(np.outer(q[:, k], chain.axis[k])).as_matrix()
         else:
             p = p + axis * q[:, k, None]
         for items, x in zip(out, (R, p, axis), strict=True):
@@ -296,19 +290,15 @@ def closest_points(first: Array, second: Array) -> tuple[Array, Array]:
     dd, ee, de = _dot(d, d), _dot(e, e), _dot(d, e)
     between = p - r
     dp, ep = _dot(d, between), _dot(e, between)
-    tiny = 1e-12
-    determinant = dd * ee - de * de
-    s = np.where(
-        determinant > tiny, (de * ep - dp * ee) / np.maximum(determinant, tiny), 0.0
-    )
-    s = np.clip(s, 0.0, 1.0)
-    t = (de * s + ep) / np.maximum(ee, tiny)
+    # Parallel segments and points have no slope to follow: any of their points will do.
+    determinant, tiny = dd * ee - de * de, 1e-12
+    along = (de * ep - dp * ee) / np.maximum(determinant, tiny)
+    s = np.clip(np.where(determinant > tiny, along, 0.0), 0.0, 1.0)
     # Where t leaves the second segment, the closest point is that of its end.
-    clipped = np.clip(t, 0.0, 1.0)
-    again = np.clip((de * clipped - dp) / np.maximum(dd, tiny), 0.0, 1.0)
-    s = np.where(dd > tiny, again, 0.0)
-    x = p + s[..., None] * d
-    return x, r + clipped[..., None] * e
+    t = np.clip((de * s + ep) / np.maximum(ee, tiny), 0.0, 1.0)
+    s = np.clip((de * t - dp) / np.maximum(dd, tiny), 0.0, 1.0)
+    s = np.where(dd > tiny, s, 0.0)
+    return p + s[..., None] * d, r + t[..., None] * e
 
 
 def _dot(x: Array, y: Array) -> Array:

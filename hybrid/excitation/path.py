@@ -89,8 +89,7 @@ class Trajectory:
 
     def path(self, t: Array) -> Path:
         """Samples at the times ``t``, shape (N,), [s]."""
-        bases = [self.family.basis(t, k) for k in range(DERIVATIVES)]
-        return Path(t, *(basis @ self.coefficients for basis in bases))
+        return Grid(self.family, t).path(self.coefficients)
 
     def reference(self, rate: float) -> Reference:
         """The motion to run, at a number of samples per second [Hz]."""
