@@ -42,6 +42,11 @@ class ControllerGain(Effect):
         """See :attr:`Instant.actuator`."""
         return {name: 1.0 + self.values[name] for name in ("stiffness", "damping")}
 
+    def setting(self, kp: float, kd: float) -> str:
+        """See :meth:`Instant.setting`."""
+        true = self.tune(np.array(kp), np.array(kd))
+        return "use kp = {:.4g} and kd = {:.4g}".format(*true)
+
     def tune(self, kp: Array, kd: Array) -> tuple[Array, Array]:
         """Gains as they really are."""
         return kp * (1.0 + self.values["stiffness"]), kd * (

@@ -13,13 +13,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import BPoly
 
 from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
 from hybrid.excitation.constraints import Limits, MotionLimits, TorqueLimits
 from hybrid.excitation.knots import Walk
-from hybrid.excitation.path import Path, uniform
+from hybrid.excitation.path import Path, quintic, uniform
 from hybrid.plant.reference import Reference
 from hybrid.robot.robot import Robot
 
@@ -41,13 +40,10 @@ def at_speeds(
         reference: The path.
         factors: Multiples of its speed, above 0.
     """
-    found = []
+    found, curve = [], quintic(reference.t, reference.q, reference.v, reference.a)
     for factor in factors:
         t = uniform(float(reference.t[-1]) / factor, reference.rate)
         inner = np.minimum(t * factor, reference.t[-1])
-        curve = BPoly.from_derivatives(
-            reference.t, np.stack([reference.q, reference.v, reference.a], axis=1)
-        )
         scaled = (np.asarray(curve(inner, nu=k)) * factor**k for k in range(3))
         found.append(checked(robot, Reference(t, *scaled), Limits.of(robot, fill=1.0)))
     return found
@@ -176,8 +172,8 @@ def multisine(
     rng, t = np.random.default_rng(seed), uniform(duration, rate)
     # Rises from 0 to 1 and falls again, with two derivatives.
     fade = min(1.0, duration / 4)
-    levels = np.outer([0.0, 1.0, 1.0, 0.0], [1.0, 0.0, 0.0])
-    rise = BPoly.from_derivatives([0.0, fade, duration - fade, duration], levels)
+    knots = np.array([0.0, fade, duration - fade, duration])
+    rise = quintic(knots, np.array([0.0, 1.0, 1.0, 0.0]), *np.zeros((2, 4)))
     w0, w1, w2 = (np.asarray(rise(t, nu=k)) for k in range(3))
     motion = np.zeros((3, len(t), robot.size))
     for j in range(robot.size):

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import BPoly
 
 from hybrid.arrays import Array
 from hybrid.excitation.constraints import Limits
-from hybrid.excitation.path import uniform
+from hybrid.excitation.path import quintic, uniform
 from hybrid.plant.reference import Reference
 
 _QUINTIC_SPEED, _QUINTIC_ACCELERATION = 1.875, 5.7735  # peaks of a unit move
@@ -26,8 +25,8 @@ class Walk:
 
     def reference(self, rate: float) -> Reference:
         """Samples of the motion so far; acceleration is zero at every knot."""
-        states = np.stack([self._q, self._v, np.zeros_like(self._q)], axis=1)
-        curve = BPoly.from_derivatives(self._t, states)
+        q, v = np.array(self._q), np.array(self._v)
+        curve = quintic(np.array(self._t), q, v, np.zeros_like(q))
         t = uniform(self._t[-1], rate)
         return Reference(t, *(np.asarray(curve(t, nu=k)) for k in range(3)))
 

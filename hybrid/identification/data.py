@@ -251,13 +251,13 @@ class Rest:
     fold: NDArray[np.intp]
 
 
-def visited(data: Data) -> dict[str, Array]:
+def visited(motions: Sequence[Motion]) -> dict[str, Array]:
     """Lowest and highest position and highest speed, each of shape (n,)."""
-    q = [m.q[m.mask] for m in data.motions]
+    q = [m.q[m.mask] for m in motions]
     return {
         "q_min": np.min([x.min(axis=0) for x in q], axis=0),
         "q_max": np.max([x.max(axis=0) for x in q], axis=0),
-        "v_max": fastest(data.motions),
+        "v_max": fastest(motions),
     }
 
 

@@ -22,7 +22,7 @@ from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import Candidate
 from hybrid.diagnosis.evidence.term import Term
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.effects import effect_class
+from hybrid.effects import Effect, effect_class
 from hybrid.effects.effect import Port
 from hybrid.excitation.folder import write_reference
 from hybrid.threads import one_thread
@@ -33,22 +33,11 @@ if TYPE_CHECKING:
 _CLEARLY = 1.2  # times the evidence that is needed
 _MOST_PAIRS = 6
 _SHORTLIST = 4  # experiments for which all is fitted anew
-_THERMAL = "thermal_friction"  # the one to which it matters when a motion is run
 _MOST_JOINTS = 3
 _SLOW_ENOUGH = 4.0  # s at one speed
 _RATE = 500.0  # Hz, of references at most
 _WHERE = "; it settles whether it is {} at {} or {} at {}"
 _IF_ANY = "; it settles whether it is {}, or else bounds it"
-# Pairs that have the same torque on every motion, and what differs without one.
-_ALIKE = {
-    frozenset({"torque_offset", "asymmetric_friction"}): (
-        "log the torque of {joint} at rest with its brake on and the drive off: a "
-        "shifted sensor shows its offset, friction shows none"
-    ),
-    frozenset({"payload", "link_inertia"}): (
-        "take off what the arm carries and repeat a motion"
-    ),
-}
 # What a residual depends on (see `ceiling`), and which experiment isolates that.
 _SHOWS = (
     ("past", "a multisine"),
@@ -186,8 +175,7 @@ def _between_rivals(result: Result, prospects: Prospects) -> Iterator[Plan]:
     seen: set[tuple[int, frozenset[str]]] = set()
     for term in search.terms:
         effect_id, joint = term.place[0], term.place[1][-1]
-        ids = named.get(effect_id, ())
-        if not ids:
+        if not (ids := named.get(effect_id, ())):
             continue
         own = fit_rival(search, term, term.candidate)
         chosen: list[Experiment] = []
@@ -196,14 +184,18 @@ def _between_rivals(result: Result, prospects: Prospects) -> Iterator[Plan]:
             if (joint, pair) in seen or len(seen) >= _MOST_PAIRS:
                 continue
             seen.add((joint, pair))
-            if pair in _ALIKE:
-                text = _ALIKE[pair].format(joint=joints[joint])
+            if by_hand := _by_hand(own.effect, other.effect):
+                text = by_hand.format(joint=joints[joint])
                 yield Plan(Advice(text, tuple(sorted(pair)), 0.0))
                 continue
-            rival = fit_rival(search, term, other)
-            plan = choose(prospects, (joint,), (own, rival), chosen)
-            if plan is not None:
+            both = own, fit_rival(search, term, other)
+            if plan := choose(prospects, (joint,), both, chosen):
                 yield plan
+
+
+def _by_hand(one: Effect, other: Effect) -> str:
+    """What tells laws apart that have the same torque on every motion."""
+    return one.told_apart.get(other.id) or other.told_apart.get(one.id, "")
 
 
 def _between_places(result: Result, prospects: Prospects) -> Iterator[Plan]:
@@ -217,14 +209,12 @@ def _between_places(result: Result, prospects: Prospects) -> Iterator[Plan]:
         if plan is None or plan.experiment is None:
             continue
         text = _run(plan.experiment)
-        if plan.advice.experiment != text:  # it tells if it is one, not if the other
-            yield plan
-            continue
-        (one, here), (two, there) = map(search.placed, both)
-        laws = one.replace("_", " "), two.replace("_", " ")
-        text += _WHERE.format(laws[0], here, laws[1], there)
-        advice = replace(plan.advice, experiment=text)
-        yield replace(plan, advice=advice)
+        if plan.advice.experiment == text:  # else it tells if it is one of them only
+            (one, here), (two, there) = map(search.placed, both)
+            laws = one.replace("_", " "), two.replace("_", " ")
+            text += _WHERE.format(laws[0], here, laws[1], there)
+            plan = replace(plan, advice=replace(plan.advice, experiment=text))
+        yield plan
 
 
 def _least_told(plan: Plan) -> float:
@@ -253,8 +243,8 @@ def choose(
         The advice; nothing if no experiment tells enough.
     """
     splits = rivals[0].effect.id, rivals[1].effect.id
-    asked = (prospects.about(j, warm=_THERMAL in splits) for j in joints)
-    menu = list(dict.fromkeys(x for some in asked for x in some))
+    warm = any(effect_class(x).warms for x in splits)
+    menu = list(dict.fromkeys(x for j in joints for x in prospects.about(j, warm=warm)))
     known = [x for x in chosen if x.plain]
     plain = [x for x in menu if x.plain and x not in known]
     half: tuple[float, Plan | None] = _CLEARLY, None
@@ -274,16 +264,11 @@ def choose(
                 text += _IF_ANY.format(splits[int(np.argmax(told))].replace("_", " "))
                 half = max(told), Plan(Advice(text, splits, sizes[k]), dishes[k])
         if best[1] is not None:
-            return _chosen(best[1], chosen)
-    return _chosen(half[1], chosen)
-
-
-def _chosen(plan: Plan | None, chosen: list[Experiment]) -> Plan | None:
-    """A plan, whose experiment is taken down."""
-    experiment = None if plan is None else plan.experiment
-    if experiment is not None and experiment not in chosen:
-        chosen.append(experiment)
-    return plan
+            break
+    found = best[1] or half[1]
+    if found and found.experiment not in chosen:
+        chosen += [found.experiment] if found.experiment else []
+    return found
 
 
 def _for_unexplained(result: Result, menu: Menu) -> Iterator[Plan]:
