@@ -60,12 +60,7 @@ class Data:
     )
 
     def __post_init__(self) -> None:
-        for motion in self.motions:
-            if not np.isfinite(motion.tau).all():
-                raise RecordingError(
-                    f"{motion.source or 'recording'}: no torque; valid is a log of "
-                    "time, positions and torques"
-                )
+        check_torque(self.motions)
 
     def less(self, known: Sequence[Array] | None) -> Data:
         """The same data minus an explained torque, (N, n) for each motion."""
@@ -249,6 +244,20 @@ class Rest:
     tau: Array
     moving: NDArray[np.bool_]
     fold: NDArray[np.intp]
+
+
+def check_torque(motions: Sequence[Motion]) -> None:
+    """Refuse motions without torque.
+
+    Raises:
+        RecordingError: One has none.
+    """
+    for motion in motions:
+        if not np.isfinite(motion.tau).all():
+            raise RecordingError(
+                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
+                "positions and torques"
+            )
 
 
 def visited(motions: Sequence[Motion]) -> dict[str, Array]:
