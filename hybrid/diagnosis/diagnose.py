@@ -9,10 +9,10 @@ import numpy as np
 
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.clocks import clocks_apart
-from hybrid.diagnosis.answer.command import Link, command_link
+from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnosis.answer.events import events_at_rest
-from hybrid.diagnosis.answer.findings import by_share, findings
+from hybrid.diagnosis.answer.findings import findings
 from hybrid.diagnosis.answer.links import joined
 from hybrid.diagnosis.answer.locate import locate
 from hybrid.diagnosis.answer.replayed import replayed
@@ -33,6 +33,7 @@ from hybrid.diagnosis.gap.grounds import too_little, unlike
 from hybrid.diagnosis.gap.split import split
 from hybrid.diagnosis.gap.units import units
 from hybrid.diagnosis.gap.visited import not_excited
+from hybrid.effects import Effect
 from hybrid.effects.delay import Delay
 from hybrid.identification.preparation import taken
 from hybrid.model import DynamicModel
@@ -145,9 +146,8 @@ def examine(
         far = _FAR.format(search.off) if search.off < 1.0 else _PLACEHOLDERS
         doubts.append(far)
     if logged.clocks and not foreign:
-        apart = clocks_apart(as_logged, scored, logged, rng)
-        effects = (*effects, *apart.effects)
-        causes = by_share(causes, [apart.finding], apart.share)
+        apart, others = clocks_apart(as_logged, scored, logged, rng)
+        causes, effects = apart.joined(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
     verdict, unexplained = _verdict(
         gap, found, causes, left_unseen(scored, found, search)
@@ -158,7 +158,7 @@ def examine(
         events=events_at_rest(as_logged),
         warnings=(*gap.notes, *logged.notes, *doubts),
     )
-    link = Link()
+    command: tuple[Effect, ...] = ()
     if verdict != "not_excited":
         tell("finding where the gap lies")
         where = locate(as_logged, np.array(diagnosis.noise_floor), rng)
@@ -169,8 +169,9 @@ def examine(
         distorted = {j for e in effects if e.reports for j in e.joints}
         link = command_link(gap, recordings, rng, without=without, distorted=distorted)
         diagnosis = joined(diagnosis, found, as_logged, link, rng)
+        command = link.effects
     return Result(
-        diagnosis, as_logged, search, scored, found, effects, link.effects, torn,
+        diagnosis, as_logged, search, scored, found, effects, command, torn,
         healthy.model.effects if healthy else (),
     )  # fmt: skip
 

@@ -6,41 +6,21 @@ effects included. So it is no term of a search, and is scored here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.answer.diagnosis import Finding
-from hybrid.diagnosis.answer.findings import fall, found_at, values
+from hybrid.diagnosis.answer.findings import Beside, fall, found_at, values
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.effects import Effect
 from hybrid.effects.delay import Delay
-
-
-@dataclass(frozen=True, eq=False)
-class Clocks:
-    """What clocks that are apart account for.
-
-    Attributes:
-        finding: The finding; its share is one.
-        effects: The delay of each joint that moves.
-        squares: What it explains on the samples learnt from, shape (n,), in units of
-            noise.
-        share: Its part of what it and all terms explain.
-    """
-
-    finding: Finding
-    effects: tuple[Effect, ...]
-    squares: Array
-    share: float
 
 
 def clocks_apart(
     logged: Gap, scored: Explanation, convention: Convention, rng: np.random.Generator
-) -> Clocks:
+) -> tuple[Beside, float]:
     """The finding that torque is late at every joint.
 
     Args:
@@ -48,6 +28,9 @@ def clocks_apart(
         scored: What was found in the log without the delay.
         convention: By how much torque is late.
         rng: Draws of the bootstrap.
+
+    Returns:
+        It, and what the terms explain on the samples learnt from, in units of noise.
     """
     gap = scored.gap
     moving = np.flatnonzero(logged.moving.any(axis=0)).tolist()
@@ -72,5 +55,4 @@ def clocks_apart(
         found_at(Delay, names, (), parameters),
         shrink={"torque": fall(scored, late(scored), rng)},
     )
-    share = own.sum() / max(own.sum() + others.sum(), 1e-300)
-    return Clocks(finding, effects, own, float(share))
+    return Beside((finding,), effects, own), float(others.sum())

@@ -7,14 +7,14 @@ logged is held against the torque that a servo law asks for.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Finding
-from hybrid.diagnosis.answer.findings import found_at, values
+from hybrid.diagnosis.answer.findings import Beside, found_at, values
 from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS, NORMAL, shrink
 from hybrid.diagnosis.explanations.servo_fit import (
     WORTH,
@@ -41,21 +41,15 @@ _LEAST_FALL = 0.01  # of the squares of what a servo law leaves
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class Link(Beside):
     """What the link from command to torque lacks.
 
     Attributes:
-        findings: Findings, with their shares of this link.
-        effects: The effects found, joint by joint.
-        squares: What they explain, in units of noise.
         excess: Squares above noise of the servos as they are thought to be, by block
             of time, shape (B, n), in units of noise; 0 where nothing was found.
     """
 
-    findings: tuple[Finding, ...] = ()
-    effects: tuple[Effect, ...] = ()
-    squares: float = 0.0
-    excess: Array = field(default_factory=lambda: np.zeros((1, 1)))
+    excess: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,14 +136,16 @@ def command_link(
                 and all(map(_plausible, servo.effects))
             ):
                 servos.append(servo)
-    total = sum(s.share(k) for s in servos for k in s.found)
+    squares = np.zeros(gap.robot.size)
+    for s in servos:
+        squares[s.joint] = sum(map(s.share, s.found))
     found = [
-        _finding(gap, own, k, total, rng)
+        _finding(gap, own, k, squares.sum(), rng)
         for k in kinds
         if (own := [s for s in servos if k in s.found])
     ]
     effects = tuple(e for s in servos for e in s.effects)
-    return Link(tuple(found), effects, total, _excess(gap, servos))
+    return Link(tuple(found), effects, squares, _excess(gap, servos))
 
 
 def _examined(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,36 @@ from hybrid.effects import Effect, effect_class
 _BYPRODUCT = 0.05  # of the largest change; joints below are merely touched
 _OPEN = 0.8  # of a shape's range: an interval that wide says nothing of it
 _PLACE = " It takes the place of the {} friction that the file declares."
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """What explains torque besides the terms of a search.
+
+    Attributes:
+        findings: Findings, with their shares of it.
+        effects: The effects found, joint by joint.
+        squares: What they explain at each joint, shape (n,), in units of noise.
+    """
+
+    findings: tuple[Finding, ...]
+    effects: tuple[Effect, ...]
+    squares: Array
+
+    def joined(
+        self, others: Sequence[Finding], explained: float
+    ) -> tuple[Finding, ...]:
+        """All findings with their shares of both, largest first.
+
+        Args:
+            others: Findings of the search.
+            explained: What they explain, in units of noise.
+        """
+        own = float(self.squares.sum())
+        part = own / max(own + explained, 1e-300)
+        found = [replace(f, share=(1.0 - part) * f.share) for f in others]
+        found += [replace(f, share=part * f.share) for f in self.findings]
+        return tuple(sorted(found, key=lambda f: -f.share))
 
 
 def findings(
@@ -70,7 +100,7 @@ def findings(
                 sentence=finding.sentence + "".join(map(_PLACE.format, gone)),
             )
         )
-    return by_share(found)
+    return tuple(sorted(found, key=lambda f: -f.share))
 
 
 def found_at(
@@ -97,21 +127,6 @@ def found_at(
         sentence=law.sentence.format(joints=listed(joints)),
         remedy=law.remedy,
     )
-
-
-def by_share(
-    found: Sequence[Finding], others: Sequence[Finding] = (), part: float = 0.0
-) -> tuple[Finding, ...]:
-    """Findings, largest share first.
-
-    Args:
-        found: Findings.
-        others: Findings of something else.
-        part: Part that the others have of what is explained.
-    """
-    both = [replace(f, share=(1.0 - part) * f.share) for f in found]
-    both += [replace(f, share=part * f.share) for f in others]
-    return tuple(sorted(both, key=lambda f: -f.share))
 
 
 def fall(

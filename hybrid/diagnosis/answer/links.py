@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.command import Link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Verdict
-from hybrid.diagnosis.answer.findings import by_share
 from hybrid.diagnosis.answer.intervals import interval
 from hybrid.diagnosis.explanations.account import Account
 from hybrid.diagnosis.gap.gap import Gap
@@ -41,17 +40,16 @@ def joined(
     noise = np.maximum(diagnosis.noise_floor, 1e-12)
     above = np.where(gap.moving, (gap.left / noise) ** 2 - 1.0, 0.0).sum()
     explained = float(account.explained.sum()) if diagnosis.findings else 0.0
-    part = link.squares / (link.squares + explained)
     whole = explained + float(account.missed.sum()) or max(float(above), 0.0)
     verdict: Verdict = {
         "no_gap": "explained", "unexplained": "partly_explained",
     }.get(diagnosis.verdict, diagnosis.verdict)  # type: ignore[assignment]  # fmt: skip
     return replace(
         diagnosis,
-        findings=by_share(diagnosis.findings, link.findings, part),
+        findings=link.joined(diagnosis.findings, explained),
         where=_where(diagnosis, max(float(above), 0.0), link.excess, rng),
         verdict=verdict,
-        unexplained=diagnosis.unexplained * whole / (whole + link.squares),
+        unexplained=diagnosis.unexplained * whole / (whole + float(link.squares.sum())),
     )
 
 
