@@ -133,7 +133,7 @@ def examine(
         tell("looking for the most probable explanation")
         search.run()
     reached = account(search).ceiling
-    named, torn = _believed(search, doubts)
+    named, alike = _believed(search, doubts)
     found = account(search, reached)
     search.stand_in()
     kinds = [named.get(c, ()) for c in search.known]
@@ -171,38 +171,36 @@ def examine(
         diagnosis = joined(diagnosis, found, as_logged, link, rng)
         command = link.effects
     return Result(
-        diagnosis, as_logged, search, scored, found, effects, command, torn,
+        diagnosis, as_logged, search, scored, found, effects, command, alike,
         healthy.model.effects if healthy else (),
     )  # fmt: skip
 
 
 def _believed(
     search: Search, doubts: list[str]
-) -> tuple[dict[Cause, tuple[str, ...]], dict[Term, Candidate]]:
+) -> tuple[dict[Cause, tuple[str, ...]], dict[Term, tuple[Candidate, ...]]]:
     """Leave a search the causes that are more probable than something unknown.
 
     Returns:
-        What each cannot be told from, itself first; and of causes that are as probable
-        at another joint, what is there.
+        Ids that each cannot be told from, itself first; and what explains as much in
+        its place: at its joint, and the most probable at another one.
     """
     beliefs = [b for b in search.beliefs if b.probability > _HALF]
     beliefs = [b for b in beliefs if b.worth > unknown_worth(search, b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
-    kinds, torn = {}, {}
-    names = search.gap.robot.joints
+    kinds, alike, names = {}, {}, search.gap.robot.joints
     for b, term in zip(beliefs, search.terms, strict=True):
-        known = [x for x, _ in b.alike if x.candidate is not None]
-        here = [x for x in known if {*x.place[1]} & {*b.cause.place[1]}]
-        kinds[b.cause] = tuple(dict.fromkeys(x.place[0] for x in here))
-        for x in known:
-            if x not in here and x.candidate is not None:
-                torn[term] = x.candidate
-                both = (b.cause.place, x.place)
-                said = (w for e, at in both for w in (e, names[at[-1]]))
-                doubts.append(_WHERE.format(*said))
-                break
-    return kinds, torn
+        known = [x.candidate for x, _ in b.alike if x.candidate is not None]
+        here = [c for c in known if {*c.place[1]} & {*term.place[1]}]
+        there = [c for c in known if c not in here][:1]
+        kinds[b.cause] = tuple(dict.fromkeys(c.place[0] for c in here))
+        alike[term] = tuple(c for c in (*here, *there) if c.place != term.place)
+        for c in there:
+            both = (term.place, c.place)
+            said = (w for e, at in both for w in (e, names[at[-1]]))
+            doubts.append(_WHERE.format(*said))
+    return kinds, alike
 
 
 def _once(finding: Finding, scored: Explanation) -> bool:

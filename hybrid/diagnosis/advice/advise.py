@@ -87,8 +87,7 @@ def advise(
     menu = Menu(result.gap.robot, rng, rate=rate)
     prospects = Prospects(result, menu)
     plans = [
-        *sorted(_between_rivals(result, prospects), key=_least_told),
-        *sorted(_between_places(result, prospects), key=_least_told),
+        *sorted(_between(result, prospects), key=_least_told),
         *_for_unexplained(result, menu),
         *_for_servos(result, menu),
         *_for_not_excited(result, menu),
@@ -107,27 +106,6 @@ def advise(
             write_reference(path, ask.reference, result.gap.robot.joints)
         advice.append(replace(plan.advice, file=file))
     return tuple(advice)
-
-
-def rivals(search: Search, term: Term, ids: Sequence[str]) -> list[Candidate]:
-    """The best candidates at a term's joint for some ids of effects, shapes fitted.
-
-    Args:
-        search: A search that has run.
-        term: One of its terms.
-        ids: Effects that explain as much.
-    """
-    base = search.base(term)
-    _, own = search.refine(base, term.candidate)
-    least = own - needed(own)
-    joint, found = term.place[1][-1], dict[str, tuple[Candidate, float]]()
-    for c, _ in search.ranked(base):
-        if c.place[0] in ids and c.place != term.place and joint in c.place[1]:
-            refined, gain = search.refine(base, c)
-            better = c.place[0] not in found or gain > found[c.place[0]][1]
-            if gain > least and better:
-                found[c.place[0]] = refined, gain
-    return [c for c, _ in found.values()]
 
 
 class Prospects:
@@ -168,29 +146,26 @@ class Prospects:
         return self._known[experiment]
 
 
-def _between_rivals(result: Result, prospects: Prospects) -> Iterator[Plan]:
-    """One experiment for each pair of a term and an effect that explains as much."""
+def _between(result: Result, prospects: Prospects) -> Iterator[Plan]:
+    """One experiment for each pair of a term and what explains as much."""
     search, joints = result.search, result.gap.robot.joints
-    named = {f.effect: f.alternatives[1:] for f in result.diagnosis.findings}
-    seen: set[tuple[int, frozenset[str]]] = set()
-    for term in search.terms:
-        effect_id, joint = term.place[0], term.place[1][-1]
-        if not (ids := named.get(effect_id, ())):
+    pairs = [(term, c) for term, others in result.alike.items() for c in others]
+    own: dict[int, Rival] = {}
+    chosen: dict[int, list[Experiment]] = {}
+    for term, other in pairs[:_MOST_PAIRS]:
+        if by_hand := _by_hand(term.candidate.effect, other.effect):
+            text = by_hand.format(joint=joints[term.place[1][-1]])
+            ids = tuple(sorted((term.place[0], other.place[0])))
+            yield Plan(Advice(text, ids, 0.0))
             continue
-        own = fit_rival(search, term, term.candidate)
-        chosen: list[Experiment] = []
-        for other in rivals(search, term, ids):
-            pair = frozenset({effect_id, other.place[0]})
-            if (joint, pair) in seen or len(seen) >= _MOST_PAIRS:
-                continue
-            seen.add((joint, pair))
-            if by_hand := _by_hand(own.effect, other.effect):
-                text = by_hand.format(joint=joints[joint])
-                yield Plan(Advice(text, tuple(sorted(pair)), 0.0))
-                continue
-            both = own, fit_rival(search, term, other)
-            if plan := choose(prospects, (joint,), both, chosen):
-                yield plan
+        key = id(term)
+        if key not in own:
+            own[key], chosen[key] = fit_rival(search, term, term.candidate), []
+        both = own[key], fit_rival(search, term, other)
+        at = dict.fromkeys(c.place[1][-1] for c in (term, other))
+        plan = choose(prospects, tuple(at), both, chosen[key])
+        if plan is not None:
+            yield plan if len(at) == 1 else _placed(search, plan, (term, other))
 
 
 def _by_hand(one: Effect, other: Effect) -> str:
@@ -198,23 +173,15 @@ def _by_hand(one: Effect, other: Effect) -> str:
     return one.told_apart.get(other.id) or other.told_apart.get(one.id, "")
 
 
-def _between_places(result: Result, prospects: Prospects) -> Iterator[Plan]:
-    """One experiment for each term that something at another joint does as well as."""
-    search, chosen = result.search, list[Experiment]()
-    for term, other in list(result.torn.items())[:_MOST_PAIRS]:
-        both = term.candidate, other
-        at = [c.place[1][-1] for c in both]
-        own, rival = (fit_rival(search, term, c) for c in both)
-        plan = choose(prospects, at, (own, rival), chosen)
-        if plan is None or plan.experiment is None:
-            continue
-        text = _run(plan.experiment)
-        if plan.advice.experiment == text:  # else it tells if it is one of them only
-            (one, here), (two, there) = map(search.placed, both)
-            laws = one.replace("_", " "), two.replace("_", " ")
-            text += _WHERE.format(laws[0], here, laws[1], there)
-            plan = replace(plan, advice=replace(plan.advice, experiment=text))
-        yield plan
+def _placed(search: Search, plan: Plan, both: Sequence[Term | Candidate]) -> Plan:
+    """A plan that says which joints it is about."""
+    text = plan.advice.experiment
+    if plan.experiment is None or text != _run(plan.experiment):
+        return plan  # it tells if it is one of them only
+    (one, here), (two, there) = map(search.placed, both)
+    laws = one.replace("_", " "), two.replace("_", " ")
+    text += _WHERE.format(laws[0], here, laws[1], there)
+    return replace(plan, advice=replace(plan.advice, experiment=text))
 
 
 def _least_told(plan: Plan) -> float:
