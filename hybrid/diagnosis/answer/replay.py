@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.simulator import corrected, scored_effects
 from hybrid.diagnosis.explanations.explanation import Explanation
+from hybrid.diagnosis.gap.faults import stretches
 from hybrid.diagnosis.gap.split import between, split
 from hybrid.effects import Effect
 from hybrid.plant.rollout import Windows, rollout
@@ -157,7 +158,12 @@ def windows_of(
     for horizon in HORIZONS:
         span = max(1, round(horizon * rate))
         found = np.array(
-            [(r, k) for r, fresh in enumerate(usable) for k in _starts(fresh, span)]
+            [
+                (r, k)
+                for r, fresh in enumerate(usable)
+                for run in stretches(fresh)
+                for k in range(run.start, run.stop - span, span)
+            ]
         )
         if len(found) >= _FEWEST_WINDOWS:
             few = np.linspace(0, len(found) - 1, min(len(found), _MOST_WINDOWS))
@@ -165,10 +171,3 @@ def windows_of(
             return horizon, Windows(motion, sample, span)
     none = np.zeros(0, dtype=np.intp)
     return None, Windows(none, none, 0)
-
-
-def _starts(usable: NDArray[np.bool_], span: int) -> list[int]:
-    """First samples of stretches with more usable samples than a span."""
-    edges = np.diff(np.concatenate([[0], usable, [0]]).astype(int))
-    runs = zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True)
-    return [k for first, end in runs for k in range(first, end - span, span)]
