@@ -206,7 +206,7 @@ def _criterion(name: str) -> Criterion | None:
 def _constraints(args: Namespace, robot: Robot, limits: Limits) -> list[Constraint]:
     import numpy as np
 
-    from hybrid.excitation import Clearance, Workspace
+    from hybrid.excitation import Clearance, Floor
     from hybrid.robot.geometry import capsules_from_robot
 
     found: list[Constraint] = []
@@ -215,7 +215,5 @@ def _constraints(args: Namespace, robot: Robot, limits: Limits) -> list[Constrai
     if args.floor is not None:
         if not np.isfinite(args.floor):
             raise HybridError("--floor is a height in m")
-        low = np.array([-np.inf, -np.inf, args.floor])
-        capsules = capsules_from_robot(robot)
-        found.append(Workspace(robot, capsules, low, np.full(3, np.inf)))
+        found.append(Floor(robot, capsules_from_robot(robot), args.floor))
     return found

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.errors import ExcitationError, HybridWarning
+from hybrid.errors import HybridWarning
 from hybrid.excitation.constraints import Index, Limits
 from hybrid.excitation.path import Path
 from hybrid.robot.chain import Chain
@@ -143,67 +143,48 @@ class Clearance:
 
 
 @dataclass(frozen=True, eq=False)
-class Workspace:
-    """A box in the base frame that every moving link stays in; a floor is a half of it.
+class Floor:
+    """A height in the base frame that every moving link stays above.
 
     Attributes:
         robot: The arm.
         capsules: What covers its links.
-        low: Lowest corner, shape (3,), [m]; −inf where anything is allowed.
-        high: Highest corner, shape (3,), [m].
+        height: The height, [m].
     """
 
     is_linear: ClassVar[bool] = False
 
     robot: Robot
     capsules: Capsules
-    low: Array
-    high: Array
-
-    def __post_init__(self) -> None:
-        if not (np.asarray(self.low) < np.asarray(self.high)).all():
-            raise ExcitationError("workspace: low must be below high")
+    height: float
 
     @cached_property
-    def _rows(self) -> tuple[Index, Index, Array, Array]:
-        """Capsule end, coordinate, sign and bound of each condition."""
-        rows = [
-            (2 * c + e, x, sign, bound[x] - sign * self.capsules.radius[c])
-            for c in np.flatnonzero(self.capsules.link >= 1)
-            for e in range(2)
-            for sign, bound in ((-1.0, self.low), (1.0, self.high))
-            for x in range(3)
-            if np.isfinite(bound[x])
-        ]
-        end, x, sign, bound = zip(*rows, strict=True)
-        return np.array(end), np.array(x), np.array(sign), np.array(bound)
+    def _ends(self) -> tuple[Index, Index]:
+        """Capsule, and which of its ends, of each condition, shape (K,)."""
+        moving = np.flatnonzero(self.capsules.link >= 1)
+        return np.repeat(moving, 2), np.tile([0, 1], len(moving))
 
     @property
     def names(self) -> tuple[str, ...]:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
-        end, x, sign, _ = self._rows
-        return tuple(
-            f"{'lowest' if s < 0 else 'highest'} {'xyz'[k]} of the link of "
-            f"{self.robot.joints[self.capsules.link[e // 2]]}"
-            for e, k, s in zip(end, x, sign, strict=True)
-        )
+        links = self.capsules.link[self._ends[0]]
+        return tuple(f"lowest z of the link of {self.robot.joints[k]}" for k in links)
 
     def excess(self, path: Path) -> Array:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
-        end, x, sign, bound = self._rows
-        ends = ends_in_world(self.robot.chain, self.capsules, path.q)
-        points = ends.reshape(len(path.t), -1, 3)
-        return np.asarray(sign * (points[:, end, x] - bound) / _LENGTH)
+        capsule, end = self._ends
+        z = ends_in_world(self.robot.chain, self.capsules, path.q)[:, capsule, end, 2]
+        least = self.height + self.capsules.radius[capsule]
+        return np.asarray((least - z) / _LENGTH)
 
     def slope(self, path: Path, which: Index) -> Array:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
-        end, x, sign, _ = (rows[which] for rows in self._rows)
-        chain, capsules, at = self.robot.chain, self.capsules, np.arange(len(which))
-        point = ends_in_world(chain, capsules, path.q)[at, end // 2, end % 2]
-        direction = sign[:, None] * np.eye(3)[x]
-        link, out = capsules.link[end // 2], np.zeros((len(which), 4, chain.size))
-        change = point_change(chain, path.q, link, point, direction)
-        out[:, 0] = change / _LENGTH
+        capsule, end = (x[which] for x in self._ends)
+        chain, at = self.robot.chain, np.arange(len(which))
+        point = ends_in_world(chain, self.capsules, path.q)[at, capsule, end]
+        down = np.tile([0.0, 0.0, -1.0], (len(which), 1))
+        link, out = self.capsules.link[capsule], np.zeros((len(which), 4, chain.size))
+        out[:, 0] = point_change(chain, path.q, link, point, down) / _LENGTH
         return out
 
 
