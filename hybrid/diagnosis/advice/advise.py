@@ -34,7 +34,6 @@ _CLEARLY = 1.2  # times the evidence that is needed
 _MOST_PAIRS = 6
 _SHORTLIST = 4  # experiments for which all is fitted anew
 _MOST_JOINTS = 3
-_SLOW_ENOUGH = 4.0  # s at one speed
 _RATE = 500.0  # Hz, of references at most
 _WHERE = "; it settles whether it is {} at {} or {} at {}"
 _IF_ANY = "; it settles whether it is {}, or else bounds it"
@@ -265,7 +264,7 @@ def _for_not_excited(result: Result, menu: Menu) -> Iterator[Plan]:
         ]
         if not wanting or count >= _MOST_JOINTS:
             continue
-        for experiment in menu.ladder(j, longest=_SLOW_ENOUGH):
+        for experiment in menu.ladder(j):
             count += 1
             yield Plan(Advice(_run(experiment), (), 0.0), experiment)
 

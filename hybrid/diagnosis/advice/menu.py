@@ -21,12 +21,12 @@ from hybrid.excitation.experiments import (
     static_poses,
 )
 from hybrid.excitation.knots import Walk
+from hybrid.identification.preparation import STANDING
 from hybrid.plant.reference import Reference, random_fourier
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 
 _EDGE = 0.2  # s, at both ends of a motion, that filters spoil
-_STANDING = 0.01  # of the highest speed
 _CUTOFF = 30.0  # Hz, of what is expected of experiments; none is that fast
 _CLOCK = 5.0  # samples per period of the cut-off
 _POSES, _FEWEST_POSES, _DRAWS = 8, 4, 60
@@ -97,7 +97,7 @@ class Menu:
         """What the arm may do."""
         return Envelope.of(self._robot)
 
-    def ladder(self, joint: int, *, longest: float) -> tuple[Experiment, ...]:
+    def ladder(self, joint: int, *, longest: float = 4.0) -> tuple[Experiment, ...]:
         """A joint forth and back at many speeds, if there is room for it.
 
         Args:
@@ -272,7 +272,7 @@ def gap_along(gap: Gap, experiment: Experiment) -> Gap:
     motion = replace(motion, tau=simulated_torque(robot, motion, body))
     sampler = Sampler.for_rate(motion.rate, cutoff)
     v = v[:: sampler.factor]
-    moving = np.abs(v) > _STANDING * np.abs(gap.sampled.v).max(axis=0)
+    moving = np.abs(v) > STANDING * np.abs(gap.sampled.v).max(axis=0)
     moving &= sampler.keep(mask)[:, None]
     of, left = np.zeros(len(v), dtype=np.intp), np.zeros_like(v)
     return Gap(robot, (motion,), (body,), cutoff, left, moving, of, of)

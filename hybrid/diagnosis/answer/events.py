@@ -9,8 +9,9 @@ from scipy.stats import median_abs_deviation
 
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects.contact import Contact
+from hybrid.identification.preparation import STANDING
 
-_SLOW, _SLOWEST = 0.01, 0.01  # of the highest speed; rad/s or m/s
+_SLOWEST = 0.01  # rad/s or m/s
 _CLEAR = 8.0  # deviations of what the arm holds at rest
 _LEAST = 0.01  # of the rated torque
 _SHORTEST, _PAUSE = 0.05, 0.2  # s, of an event, and between two of them
@@ -41,7 +42,7 @@ def events_at_rest(gap: Gap) -> tuple[Event, ...]:
     """Pushes while no joint moves, in their order."""
     sampled, n = gap.sampled, gap.robot.size
     v = np.abs(sampled.v)
-    slow = v <= np.maximum(_SLOW * v.max(axis=0, initial=0.0), _SLOWEST)
+    slow = v <= np.maximum(STANDING * v.max(axis=0, initial=0.0), _SLOWEST)
     still = sampled.mask & slow.all(axis=1)
     rated = np.array([s.torque for s in gap.scales])
     found = []
