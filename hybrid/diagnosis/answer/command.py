@@ -286,7 +286,7 @@ def _finding(
         found_at(
             kind,
             [gap.robot.joints[j] for j in joints],
-            ["torque_gain"] if alike else [],
+            ControllerGain.at_scale if alike else (),
             [v for e in own for v in values(gap, e)],
         ),
         share=sum(s.share(kind) for s in servos) / max(total, 1e-300),
