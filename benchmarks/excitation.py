@@ -37,9 +37,9 @@ from hybrid.errors import HybridWarning
 from hybrid.excitation import (
     Clearance,
     Condition,
+    Floor,
     Fourier,
     Limits,
-    Workspace,
     design,
     observe,
 )
@@ -81,7 +81,7 @@ FIGURES = {
     "normalised": "all, normalised",
     "log_det": "log det, whitened",
 }
-FLOOR = np.array([-np.inf, -np.inf, 0.0])
+FLOOR = 0.0  # m
 
 
 def arm(name: str) -> Robot:
@@ -102,7 +102,7 @@ def obstacles(robot: Robot, kind: str) -> tuple[tuple[Constraint, ...], str]:
     text = f", {len(links.pairs)} link pairs"
     if "floor" not in kind:
         return (links,), text
-    floor = Workspace(robot, links.capsules, FLOOR, np.full(3, np.inf))
+    floor = Floor(robot, links.capsules, FLOOR)
     return (links, floor), f"{text} and floor ({len(set(floor.names))} links)"
 
 

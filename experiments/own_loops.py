@@ -71,7 +71,7 @@ def run(
         "arm": Path(arm).stem, "true": loop.named, "verdict": found.verdict,
         "named": named(found), "relative": found.relative,
         "joints": found.joints, "unexplained": found.unexplained,
-        "unseen": found.unseen.as_dict() if found.unseen else None,
+        "unseen": found.as_dict()["unseen"],
         "cpu_s": process_time() - start,
     }  # fmt: skip
 

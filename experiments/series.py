@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.excitation.families import Fourier, Series, harmonics
+from hybrid.excitation.families import Fourier, harmonics
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class PlainFourier(Fourier):
 
 
 @dataclass(frozen=True)
-class FourierQuintic(Series):
+class FourierQuintic(Fourier):
     """A Fourier series and a polynomial of fifth order that brings it to rest.
 
     In place of the constant term, p(t) = b₀ + … + b₅ t⁵ over each period T cancels the
@@ -42,6 +42,7 @@ class FourierQuintic(Series):
     """
 
     name: ClassVar[str] = "fourier_quintic"
+    least: ClassVar[int] = 1
 
     @property
     def size(self) -> int:

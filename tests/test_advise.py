@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnosis.advice.advise import advise, choose, rivals
+from hybrid.diagnosis.advice.advise import advise, choose
 from hybrid.diagnosis.advice.along import Along, coarse
 from hybrid.diagnosis.advice.menu import Experiment, Menu, gap_along, joined
 from hybrid.diagnosis.advice.separation import Outlook, fit_rival, needed, shapes_of
@@ -90,8 +90,7 @@ def pair():
     result, _ = poorly_recorded("load_friction", 0, 0.3)
     (term,) = [t for t in result.search.terms if t.place[1] == (0,)]
     own = fit_rival(result.search, term, term.candidate)
-    ids = result.diagnosis.findings[0].alternatives[1:]
-    (other, *_) = rivals(result.search, term, ids)
+    (other, *_) = next(x for t, x in result.alike.items() if t.index is term.index)
     return result, own, fit_rival(result.search, term, other)
 
 
@@ -347,7 +346,7 @@ def test_what_tells_the_same_effects_at_two_joints_is_said_once(monkeypatch):
     (warm,) = [x for x in menu.of_all_joints if x.start]
     splits = ("viscous", "thermal_friction")
     plans = [module.Plan(Advice("run it", splits, x), warm) for x in (3.0, 9.0)]
-    monkeypatch.setattr(module, "_between_rivals", lambda *_: iter(plans))
+    monkeypatch.setattr(module, "_between", lambda *_: iter(plans))
     sound = replace(result.diagnosis, verdict="explained", not_excited=(), findings=())
     advised = advise(replace(result, diagnosis=sound), np.random.default_rng(0))
     assert [x.separation for x in advised] == [9.0]

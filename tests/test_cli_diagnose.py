@@ -157,7 +157,9 @@ def test_much_that_the_simulator_has_not_is_said_in_few_words(
     notes = tuple(f"torque_ripple of joint_{k}" for k in range(9))
     whole = fixed.write_fixed
     monkeypatch.setattr(
-        fixed, "write_fixed", lambda *given, **more: replace(whole(*given, **more), notes=notes)
+        fixed,
+        "write_fixed",
+        lambda *given, **more: replace(whole(*given, **more), notes=notes),
     )
     run(f"{diagnose} --out {tmp_path}/out")
     last = capsys.readouterr().out.splitlines()[-1]

@@ -124,7 +124,9 @@ class TestTooMuchFriction:
     def test_what_is_small_beside_such_numbers_is_found(self, without):
         """Either the friction is wrong, or the file's numbers are, and that is said."""
         diagnosis = examine(TOO_MUCH, offset(0.05), without=without).diagnosis
-        assert "torque_offset" in {x for f in diagnosis.findings for x in f.alternatives}
+        assert "torque_offset" in {
+            x for f in diagnosis.findings for x in f.alternatives
+        }
         off = any("the numbers of the file" in x for x in diagnosis.warnings)
         assert off == bool(without)
 

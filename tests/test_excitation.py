@@ -27,7 +27,6 @@ from hybrid.excitation import (
     design,
     observe,
 )
-from hybrid.excitation.folder import write_design
 from hybrid.excitation.knots import Walk
 from hybrid.excitation.path import Grid, uniform
 from hybrid.excitation.solver import solve
@@ -254,13 +253,6 @@ def test_predicted_standard_errors_are_those_of_repeated_fits():
     np.testing.assert_allclose(result.standard_errors(), spread, rtol=0.06)
 
 
-def test_four_times_the_samples_halve_the_standard_errors():
-    result = usual_design()
-    np.testing.assert_allclose(
-        result.standard_errors(4 * result.rate), result.standard_errors() / 2
-    )
-
-
 def test_what_cannot_be_met_is_named():
     planar = Robot.load(MODELS / "planar.xml")
     observation = observe(planar.chain)
@@ -297,7 +289,7 @@ def test_bad_requests_say_what_is_valid(make, says):
 
 def test_a_design_on_disk_is_the_motion(tmp_path):
     result = pair()
-    paths = write_design(tmp_path, result, rate=100.0)
+    paths = result.save(tmp_path, rate=100.0)
     content = json.loads((tmp_path / "design.json").read_text())
     family = result.trajectories[0].family
     loaded = [

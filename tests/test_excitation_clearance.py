@@ -8,9 +8,9 @@ from hybrid.errors import ExcitationError, HybridWarning, RobotError
 from hybrid.excitation import (
     Clearance,
     Condition,
+    Floor,
     Fourier,
     Limits,
-    Workspace,
     design,
     observe,
 )
@@ -110,14 +110,13 @@ def test_links_without_geometry_are_left_out_and_named():
     assert distance.shape == (2, len(clearance.pairs))
 
 
-@pytest.mark.parametrize("kind", ["clearance", "workspace"])
+@pytest.mark.parametrize("kind", ["clearance", "floor"])
 def test_slopes_are_those_of_finite_differences(kind):
     limits = Limits.of(COMAN)
-    low = np.array([-0.5, -np.inf, 0.1])
     capsules = capsules_from_robot(COMAN)
     constraint = {
         "clearance": clearance_of_coman(limits),
-        "workspace": Workspace(COMAN, capsules, low, np.array([0.6, np.inf, 0.9])),
+        "floor": Floor(COMAN, capsules, 0.1),
     }[kind]
     q = np.random.default_rng(1).uniform(limits.low, limits.high, (15, 6))
     for k in range(0, len(constraint.names), 5):
@@ -142,15 +141,14 @@ def test_a_design_keeps_links_apart_and_above_the_floor():
         criterion=Condition(),
     )
     height = 0.05 + lowest(planar, clearance, free)
-    low = np.array([-np.inf, -np.inf, height])
-    box = Workspace(planar, clearance.capsules, low, np.full(3, np.inf))
+    floor = Floor(planar, clearance.capsules, height)
     kept = design(
         planar,
         observe(planar.chain),
         Fourier(4, 0.2),
         seed=np.random.default_rng(0),
         criterion=Condition(),
-        constraints=(clearance, box),
+        constraints=(clearance, floor),
     )
     assert lowest(planar, clearance, kept) >= height
     q = kept.trajectories[0].path(uniform(5.0, 333.0)).q
@@ -166,19 +164,17 @@ def lowest(robot, clearance, result):
     return (ends[..., 2] - clearance.capsules.radius[moving, None]).min()
 
 
-def test_a_box_that_is_too_small_is_named():
+def test_a_floor_that_is_too_high_is_named():
     limits = Limits.of(COMAN)
-    box = Workspace(
-        COMAN, capsules_from_robot(COMAN), np.full(3, -9.0), np.array([9, 9, 0.01])
-    )
-    with pytest.raises(ExcitationError, match="no posture keeps the highest z"):
+    floor = Floor(COMAN, capsules_from_robot(COMAN), 2.0)
+    with pytest.raises(ExcitationError, match="no posture keeps the lowest z"):
         design(
             COMAN,
             observe(COMAN.chain),
             Fourier(3, 0.1),
             seed=np.random.default_rng(0),
             limits=limits,
-            constraints=(box,),
+            constraints=(floor,),
         )
 
 

@@ -27,8 +27,8 @@ def experiments(robot):
     middle = (limits.low + limits.high) / 2
     poses = middle + rng.uniform(-0.4, 0.4, (4, robot.size))
     return {
-        "ladder": speed_ladder(robot, 1, speeds=(0.05, 0.4)),
-        "reversals": micro_reversals(robot, 2, amplitudes=(0.002, 0.01)),
+        "ladder": speed_ladder(robot, 1, longest=1.0),
+        "reversals": micro_reversals(robot, 2),
         "poses": static_poses(robot, poses),
         "multisine": multisine(robot, duration=8.0, seed=rng),
     }
@@ -50,9 +50,9 @@ def test_experiments_are_smooth_at_rest_at_the_ends_and_within_limits(arm, name)
 
 
 def test_a_ladder_moves_one_joint_at_each_speed_both_ways():
-    speeds = (0.05, 0.2, 0.8)
-    reference = speed_ladder(COMAN, "elbow", speeds=speeds)
+    reference = speed_ladder(COMAN, "elbow")
     j = COMAN.joint_index("elbow")
+    speeds = np.geomspace(0.01, 0.9, 8) * Limits.of(COMAN).speed[j]
     others = np.delete(reference.v, j, axis=1)
     assert np.abs(others).max() == 0
     steady = np.abs(reference.a[:, j]) < 1e-9
@@ -63,13 +63,12 @@ def test_a_ladder_moves_one_joint_at_each_speed_both_ways():
 
 
 def test_reversals_grow_and_come_home():
-    sizes = (0.001, 0.004, 0.016)
-    reference = micro_reversals(COMAN, 1, amplitudes=sizes, repeats=2)
+    reference = micro_reversals(COMAN, 1)
     away = reference.q[:, 0] - reference.q[0, 0]
     assert away[-1] == pytest.approx(0, abs=1e-12)
-    assert np.abs(away).max() == pytest.approx(0.016, rel=1e-3)
+    assert np.abs(away).max() == pytest.approx(0.02, rel=1e-3)
     turns = (np.diff(np.sign(reference.v[:, 0])) != 0).sum()
-    assert turns >= 2 * 2 * len(sizes)
+    assert turns >= 2 * 3 * 5
 
 
 def test_poses_are_held_still():
@@ -81,11 +80,9 @@ def test_poses_are_held_still():
 
 
 def test_a_multisine_has_power_in_its_band_only_and_no_common_tones():
-    reference = multisine(
-        COMAN, lowest=1.0, highest=4.0, duration=20.0, seed=np.random.default_rng(0)
-    )
+    reference = multisine(COMAN, duration=20.0, seed=np.random.default_rng(0))
     lines = np.abs(np.fft.rfft(reference.a[:-1], axis=0))
-    own = lines[20:81:6]  # of the first joint, in twentieths of a hertz
+    own = lines[4:101:6]  # of the first joint, in twentieths of a hertz
     assert own[:, 0].mean() > 5 * own[:, 1:].mean(axis=0).max() * (
         lines[:, 0].max() / lines.max()
     )
@@ -94,7 +91,7 @@ def test_a_multisine_has_power_in_its_band_only_and_no_common_tones():
         np.fft.rfft(a[1000:-1000] * np.hanning(len(a) - 2000)[:, None], axis=0)
     )
     frequency = np.fft.rfftfreq(len(a) - 2000, reference.t[1])
-    band = (frequency > 0.8) & (frequency < 4.2)
+    band = frequency < 5.2
     share = (power[band] ** 2).sum(axis=0) / (power**2).sum(axis=0)
     assert (share > 0.99).all()
 
@@ -120,14 +117,10 @@ def test_too_fast_a_path_names_the_limit():
 @pytest.mark.parametrize(
     "make, says",
     [
-        (lambda: speed_ladder(COMAN, 1, speeds=(99.0,)), "speed 99 rad/s of base"),
-        (lambda: micro_reversals(COMAN, 1, repeats=0), "repeats from 1"),
         (lambda: static_poses(COMAN, np.zeros((2, 3))), "poses of 6 joints"),
         (lambda: static_poses(COMAN, np.full((2, 6), 9.0)), "position of"),
         (
-            lambda: multisine(
-                COMAN, highest=0.3, duration=5.0, seed=np.random.default_rng(0)
-            ),
+            lambda: multisine(COMAN, duration=1.0, seed=np.random.default_rng(0)),
             "one tone or more",
         ),
         (lambda: speed_ladder(COMAN, 1, posture=np.full(6, 50.0)), "outside"),
@@ -139,6 +132,6 @@ def test_bad_requests_say_what_is_valid(make, says):
 
 
 def test_weak_drives_are_refused_before_anything_moves():
-    limits = replace(Limits.of(COMAN), torque=np.full(6, 0.5))
+    weak = replace(COMAN, tau_max=np.full(6, 0.5))
     with pytest.raises(ExcitationError, match="torque"):
-        multisine(COMAN, seed=np.random.default_rng(0), limits=limits)
+        multisine(weak, seed=np.random.default_rng(0))

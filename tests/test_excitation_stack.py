@@ -10,17 +10,16 @@ from hybrid.excitation import Condition, Fourier, Limits, design, observe
 from hybrid.excitation.constraints import MotionLimits
 from hybrid.excitation.path import uniform
 from hybrid.excitation.program import MotionProgram
-from hybrid.excitation.stack import StackProgram
 from hybrid.robot import Robot
 
 PLANAR = Robot.load(MODELS / "planar.xml")
 OBSERVATION = observe(PLANAR.chain)
 
 
-def stack(count: int) -> StackProgram:
+def stack(count: int) -> MotionProgram:
     limits = Limits.of(PLANAR)
     b = OBSERVATION.size
-    motion = MotionProgram(
+    return MotionProgram(
         OBSERVATION,
         Condition(),
         Fourier(3, 0.2),
@@ -30,8 +29,8 @@ def stack(count: int) -> StackProgram:
         20.0,
         4.0,
         1e-3,
+        count,
     )
-    return StackProgram(motion, count)
 
 
 @cache
@@ -40,15 +39,6 @@ def chosen(together: bool):
         PLANAR, OBSERVATION, Fourier(3, 0.2), seed=np.random.default_rng(0),
         criterion=Condition(), trajectories=2, starts=2, together=together,
     )  # fmt: skip
-
-
-def test_one_motion_alone_is_a_stack_of_one():
-    one, x = stack(1), stack(1).random(np.random.default_rng(0))
-    value, slope = one.objective(x)
-    alone, own = one.motion.objective(x)
-    assert value == alone and np.array_equal(slope, own)
-    assert one.excess(x) == one.motion.excess(x)
-    assert one.verified(x) == one.motion.verified(x)
 
 
 def test_objective_and_conditions_have_exact_slopes():

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from learners import NetworkRegression
 from simulated import (
     arm,
     coloured,
@@ -154,16 +153,6 @@ def test_a_remainder_never_exceeds_its_bound(data, learned):
         -2, 4, (2, 100_000, 1)
     )
     assert (np.abs(found.predict(*states)) <= bound).all()
-
-
-def test_a_perceptron_learns_through_the_same_door(data, learned):
-    def perceptron(x, y, *, like, validation, **options):
-        return NetworkRegression.fit(x, y, epochs=20, **options)
-
-    found, left = learn(data, among=learned.remainder, learn=perceptron)
-    (part,) = found.remainder.parts
-    assert isinstance(part.regression, NetworkRegression)
-    assert left[1] < 0.4 * rms(data)[1]
 
 
 def test_variance_is_that_of_the_noise_and_unknown_where_nothing_was_learned(

@@ -59,11 +59,10 @@ def motion_error(result: Result, truth: Sequence[Effect]) -> MotionError | None:
 
     def error(chosen: Sequence[Candidate]) -> float:
         replay = Replay(explain(search.having(chosen)))
-        if not replay.has(_HORIZON):
+        if replay.horizon != _HORIZON:
             return np.nan
-        squares = replay.squares(replay.all_terms)
-        errors = replay.error(squares, joints, _HORIZON)
-        return float(np.median(errors[replay.fit(_HORIZON)]))
+        squares = replay.squares(replay.all_terms)[:, joints]
+        return float(np.median(np.sqrt(squares.mean(axis=1))))
 
     try:
         errors = [error(chosen) for chosen in ([], found, true)]

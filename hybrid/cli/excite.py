@@ -106,7 +106,7 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.excitation import Limits, design, observe
-    from hybrid.excitation.folder import DESIGN, reference_paths, write_design
+    from hybrid.excitation.folder import DESIGN, reference_paths
     from hybrid.plant.noise import Noise
 
     robot = options.load_robot(args)
@@ -134,7 +134,7 @@ def run(args: Namespace, screen: Screen) -> None:
             together=args.together,
             rate=max(20.0, 8.0 * args.order / args.duration),
         )
-    write_design(args.out, found, rate=args.rate, more={"provenance": how})
+    found.save(args.out, rate=args.rate, more={"provenance": how})
     _draw(args, found, limits)
     options.write_record(args, how, found.as_dict())
     _tell(args, screen, found)
@@ -201,7 +201,7 @@ def _criterion(name: str) -> Criterion | None:
 def _constraints(args: Namespace, robot: Robot, limits: Limits) -> list[Constraint]:
     import numpy as np
 
-    from hybrid.excitation import Clearance, Workspace
+    from hybrid.excitation import Clearance, Floor
     from hybrid.robot.geometry import capsules_from_robot
 
     found: list[Constraint] = []
@@ -210,7 +210,5 @@ def _constraints(args: Namespace, robot: Robot, limits: Limits) -> list[Constrai
     if args.floor is not None:
         if not np.isfinite(args.floor):
             raise HybridError("--floor is a height in m")
-        low = np.array([-np.inf, -np.inf, args.floor])
-        capsules = capsules_from_robot(robot)
-        found.append(Workspace(robot, capsules, low, np.full(3, np.inf)))
+        found.append(Floor(robot, capsules_from_robot(robot), args.floor))
     return found

@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.clocks import clocks_apart
-from hybrid.diagnosis.answer.command import Link, command_link
+from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.findings import findings
@@ -33,6 +33,7 @@ from hybrid.diagnosis.gap.grounds import too_little, unlike
 from hybrid.diagnosis.gap.split import split
 from hybrid.diagnosis.gap.units import units
 from hybrid.diagnosis.gap.visited import not_excited
+from hybrid.effects import Effect
 from hybrid.effects.delay import Delay
 from hybrid.identification.preparation import taken
 from hybrid.model import DynamicModel
@@ -132,7 +133,7 @@ def examine(
         tell("looking for the most probable explanation")
         search.run()
     reached = account(search).ceiling
-    named, torn = _believed(search, doubts)
+    named, alike = _believed(search, doubts)
     found = account(search, reached)
     search.stand_in()
     kinds = [named.get(c, ()) for c in search.known]
@@ -145,8 +146,8 @@ def examine(
         far = _FAR.format(search.off) if search.off < 1.0 else _PLACEHOLDERS
         doubts.append(far)
     if logged.clocks and not foreign:
-        apart = clocks_apart(as_logged, scored, logged, rng)
-        causes, effects = apart.beside(causes), (*effects, *apart.effects)
+        apart, others = clocks_apart(as_logged, scored, logged, rng)
+        causes, effects = apart.joined(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
     verdict, unexplained = _verdict(
         gap, found, causes, left_unseen(scored, found, search)
@@ -157,7 +158,7 @@ def examine(
         events=events_at_rest(as_logged),
         warnings=(*gap.notes, *logged.notes, *doubts),
     )
-    link = Link()
+    command: tuple[Effect, ...] = ()
     if verdict != "not_excited":
         tell("finding where the gap lies")
         where = locate(as_logged, np.array(diagnosis.noise_floor), rng)
@@ -168,39 +169,38 @@ def examine(
         distorted = {j for e in effects if e.reports for j in e.joints}
         link = command_link(gap, recordings, rng, without=without, distorted=distorted)
         diagnosis = joined(diagnosis, found, as_logged, link, rng)
+        command = link.effects
     return Result(
-        diagnosis, as_logged, search, scored, found, effects, link.effects, torn,
+        diagnosis, as_logged, search, scored, found, effects, command, alike,
         healthy.model.effects if healthy else (),
     )  # fmt: skip
 
 
 def _believed(
     search: Search, doubts: list[str]
-) -> tuple[dict[Cause, tuple[str, ...]], dict[Term, Candidate]]:
+) -> tuple[dict[Cause, tuple[str, ...]], dict[Term, tuple[Candidate, ...]]]:
     """Leave a search the causes that are more probable than something unknown.
 
     Returns:
-        What each cannot be told from, itself first; and of causes that are as probable
-        at another joint, what is there.
+        Ids that each cannot be told from, itself first; and what explains as much in
+        its place: at its joint, and the most probable at another one.
     """
     beliefs = [b for b in search.beliefs if b.probability > _HALF]
     beliefs = [b for b in beliefs if b.worth > unknown_worth(search, b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
-    kinds, torn = {}, {}
-    names = search.gap.robot.joints
+    kinds, alike, names = {}, {}, search.gap.robot.joints
     for b, term in zip(beliefs, search.terms, strict=True):
-        known = [x for x, _ in b.alike if x.candidate is not None]
-        here = [x for x in known if {*x.place[1]} & {*b.cause.place[1]}]
-        kinds[b.cause] = tuple(dict.fromkeys(x.place[0] for x in here))
-        for x in known:
-            if x not in here and x.candidate is not None:
-                torn[term] = x.candidate
-                both = (b.cause.place, x.place)
-                said = (w for e, at in both for w in (e, names[at[-1]]))
-                doubts.append(_WHERE.format(*said))
-                break
-    return kinds, torn
+        known = [x.candidate for x, _ in b.alike if x.candidate is not None]
+        here = [c for c in known if {*c.place[1]} & {*term.place[1]}]
+        there = [c for c in known if c not in here][:1]
+        kinds[b.cause] = tuple(dict.fromkeys(c.place[0] for c in here))
+        alike[term] = tuple(c for c in (*here, *there) if c.place != term.place)
+        for c in there:
+            both = (term.place, c.place)
+            said = (w for e, at in both for w in (e, names[at[-1]]))
+            doubts.append(_WHERE.format(*said))
+    return kinds, alike
 
 
 def _once(finding: Finding, scored: Explanation) -> bool:

@@ -36,6 +36,10 @@ class CommandLatency(Effect):
         """See :attr:`Instant.actuator`."""
         return {"latency": self.values["time"]} if self.values["time"] > 0 else {}
 
+    def setting(self, kp: float, kd: float) -> str:
+        """See :meth:`Instant.setting`."""
+        return f"delay commands by {1000 * self.values['time']:.3g} ms"
+
     def command(self, t: Array, signal: Array) -> Array:
         """The signal of an earlier time; before the first sample it is held."""
         late = t - self.values["time"]

@@ -23,6 +23,8 @@ class ControllerGain(Effect):
     port = Port.COMMAND
     # Parts of the whole gains; noise of the speed hides as much of the damping.
     inexact: ClassVar[Mapping[str, float]] = {"damping": 0.03, "stiffness": 0.001}
+    # What a torque logged at another scale is, which looks like other gains.
+    at_scale: ClassVar[tuple[str, ...]] = ("torque_gain",)
     not_in_loop = "it lies between command and torque"
     gains = (
         Quantity("stiffness", "", -0.2, -0.9, 5.0),
@@ -41,6 +43,11 @@ class ControllerGain(Effect):
     def actuator(self) -> Mapping[str, float]:
         """See :attr:`Instant.actuator`."""
         return {name: 1.0 + self.values[name] for name in ("stiffness", "damping")}
+
+    def setting(self, kp: float, kd: float) -> str:
+        """See :meth:`Instant.setting`."""
+        true = self.tune(np.array(kp), np.array(kd))
+        return "use kp = {:.4g} and kd = {:.4g}".format(*true)
 
     def tune(self, kp: Array, kd: Array) -> tuple[Array, Array]:
         """Gains as they really are."""

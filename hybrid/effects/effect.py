@@ -102,6 +102,11 @@ class Effect(InPlant, Instant, ABC):
     choices: ClassVar[float | None] = None
     # Whether torque alone does not settle it, and motion does.
     shows_in_motion: ClassVar[bool] = False
+    # Whether it matters how long the drives have been running.
+    warms: ClassVar[bool] = False
+    # What to do to tell it from a law that has the same torque on every motion, by the
+    # id of that.
+    told_apart: ClassVar[Mapping[str, str]] = {}
     equation: ClassVar[str]
     source: ClassVar[str]
     sentence: ClassVar[str]

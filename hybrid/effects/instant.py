@@ -52,6 +52,15 @@ class Instant:
         """Equivalent changes of an actuator, by the names of ``Actuator``."""
         return {}
 
+    def setting(self, kp: float, kd: float) -> str:
+        """How a servo is given it, in words; nothing if it is not of the servo.
+
+        Args:
+            kp: Stiffness as declared, [N·m/rad].
+            kd: Damping as declared, [N·m·s/rad].
+        """
+        return ""
+
     def rigid_change(self, size: int, gravity: Array) -> tuple[Array, Array] | None:
         """Change of the rigid body with the same torque as the effect, or None.
 

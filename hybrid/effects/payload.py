@@ -110,6 +110,7 @@ class Payload(LinkInertia):
 
     id = "payload"
     inborn = False
+    told_apart = {"link_inertia": "take off what the arm carries and repeat a motion"}
     scope = "arm"
     equation = "τ = Y_n(q, v, a) · π_payload"
     sentence = "The arm carries a payload that the simulator does not know."

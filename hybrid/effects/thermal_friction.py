@@ -24,6 +24,7 @@ class ThermalFriction(JointEffect):
     id = "thermal_friction"
     port = Port.DRIVE
     fields = {"cold": "friction"}
+    warms = True
     becomes = "time_constant", "upper", "viscous"
     gains = (Quantity("cold", "N·m·s/rad", 0.04, 0.0, 1.0, per=(1, -1)),)
     shapes = (

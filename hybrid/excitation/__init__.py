@@ -1,6 +1,6 @@
 """Motions that reveal the parameters of an arm."""
 
-from hybrid.excitation.clearance import Clearance, Workspace
+from hybrid.excitation.clearance import Clearance, Floor
 from hybrid.excitation.constraints import Limits
 from hybrid.excitation.criteria import (
     Condition,
@@ -28,12 +28,12 @@ __all__ = [
     "DOptimal",
     "Design",
     "ExpectedError",
+    "Floor",
     "Fourier",
     "Limits",
     "Observation",
     "Spline",
     "Trajectory",
-    "Workspace",
     "at_speeds",
     "design",
     "micro_reversals",

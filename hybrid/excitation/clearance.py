@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.errors import ExcitationError, HybridWarning
+from hybrid.errors import HybridWarning
 from hybrid.excitation.constraints import Index, Limits
 from hybrid.excitation.path import Path
 from hybrid.robot.chain import Chain
@@ -143,70 +143,48 @@ class Clearance:
 
 
 @dataclass(frozen=True, eq=False)
-class Workspace:
-    """A box in the base frame that every moving link stays in; a floor is a half of it.
+class Floor:
+    """A height in the base frame that every moving link stays above.
 
     Attributes:
         robot: The arm.
         capsules: What covers its links.
-        low: Lowest corner, shape (3,), [m]; −inf where anything is allowed.
-        high: Highest corner, shape (3,), [m].
+        height: The height, [m].
     """
 
     is_linear: ClassVar[bool] = False
 
     robot: Robot
     capsules: Capsules
-    low: Array
-    high: Array
-
-    def __post_init__(self) -> None:
-        if not (np.asarray(self.low) < np.asarray(self.high)).all():
-            raise ExcitationError("workspace: low must be below high")
+    height: float
 
     @cached_property
-    def _rows(self) -> tuple[Index, Index, Array, Array]:
-        """Capsule end, coordinate, sign and bound of each condition."""
-        rows = [
-            (2 * c + e, x, sign, bound[x] - sign * self.capsules.radius[c])
-            for c in np.flatnonzero(self.capsules.link >= 1)
-            for e in range(2)
-            for sign, bound in ((-1.0, self.low), (1.0, self.high))
-            for x in range(3)
-            if np.isfinite(bound[x])
-        ]
-        end, x, sign, bound = zip(*rows, strict=True)
-        return np.array(end), np.array(x), np.array(sign), np.array(bound)
+    def _ends(self) -> tuple[Index, Index]:
+        """Capsule, and which of its ends, of each condition, shape (K,)."""
+        moving = np.flatnonzero(self.capsules.link >= 1)
+        return np.repeat(moving, 2), np.tile([0, 1], len(moving))
 
     @property
     def names(self) -> tuple[str, ...]:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
-        end, x, sign, _ = self._rows
-        return tuple(
-            f"{'lowest' if s < 0 else 'highest'} {'xyz'[k]} of the link of "
-            f"{self.robot.joints[self.capsules.link[e // 2]]}"
-            for e, k, s in zip(end, x, sign, strict=True)
-        )
+        links = self.capsules.link[self._ends[0]]
+        return tuple(f"lowest z of the link of {self.robot.joints[k]}" for k in links)
 
     def excess(self, path: Path) -> Array:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
-        end, x, sign, bound = self._rows
-        ends = ends_in_world(self.robot.chain, self.capsules, path.q)
-        points = ends.reshape(len(path.t), -1, 3)
-        return np.asarray(sign * (points[:, end, x] - bound) / _LENGTH)
+        capsule, end = self._ends
+        z = ends_in_world(self.robot.chain, self.capsules, path.q)[:, capsule, end, 2]
+        least = self.height + self.capsules.radius[capsule]
+        return np.asarray((least - z) / _LENGTH)
 
     def slope(self, path: Path, which: Index) -> Array:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
-        out = np.zeros((len(which), 4, self.robot.size))
-        end, x, sign, _ = self._rows
-        for k in np.unique(which):
-            at = np.flatnonzero(which == k)
-            q, link = path.q[at], int(self.capsules.link[end[k] // 2])
-            ends = ends_in_world(self.robot.chain, self.capsules, q)
-            point = ends.reshape(len(at), -1, 3)[:, end[k]]
-            direction = np.tile(sign[k] * np.eye(3)[x[k]], (len(at), 1))
-            change = point_change(self.robot.chain, q, link, point, direction)
-            out[at, 0] = change / _LENGTH
+        capsule, end = (x[which] for x in self._ends)
+        chain, at = self.robot.chain, np.arange(len(which))
+        point = ends_in_world(chain, self.capsules, path.q)[at, capsule, end]
+        down = np.tile([0.0, 0.0, -1.0], (len(which), 1))
+        link, out = self.capsules.link[capsule], np.zeros((len(which), 4, chain.size))
+        out[:, 0] = point_change(chain, path.q, link, point, down) / _LENGTH
         return out
 
 
@@ -296,19 +274,15 @@ def closest_points(first: Array, second: Array) -> tuple[Array, Array]:
     dd, ee, de = _dot(d, d), _dot(e, e), _dot(d, e)
     between = p - r
     dp, ep = _dot(d, between), _dot(e, between)
-    tiny = 1e-12
-    determinant = dd * ee - de * de
-    s = np.where(
-        determinant > tiny, (de * ep - dp * ee) / np.maximum(determinant, tiny), 0.0
-    )
-    s = np.clip(s, 0.0, 1.0)
-    t = (de * s + ep) / np.maximum(ee, tiny)
+    # Parallel segments and points have no slope to follow: any of their points will do.
+    determinant, tiny = dd * ee - de * de, 1e-12
+    along = (de * ep - dp * ee) / np.maximum(determinant, tiny)
+    s = np.clip(np.where(determinant > tiny, along, 0.0), 0.0, 1.0)
     # Where t leaves the second segment, the closest point is that of its end.
-    clipped = np.clip(t, 0.0, 1.0)
-    again = np.clip((de * clipped - dp) / np.maximum(dd, tiny), 0.0, 1.0)
-    s = np.where(dd > tiny, again, 0.0)
-    x = p + s[..., None] * d
-    return x, r + clipped[..., None] * e
+    t = np.clip((de * s + ep) / np.maximum(ee, tiny), 0.0, 1.0)
+    s = np.clip((de * t - dp) / np.maximum(dd, tiny), 0.0, 1.0)
+    s = np.where(dd > tiny, s, 0.0)
+    return p + s[..., None] * d, r + t[..., None] * e
 
 
 def _dot(x: Array, y: Array) -> Array:

@@ -88,6 +88,17 @@ class Limits:
         limited = np.isfinite(self.acceleration)
         return np.where(limited, self.acceleration, DEFAULT_ACCELERATION)
 
+    @property
+    def middle(self) -> Array:
+        """Middle of each joint's range, shape (n,), [rad]."""
+        return np.asarray((self.low + self.high) / 2)
+
+    @property
+    def sizes(self) -> Array:
+        """Half the range, speed, acceleration and jerk, shape (4, n)."""
+        half = (self.high - self.low) / 2
+        return np.stack([half, self.speed, self.acceleration, self.jerk])
+
     @classmethod
     def of(cls, robot: Robot, *, fill: float = 0.8, jerk: float = np.inf) -> Limits:
         """Take a part of the robot file's limits, about the middle of each range.
@@ -132,15 +143,13 @@ class MotionLimits:
     @cached_property
     def _rows(self) -> tuple[Array, ...]:
         """Derivative, joint, sign, size and middle of each condition, shape (K,)."""
-        x = self.limits
-        half, middle = (x.high - x.low) / 2, (x.high + x.low) / 2
-        sizes = (half, x.speed, x.acceleration, x.jerk)
+        middle = self.limits.middle
         rows = [
-            (k, j, sign, size[j], middle[j] if k == 0 else 0.0)
-            for k, size in enumerate(sizes)
-            for j in range(len(half))
+            (k, j, sign, size, middle[j] if k == 0 else 0.0)
+            for k, sizes in enumerate(self.limits.sizes)
+            for j, size in enumerate(sizes)
             for sign in (-1.0, 1.0)
-            if np.isfinite(size[j])
+            if np.isfinite(size)
         ]
         return tuple(np.array(column) for column in zip(*rows, strict=True))
 

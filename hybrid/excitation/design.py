@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,12 +21,12 @@ from hybrid.excitation.constraints import (
 )
 from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition
 from hybrid.excitation.expected_error import ExpectedError
-from hybrid.excitation.folder import write_design
+from hybrid.excitation.folder import DESIGN, reference_paths, write_reference
 from hybrid.excitation.observation import Observation, rigid_conditions
 from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import PENALTY, Optimum, solve
-from hybrid.excitation.stack import StackProgram
+from hybrid.files import atomic_folder, write_json
 from hybrid.robot.robot import Robot
 from hybrid.shown import Shown
 
@@ -90,17 +91,13 @@ class Design(Shown):
         """Singular values of the observation matrix, largest first, shape (b,)."""
         return np.asarray(np.sqrt(np.linalg.eigvalsh(self.gram)[::-1]))
 
-    def standard_errors(self, independent_rate: float | None = None) -> Array:
+    def standard_errors(self) -> Array:
         """Predicted standard error of every unknown, in its own unit, shape (b,).
 
-        Args:
-            independent_rate: Samples per second with independent noise, [Hz]; a log at
-                500 Hz whose noise is correlated over 2 ms has about 230. By default
-                those of the design grid.
+        Of a log with as many independent samples as the design grid has.
         """
-        rate = self.rate if independent_rate is None else independent_rate
-        covariance = np.linalg.inv(self.gram * rate / self.rate)
-        return np.asarray(np.sqrt(covariance.diagonal()) * self.observation.scale)
+        variance = np.linalg.inv(self.gram).diagonal()
+        return np.asarray(np.sqrt(variance) * self.observation.scale)
 
     @property
     def additions(self) -> Array:
@@ -113,14 +110,31 @@ class Design(Shown):
         volumes = np.array([np.linalg.slogdet(x)[1] for x in sums])
         return np.append(1.0, 1.0 - np.exp(-np.diff(volumes) / (2 * b)))
 
-    def save(self, folder: str | PathLike[str], *, rate: float = 200.0) -> None:
+    def save(
+        self,
+        folder: str | PathLike[str],
+        *,
+        rate: float = 200.0,
+        more: Mapping[str, Any] | None = None,
+    ) -> list[pathlib.Path]:
         """Write the motions as CSV files, and ``design.json``.
 
         Args:
             folder: Where the files shall be.
             rate: Samples of the motions per second, [Hz].
+            more: JSON-ready content to add, such as how it came about.
+
+        Returns:
+            The files of the motions.
         """
-        write_design(folder, self, rate=rate)
+        folder = pathlib.Path(folder)
+        paths = reference_paths(folder, len(self.trajectories))
+        with atomic_folder(folder) as hidden:
+            for path, trajectory in zip(paths, self.trajectories, strict=True):
+                reference = trajectory.reference(rate)
+                write_reference(hidden / path.name, reference, self.robot.joints)
+            write_json(hidden / DESIGN, self.as_dict() | dict(more or {}))
+        return paths
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready results."""
@@ -182,13 +196,13 @@ def design(
         raise ExcitationError("trajectories and starts need to be 1 or more")
     rng = np.random.default_rng(seed)
     bounds = Limits.of(robot) if limits is None else limits
-    kept: tuple[Constraint, ...] = (
-        MotionLimits(bounds, robot.joints),
-        TorqueLimits(robot, bounds.torque),
-        *constraints,
-    )
+    kept = MotionLimits(bounds, robot.joints), TorqueLimits(robot, bounds.torque)
     measure = DOptimal() if criterion is None else criterion
-    program = _program(observation, measure, family, kept, bounds, rate)
+    program = MotionProgram(
+        observation, measure, family, (*kept, *constraints), bounds,
+        known=np.zeros((observation.size, observation.size)),
+        rate=rate, power=1.0, margin=_MARGIN,
+    )  # fmt: skip
     if impossible := program.impossible():
         raise ExcitationError(
             f"no posture keeps the {', '.join(impossible[:4])}; valid are wider limits"
@@ -196,28 +210,19 @@ def design(
     if criterion is None:
         measure = ExpectedError.of(robot, observation, program.usage(rng))
     if isinstance(measure, ExpectedError):
-        program = _program(measure.observation, measure, family, kept, bounds, rate)
-    choose = _together if together else _in_turn
-    found, worst = choose(program, trajectories, starts, rng)
+        wide = measure.observation
+        nothing = np.zeros((wide.size, wide.size))
+        program = replace(program, observation=wide, criterion=measure, known=nothing)
+    if together:
+        program = replace(program, count=trajectories)
+        x, worst = best_point(program, [program.random(rng) for _ in range(starts)])
+        found = tuple(map(program.trajectory, program.parts(x)))
+    else:
+        found, worst = _in_turn(program, trajectories, starts, rng)
     grams = tuple(_gram(observation, x, rate) for x in found)
     seen = np.asarray(sum(_gram(program.observation, x, rate) for x in found))
     return Design(
         robot, observation, measure, found, grams, rate, measure.value(seen), worst
-    )
-
-
-def _program(
-    observation: Observation,
-    criterion: Criterion,
-    family: Family,
-    constraints: Sequence[Constraint],
-    limits: Limits,
-    rate: float,
-) -> MotionProgram:
-    """The optimisation problem of the first motion."""
-    nothing = np.zeros((observation.size, observation.size))
-    return MotionProgram(
-        observation, criterion, family, constraints, limits, nothing, rate, 1.0, _MARGIN
     )
 
 
@@ -250,15 +255,6 @@ def _in_turn(
     return tuple(found), worst
 
 
-def _together(
-    program: MotionProgram, count: int, starts: int, rng: np.random.Generator
-) -> tuple[tuple[Trajectory, ...], dict[str, float]]:
-    """Motions chosen as a set, and the largest excess of each limit."""
-    stack = StackProgram(program, count)
-    x, excess = best_point(stack, [stack.random(rng) for _ in range(starts)])
-    return stack.trajectories(x), excess
-
-
 def _gram(observation: Observation, trajectory: Trajectory, rate: float) -> Array:
     """Information of one motion on the design grid."""
     t = uniform(trajectory.family.duration, rate)
@@ -266,7 +262,7 @@ def _gram(observation: Observation, trajectory: Trajectory, rate: float) -> Arra
 
 
 def best_point(
-    program: MotionProgram | StackProgram, points: Sequence[Array]
+    program: MotionProgram, points: Sequence[Array]
 ) -> tuple[Array, dict[str, float]]:
     """The best point reached from several, and how far it stays from every limit.
 
@@ -278,11 +274,11 @@ def best_point(
         ExcitationError: No motion within the limits was found.
     """
     power, iterations = _EXPLORE
-    rough = program.changed(power=power)
+    rough = replace(program, power=power)
     tries = [solve(rough, x, iterations=iterations) for x in points]
     solution = min(tries, key=_merit)
     for power, iterations in _POLISH:
-        solution = _continued(program.changed(power=power), solution, iterations)
+        solution = _continued(replace(program, power=power), solution, iterations)
     margin, penalty = program.margin, PENALTY
     left = _RETRIES
     while (worst := max((excess := program.verified(solution.x)).values())) > 0:
@@ -294,7 +290,7 @@ def best_point(
         # Between the samples of the design grid the torque may be a little higher, and
         # where another link becomes the closest one the distance has a kink.
         margin += 1.2 * worst
-        sharp = program.changed(power=_POLISH[-1][0], margin=margin)
+        sharp = replace(program, power=_POLISH[-1][0], margin=margin)
         solution = _continued(sharp, solution, _REPAIR, penalty)
     return solution.x, excess
 
@@ -304,7 +300,7 @@ def _merit(solution: Optimum) -> tuple[bool, float]:
 
 
 def _continued(
-    program: MotionProgram | StackProgram,
+    program: MotionProgram,
     last: Optimum,
     iterations: int,
     penalty: float = PENALTY,

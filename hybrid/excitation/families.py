@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -17,53 +17,43 @@ _DEGREE = 5  # of the splines: jerk is continuous
 
 
 @dataclass(frozen=True)
-class Series:
-    """Harmonics of one fundamental over whole periods.
-
-    Attributes:
-        order: Number of harmonics.
-        fundamental: Repetitions per second, [Hz].
-        periods: Whole periods the motion lasts.
-    """
-
-    name: ClassVar[str]
-    least: ClassVar[int] = 1  # harmonics
-
-    order: int = 5
-    fundamental: float = 0.1
-    periods: int = 1
-
-    def __post_init__(self) -> None:
-        check_series(self.order, self.fundamental, self.periods, least=self.least)
-
-    @property
-    def duration(self) -> float:
-        """See :class:`~hybrid.excitation.path.Family`."""
-        return self.periods / self.fundamental
-
-    def as_dict(self) -> dict[str, Any]:
-        """See :class:`~hybrid.excitation.path.Family`."""
-        return {
-            "name": self.name,
-            "order": self.order,
-            "fundamental": self.fundamental,
-            "periods": self.periods,
-        }
-
-
-@dataclass(frozen=True)
-class Fourier(Series):
+class Fourier:
     """Harmonics of one fundamental, combined so that the motion starts at rest.
 
     q(t) = c₀ + Σₖ sₖ sin(kωt) + cₖ cos(kωt) with Σ k sₖ = 0 and Σ k² cₖ = 0, so that
     speed and acceleration vanish at t = 0 and after every period (Swevers et al. 1997,
     doi 10.1109/70.631234, with the condition of rest built into the basis).
 
-    It needs two harmonics.
+    Attributes:
+        order: Number of harmonics, two or more.
+        fundamental: Repetitions per second, [Hz].
+        periods: Whole periods the motion lasts.
     """
 
     name: ClassVar[str] = "fourier"
-    least: ClassVar[int] = 2
+    least: ClassVar[int] = 2  # harmonics
+
+    order: int = 5
+    fundamental: float = 0.1
+    periods: int = 1
+
+    def __post_init__(self) -> None:
+        order, fundamental, least = self.order, self.fundamental, self.least
+        if order < least:
+            raise ExcitationError(
+                f"order is {order}, {least} or more harmonics are valid"
+            )
+        if not (np.isfinite(fundamental) and fundamental > 0):
+            raise ExcitationError(
+                f"fundamental is {fundamental:g} Hz, above 0 is valid"
+            )
+        if self.periods < 1:
+            raise ExcitationError(f"periods is {self.periods}, 1 or more is valid")
+
+    @property
+    def duration(self) -> float:
+        """See :class:`~hybrid.excitation.path.Family`."""
+        return self.periods / self.fundamental
 
     @property
     def size(self) -> int:
@@ -82,6 +72,10 @@ class Fourier(Series):
         series = harmonics(t, self.order, self.fundamental, derivative)
         constant = np.full((len(t), 1), 1.0 if derivative == 0 else 0.0)
         return np.asarray(np.hstack([constant, series]) @ self.at_rest)
+
+    def as_dict(self) -> dict[str, Any]:
+        """See :class:`~hybrid.excitation.path.Family`."""
+        return {"name": self.name, **asdict(self)}
 
 
 @dataclass(frozen=True)
@@ -140,17 +134,3 @@ def harmonics(t: Array, order: int, fundamental: float, derivative: int) -> Arra
     # Each derivative multiplies by kω and turns the phase by a quarter.
     phase = np.multiply.outer(t, w) + derivative * np.pi / 2
     return np.hstack([w**derivative * np.sin(phase), w**derivative * np.cos(phase)])
-
-
-def check_series(order: int, fundamental: float, periods: int, *, least: int) -> None:
-    """Refuse a Fourier series with invalid options.
-
-    Raises:
-        ExcitationError: An argument is out of range.
-    """
-    if order < least:
-        raise ExcitationError(f"order is {order}, {least} or more harmonics are valid")
-    if not (np.isfinite(fundamental) and fundamental > 0):
-        raise ExcitationError(f"fundamental is {fundamental:g} Hz, above 0 is valid")
-    if periods < 1:
-        raise ExcitationError(f"periods is {periods}, 1 or more is valid")

@@ -2,43 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from scipy.interpolate import BPoly
 
 from hybrid.arrays import Array
 from hybrid.excitation.constraints import Limits
-from hybrid.excitation.path import uniform
+from hybrid.excitation.path import quintic, uniform
 from hybrid.plant.reference import Reference
 
 _QUINTIC_SPEED, _QUINTIC_ACCELERATION = 1.875, 5.7735  # peaks of a unit move
 
 
-@dataclass(frozen=True)
-class Knots:
-    """States that a motion passes, joined by polynomials of fifth order.
-
-    Attributes:
-        t: Times, shape (K,), rising from 0, [s].
-        q: Positions, shape (K, n), [rad].
-        v: Speeds, shape (K, n), [rad/s].
-    """
-
-    t: Array
-    q: Array
-    v: Array
-
-    def reference(self, rate: float) -> Reference:
-        """Samples of the motion; acceleration is zero at every knot."""
-        zero = np.zeros_like(self.q)
-        curve = BPoly.from_derivatives(self.t, np.stack([self.q, self.v, zero], axis=1))
-        t = uniform(float(self.t[-1]), rate)
-        return Reference(t, *(np.asarray(curve(t, nu=k)) for k in range(3)))
-
-
 class Walk:
-    """Knots, one after the other, from a pose at rest.
+    """States one after the other from a pose at rest, joined by quintic polynomials.
 
     Args:
         home: The pose, shape (n,), [rad].
@@ -49,9 +24,11 @@ class Walk:
         self._v = [np.zeros(len(home))]
 
     def reference(self, rate: float) -> Reference:
-        """Samples of the motion so far."""
-        knots = Knots(np.array(self._t), np.array(self._q), np.array(self._v))
-        return knots.reference(rate)
+        """Samples of the motion so far; acceleration is zero at every knot."""
+        q, v = np.array(self._q), np.array(self._v)
+        curve = quintic(np.array(self._t), q, v, np.zeros_like(q))
+        t = uniform(self._t[-1], rate)
+        return Reference(t, *(np.asarray(curve(t, nu=k)) for k in range(3)))
 
     def wait(self, duration: float) -> None:
         """Stay for a time, [s]."""

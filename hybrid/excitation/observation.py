@@ -6,7 +6,7 @@ them is a choice: the same motion has another condition number in each.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +16,6 @@ from scipy.linalg import qr, solve_triangular
 from hybrid.arrays import Array
 from hybrid.dynamics import (
     BaseParameters,
-    RigidBody,
     effect_gains,
     regressor,
     regressor_gradient,
@@ -27,7 +26,6 @@ from hybrid.effects import Effect, JointEffect, JointState
 from hybrid.errors import ExcitationError
 from hybrid.excitation.path import Path
 from hybrid.robot.chain import Chain
-from hybrid.signals import Motion
 
 # Dry friction turns its direction within this speed: a step has no gradient.
 TURNING_SPEED = 0.02  # rad/s
@@ -54,7 +52,7 @@ class Observation:
     """
 
     chain: Chain
-    effects: tuple[Effect, ...]
+    effects: tuple[JointEffect, ...]
     base: BaseParameters
     whitening: Array
     scale: Array
@@ -113,7 +111,9 @@ class Observation:
         by = regressor_gradient(self.chain, path.q, path.v, path.a, full)
         return by[0] + own[0], by[1] + own[1], by[2] + own[2]
 
-    def with_structure(self, effects: Sequence[Effect], sizes: Array) -> Observation:
+    def with_structure(
+        self, effects: Sequence[JointEffect], sizes: Array
+    ) -> Observation:
         """Append the columns of effects that the fit leaves out.
 
         Args:
@@ -139,49 +139,33 @@ class Observation:
     def _effects(self, path: Path, turning_speed: float) -> Array:
         """Columns of the effects, not whitened, shape (N, n, gains)."""
         out = np.zeros((*path.q.shape, len(self.gains)))
-        load = self._load(path)
-        motion = _motion(self.chain, path)
-        body = RigidBody(self.chain, motion)
-        first = 0
-        for effect in self.effects:
-            columns = slice(first, first + len(effect.gains))
-            if isinstance(effect, JointEffect):
-                (j,) = effect.joints
-                state = _states(path, j, load[:, j])
-                out[:, j, columns] = _law(effect, state, turning_speed)
-            else:
-                reached = list(effect.reaches(self.chain.size))
-                out[:, reached, columns] = effect.columns(motion, body)
-            first = columns.stop
+        for effect, state, columns in self._states(path):
+            out[:, effect.joints[0], columns] = _law(effect, state, turning_speed)
         return out
 
-    def _load(self, path: Path) -> Array:
-        inertial = self.chain.inertial
-        return inverse_dynamics(self.chain, inertial, path.q, path.v, path.a)
+    def _states(self, path: Path) -> Iterator[tuple[JointEffect, Array, slice]]:
+        """Each effect, its joint's q, v, a and load (4, N), and its columns."""
+        chain, first = self.chain, 0
+        load = inverse_dynamics(chain, chain.inertial, path.q, path.v, path.a)
+        signals = np.stack([path.q, path.v, path.a, load])
+        for effect in self.effects:
+            last = first + len(effect.gains)
+            yield effect, signals[:, :, effect.joints[0]], slice(first, last)
+            first = last
 
     def _effects_gradient(self, path: Path, weight: Array) -> tuple[Array, Array]:
         """Derivatives by (q, v, a), shape (3, N, n), and by the load, shape (N, n)."""
-        by, by_load = np.zeros((3, *path.q.shape)), np.zeros_like(path.q)
-        load = self._load(path)
-        first = 0
-        for effect in self.effects:
-            if not isinstance(effect, JointEffect):
-                raise ExcitationError(
-                    f"{effect.id} has no law of one joint's state, and a motion can be "
-                    "designed for such effects only"
-                )
+        by = np.zeros((4, *path.q.shape))
+        for effect, state, columns in self._states(path):
             (j,) = effect.joints
-            seed = weight[:, j, first : first + len(effect.gains)]
-            state = _states(path, j, load[:, j])
-            for k, out in enumerate((by[0], by[1], by[2], by_load)):
+            for k in range(4):
                 size = _STEP * (float(np.abs(state[k]).max()) or 1.0)
                 step = np.zeros((4, 1))
                 step[k] = size
                 change = _law(effect, state + step, TURNING_SPEED)
                 change = change - _law(effect, state - step, TURNING_SPEED)
-                out[:, j] += (seed * change).sum(axis=1) / (2 * size)
-            first += len(effect.gains)
-        return by, by_load
+                by[k, :, j] += (weight[:, j, columns] * change).sum(axis=1) / (2 * size)
+        return by[:3], by[3]
 
 
 def observe(
@@ -189,44 +173,36 @@ def observe(
     effects: Sequence[Effect] = (),
     *,
     covariance: Array | None = None,
-    scale: Array | None = None,
 ) -> Observation:
     """The observation matrix of an arm with some effects.
 
     Args:
         chain: The arm.
-        effects: Effects whose gains are to be identified beside the rigid body.
+        effects: Effects whose gains are to be identified beside the rigid body: laws of
+            one joint's state.
         covariance: Covariance of the torque noise between joints, shape (n, n),
             [N²·m²]; by default the unit matrix.
-        scale: Size of each unknown, shape (b,); by default 1 of its unit.
 
     Raises:
-        ExcitationError: A shape does not fit, or the covariance is not positive.
+        ExcitationError: A shape does not fit, the covariance is not positive, or an
+            effect is no law of one joint's state.
     """
+    laws = tuple(e for e in effects if isinstance(e, JointEffect))
+    if others := [e.id for e in effects if not isinstance(e, JointEffect)]:
+        raise ExcitationError(
+            f"{others[0]} has no law of one joint's state, and a motion can be "
+            "designed for such effects only"
+        )
     base = stacked_base(chain, effects, effect_gains(effects))
     noise = np.eye(chain.size) if covariance is None else np.asarray(covariance)
-    size = np.ones(base.size) if scale is None else np.asarray(scale, dtype=float)
-    if noise.shape != (chain.size, chain.size) or size.shape != (base.size,):
-        raise ExcitationError(
-            f"covariance needs shape {(chain.size, chain.size)}, and scale one value "
-            f"for each of the {base.size} unknowns"
-        )
+    if noise.shape != (chain.size, chain.size):
+        raise ExcitationError(f"covariance needs shape {(chain.size, chain.size)}")
     try:
         lower = np.linalg.cholesky(noise)
     except np.linalg.LinAlgError as error:
         raise ExcitationError("the noise covariance must be positive") from error
     whitening = solve_triangular(lower, np.eye(chain.size), lower=True)
-    return Observation(chain, tuple(effects), base, whitening, size)
-
-
-def condition(H: Array, columns: Sequence[int]) -> float:
-    """Condition number of an observation matrix in some of its columns.
-
-    Args:
-        H: Observation matrix, shape (rows, p).
-        columns: Indices of independent columns.
-    """
-    return float(np.linalg.cond(H[:, list(columns)]))
+    return Observation(chain, laws, base, whitening, np.ones(base.size))
 
 
 def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
@@ -253,12 +229,8 @@ def rigid_conditions(chain: Chain, path: Path) -> dict[str, float]:
         path: Motion, N samples.
     """
     H = regressor(chain, path.q, path.v, path.a).reshape(-1, 10 * chain.size)
-    return {name: condition(H, at) for name, at in rigid_columns(chain, H).items()}
-
-
-def _states(path: Path, joint: int, load: Array) -> Array:
-    """Position, speed, acceleration and load of one joint, shape (4, N)."""
-    return np.stack([path.q[:, joint], path.v[:, joint], path.a[:, joint], load])
+    named = rigid_columns(chain, H).items()
+    return {name: float(np.linalg.cond(H[:, list(at)])) for name, at in named}
 
 
 def _law(effect: JointEffect, state: Array, turning_speed: float) -> Array:
@@ -269,9 +241,3 @@ def _law(effect: JointEffect, state: Array, turning_speed: float) -> Array:
     joint = JointState(t, q, v, a, sign, load)
     unit = np.ones_like(q)
     return np.stack([unit * x for x in effect.law(joint, **effect.shape_values)], -1)
-
-
-def _motion(chain: Chain, path: Path) -> Motion:
-    mask = np.ones(len(path.t), dtype=bool)
-    tau = np.zeros_like(path.q)
-    return Motion(path.t, path.q, path.v, path.a, tau, mask, joints=chain.joints)

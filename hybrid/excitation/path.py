@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
+from scipy.interpolate import BPoly
 
 from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
@@ -89,8 +90,7 @@ class Trajectory:
 
     def path(self, t: Array) -> Path:
         """Samples at the times ``t``, shape (N,), [s]."""
-        bases = [self.family.basis(t, k) for k in range(DERIVATIVES)]
-        return Path(t, *(basis @ self.coefficients for basis in bases))
+        return Grid(self.family, t).path(self.coefficients)
 
     def reference(self, rate: float) -> Reference:
         """The motion to run, at a number of samples per second [Hz]."""
@@ -135,6 +135,27 @@ class Grid:
         """
         pairs = zip(self.bases, by, strict=False)
         return np.asarray(sum(basis.T @ x for basis, x in pairs))
+
+
+def quintic(t: Array, q: Array, v: Array, a: Array) -> BPoly:
+    """Polynomials of fifth order that join states at K times, in Bernstein form.
+
+    Args:
+        t: Times, rising, shape (K,), [s].
+        q: Positions, shape (K, ...).
+        v: Speeds, the same.
+        a: Accelerations, the same.
+    """
+    h = np.diff(t).reshape(-1, *[1] * (q.ndim - 1))
+    first, last = h * v[:-1] / 5, h * v[1:] / 5
+    bend, end = h**2 * a[:-1] / 20, h**2 * a[1:] / 20
+    return BPoly(
+        np.stack([
+            q[:-1], q[:-1] + first, q[:-1] + 2 * first + bend,
+            q[1:] - 2 * last + end, q[1:] - last, q[1:],
+        ]),
+        t,
+    )  # fmt: skip
 
 
 def uniform(duration: float, rate: float) -> Array:

@@ -1,13 +1,14 @@
-"""The optimisation problem of one motion: criterion, limits, and their grids."""
+"""The optimisation problem of one or several motions: criterion, limits, and grids."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from hybrid.arrays import Array
 from hybrid.excitation.constraints import Constraint, Limits
@@ -21,15 +22,17 @@ _CLOSE = 0.1  # ... and within this one with the samples beside them
 _NEARLY, _SHRINKS = 0.1, 8  # a start may exceed a limit by so much, or is made smaller
 _POSTURES = 300
 _USAGE = 20  # random motions that stand for all
-_REMEMBERED = 16  # points
+_REMEMBERED = 16  # motions
 
 
 @dataclass(frozen=True, eq=False)
 class MotionProgram:
-    """Best motion of a family in scaled coordinates, shape (m·n,).
+    """Best motions of a family in scaled coordinates, shape (T·m·n,).
 
     Coordinates are multiples of what fills a limit by itself, so that a step of 0.1 is
-    a small one whatever the joint and the harmonic.
+    a small one whatever the joint and the harmonic. Motions that are chosen together
+    share the work: their common information may be better than any order of single
+    choices reaches.
 
     Attributes:
         observation: What is to be identified.
@@ -41,6 +44,7 @@ class MotionProgram:
         rate: Samples of the design grid per second, [Hz].
         power: Sharpness of the criterion; see :class:`Criterion`.
         margin: Part of every limit that is kept free.
+        count: Number of motions T that are chosen together.
     """
 
     observation: Observation
@@ -52,6 +56,7 @@ class MotionProgram:
     rate: float
     power: float
     margin: float
+    count: int = 1
 
     @cached_property
     def grid(self) -> Grid:
@@ -66,36 +71,26 @@ class MotionProgram:
     @property
     def middle(self) -> Array:
         """Coefficients of the arm standing in the middle of its range, (m, n)."""
-        return np.outer(self.constant, (self.limits.low + self.limits.high) / 2)
+        return np.outer(self.constant, self.limits.middle)
 
     @cached_property
     def scale(self) -> Array:
         """Coefficients that each reach a limit alone, shape (m, n)."""
-        x = self.limits
-        sizes = ((x.high - x.low) / 2, x.speed, x.acceleration, x.jerk)
-        reach = np.abs(self.fine.bases).max(axis=1)  # (4, m)
-        ratios = zip(sizes, reach, strict=True)
-        return np.asarray(
-            np.min([s / np.maximum(r[:, None], 1e-9) for s, r in ratios], 0)
-        )
-
-    def changed(
-        self, *, power: float | None = None, margin: float | None = None
-    ) -> MotionProgram:
-        """The same program, sharper or farther away from the limits."""
-        return replace(
-            self,
-            power=self.power if power is None else power,
-            margin=self.margin if margin is None else margin,
-        )
+        reach = np.abs(self.fine.bases).max(axis=1)[:, :, None]  # (4, m, 1)
+        sizes = self.limits.sizes[:, None]
+        return np.asarray((sizes / np.maximum(reach, 1e-9)).min(axis=0))
 
     def coefficients(self, x: Array) -> Array:
-        """Coefficients of a point, shape (m, n)."""
+        """Coefficients of one motion, shape (m, n), from its coordinates (m·n,)."""
         return np.asarray(self.middle + self.scale * x.reshape(self.scale.shape))
 
     def trajectory(self, x: Array) -> Trajectory:
-        """Motion of a point."""
+        """Motion of coordinates of shape (m·n,)."""
         return Trajectory(self.family, self.coefficients(x))
+
+    def parts(self, x: Array) -> Array:
+        """Coordinates of each motion of a point, shape (T, m·n)."""
+        return x.reshape(self.count, -1)
 
     def point(self, trajectory: Trajectory) -> Array:
         """Coordinates of a motion, shape (m·n,)."""
@@ -104,31 +99,27 @@ class MotionProgram:
         )
 
     def random(self, rng: np.random.Generator, *, fill: float = 0.8) -> Array:
-        """A random motion about a random posture, to start from, shape (m·n,).
+        """Random motions about random postures, to start from, shape (T·m·n,).
 
-        It fills a part of the joints' own limits, less where other limits are tighter.
+        They fill a part of the joints' own limits, less where others are tighter.
         """
+        return np.concatenate([self._random(rng, fill) for _ in range(self.count)])
+
+    def _random(self, rng: np.random.Generator, fill: float) -> Array:
         x = rng.standard_normal(self.scale.shape)
         for j in range(x.shape[1]):
             path = self.fine.bases @ (self.scale[:, j] * x[:, j])  # (4, N)
-            low, high = self.limits.low[j], self.limits.high[j]
-            size = (
-                self.limits.speed[j],
-                self.limits.acceleration[j],
-                self.limits.jerk[j],
-            )
-            sizes = np.array([(high - low) / 2, *size])
-            x[:, j] *= fill / (np.abs(path).max(axis=1) / sizes).max()
+            x[:, j] *= fill / (np.abs(path).max(axis=1) / self.limits.sizes[:, j]).max()
         center = self._posture(rng)
         for factor in 0.7 ** np.arange(_SHRINKS):
             start = (center + factor * x).ravel()
-            if self.excess(start) < _NEARLY:
+            if self._excess(start) < _NEARLY:
                 break
         return np.asarray(start)
 
     def usage(self, rng: np.random.Generator) -> list[Path]:
         """Random motions within the limits, as the arm may run them in use."""
-        points = [self.random(child, fill=1.0) for child in rng.spawn(_USAGE)]
+        points = [self._random(child, 1.0) for child in rng.spawn(_USAGE)]
         return [self.grid.path(self.coefficients(x)) for x in points]
 
     def _posture(self, rng: np.random.Generator) -> Array:
@@ -138,7 +129,7 @@ class MotionProgram:
         still = self._postures(rng, _POSTURES)
         found = [c.excess(still).max(axis=1, initial=-1.0) for c in self.constraints]
         best = still.q[np.max(found, axis=0).argmin()]
-        shift = best - (self.limits.low + self.limits.high) / 2
+        shift = best - self.limits.middle
         return np.asarray(self.constant[:, None] * shift / self.scale)
 
     def _postures(self, rng: np.random.Generator, count: int) -> Path:
@@ -155,31 +146,31 @@ class MotionProgram:
         return np.asarray(np.linalg.lstsq(self.grid.bases[0], one, rcond=None)[0])
 
     def information(self, x: Array) -> Array:
-        """Information of a motion and of those known, shape (b, b)."""
-        path = self.grid.path(self.coefficients(x))
-        return self.known + self.observation.gram(path)
+        """Information of the motions and of those known, shape (b, b)."""
+        paths = [self.grid.path(self.coefficients(y)) for y in self.parts(x)]
+        return np.asarray(self.known + sum(map(self.observation.gram, paths)))
 
     def objective(self, x: Array) -> tuple[float, Array]:
         """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
-        path = self.grid.path(self.coefficients(x))
-        W = self.observation.matrix(path)
-        rows = W.reshape(-1, self.observation.size)
-        value, slope = self.criterion.smooth(self.known + rows.T @ rows, self.power)
-        return value, self.slope(path, W, slope)
-
-    def slope(self, path: Path, W: Array, by: Array) -> Array:
-        """Derivative of a function of the information Wᵀ W by a point, shape (m·n,).
-
-        Args:
-            path: The motion on the design grid, N samples.
-            W: Its observation matrix, shape (N, n, b).
-            by: Derivative of the function by the information, shape (b, b).
-        """
-        parts = self.observation.gradient(path, 2.0 * (W @ by))
-        return np.asarray((self.grid.gradient(*parts) * self.scale).ravel())
+        paths = [self.grid.path(self.coefficients(y)) for y in self.parts(x)]
+        matrices = [self.observation.matrix(path) for path in paths]
+        rows = [W.reshape(-1, self.observation.size) for W in matrices]
+        gram = self.known + np.asarray(sum(W.T @ W for W in rows))
+        value, by = self.criterion.smooth(gram, self.power)
+        slopes = []
+        for path, W in zip(paths, matrices, strict=True):
+            seen = self.observation.gradient(path, 2.0 * (W @ by))
+            slopes.append((self.grid.gradient(*seen) * self.scale).ravel())
+        return value, np.concatenate(slopes)
 
     def conditions(self, x: Array) -> tuple[Array, Array]:
         """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
+        found = [self._conditions(part) for part in self.parts(x)]
+        values, slopes = zip(*found, strict=True)
+        return np.concatenate(values), block_diag(*slopes)
+
+    def _conditions(self, x: Array) -> tuple[Array, Array]:
+        """Those of one motion, shapes (M,) and (M, m·n)."""
         values, slopes = [np.zeros(0)], [np.zeros((0, x.size))]
         for constraint, (path, found) in zip(
             self.constraints, self._excesses(x), strict=True
@@ -202,11 +193,14 @@ class MotionProgram:
 
     def excess(self, x: Array) -> float:
         """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
+        return max(map(self._excess, self.parts(x)))
+
+    def _excess(self, x: Array) -> float:
         every = [found.max(initial=-np.inf) for _, found in self._excesses(x)]
         return float(max(every, default=-np.inf)) + self.margin
 
     def _excesses(self, x: Array) -> list[tuple[Path, Array]]:
-        """The motion, and the excess of each constraint in each of its samples.
+        """One motion, and the excess of each constraint in each of its samples.
 
         A solver asks for the largest excess of a step, and if it takes the step for
         the slopes: the last points are remembered.
@@ -244,12 +238,13 @@ class MotionProgram:
 
     def verified(self, x: Array) -> dict[str, float]:
         """Largest excess of each condition on the fine grid, without the margin."""
-        path = self.fine.path(self.coefficients(x))
         found: dict[str, float] = {}
-        for constraint in self.constraints:
-            worst = constraint.excess(path).max(axis=0, initial=-np.inf)
-            for name, excess in zip(constraint.names, worst, strict=True):
-                found[name] = max(float(excess), found.get(name, -np.inf))
+        for part in self.parts(x):
+            path = self.fine.path(self.coefficients(part))
+            for constraint in self.constraints:
+                worst = constraint.excess(path).max(axis=0, initial=-np.inf)
+                for name, excess in zip(constraint.names, worst, strict=True):
+                    found[name] = max(float(excess), found.get(name, -np.inf))
         return found
 
 

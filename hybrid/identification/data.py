@@ -60,12 +60,7 @@ class Data:
     )
 
     def __post_init__(self) -> None:
-        for motion in self.motions:
-            if not np.isfinite(motion.tau).all():
-                raise RecordingError(
-                    f"{motion.source or 'recording'}: no torque; valid is a log of "
-                    "time, positions and torques"
-                )
+        check_torque(self.motions)
 
     def less(self, known: Sequence[Array] | None) -> Data:
         """The same data minus an explained torque, (N, n) for each motion."""
@@ -251,13 +246,27 @@ class Rest:
     fold: NDArray[np.intp]
 
 
-def visited(data: Data) -> dict[str, Array]:
+def check_torque(motions: Sequence[Motion]) -> None:
+    """Refuse motions without torque.
+
+    Raises:
+        RecordingError: One has none.
+    """
+    for motion in motions:
+        if not np.isfinite(motion.tau).all():
+            raise RecordingError(
+                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
+                "positions and torques"
+            )
+
+
+def visited(motions: Sequence[Motion]) -> dict[str, Array]:
     """Lowest and highest position and highest speed, each of shape (n,)."""
-    q = [m.q[m.mask] for m in data.motions]
+    q = [m.q[m.mask] for m in motions]
     return {
         "q_min": np.min([x.min(axis=0) for x in q], axis=0),
         "q_max": np.max([x.max(axis=0) for x in q], axis=0),
-        "v_max": fastest(data.motions),
+        "v_max": fastest(motions),
     }
 
 

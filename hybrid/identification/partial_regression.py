@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, eigh
+from scipy.linalg import block_diag
 from scipy.special import fdtri
 
 from hybrid.arrays import Array
 from hybrid.identification.solution import Solution
-
-_RANK = 1e-13  # smallest scaled eigenvalue that still counts
+from hybrid.regression.least_squares import pseudo_inverse
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class PartialRegression:
         A, b = (x[chosen].sum(axis=0) for x in self.others)
         A[np.ix_(self.support, self.support)] += D @ D.T
         b[self.support] += D @ y
-        inverse = _pseudo_inverse(A)
+        inverse = pseudo_inverse(A)
         return inverse[np.ix_(self.support, self.support)], (inverse @ b)[self.support]
 
     def cross_validated(
@@ -185,12 +184,3 @@ def _ridge(G: Array) -> Array:
     """A trace of the waves' power, for those that the other terms explain whole."""
     power = np.trace(G, axis1=-2, axis2=-1)[..., None, None]
     return np.asarray((1e-6 * power + 1e-12) * np.eye(2))
-
-
-def _pseudo_inverse(A: Array) -> Array:
-    """Inverse on what the data determine, whatever the units of the unknowns."""
-    size = np.sqrt(np.diag(A))
-    size = np.where(size > 0, size, 1.0)
-    values, vectors = eigh(A / size / size[:, None])
-    inside = vectors[:, values > _RANK * values[-1]] / size[:, None]
-    return np.asarray((inside / values[values > _RANK * values[-1]]) @ inside.T)

@@ -38,7 +38,7 @@ from hybrid.signals import (
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
 _WORKING_RATE = 12.5  # of the cut-off: three times what positions can hold
 _ALIAS_FREE = 5.0  # of the cut-off: torque below passes, torque above 6 does not
-_STANDING = 0.01  # of the highest speed
+STANDING = 0.01  # of the highest speed
 FEWEST_PERIODS = 3.0  # of the cut-off in a recording: its edges take 2.3 of them
 _HIDDEN = 0.05  # relative fall of the error that is worth half of the bandwidth
 _MOST_HALVINGS = 3  # of the cut-off that the spectrum of positions suggests
@@ -124,7 +124,7 @@ def prepare(
     motions = [thinned(m, highest or cutoff) for m in motions if m.mask.any()]
     if not motions:
         raise IdentificationError("no usable sample: every one is masked")
-    standing = _STANDING * fastest(motions)
+    standing = STANDING * fastest(motions)
     return Data(tuple(motions), tuple(_folds(motions, standing)), cutoff, standing)
 
 

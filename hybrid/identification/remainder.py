@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.compensator import GaussianMixtureRegression, Remainder
+from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.identification.data import Data, Rest
 from hybrid.identification.gate import lowers
@@ -23,45 +22,6 @@ _RIDGES = (1e-5, 1e-3, 1e-1)  # of the squares of a feature
 _MOST_SAMPLES = 3000  # of a fit that only scores; the final one takes what it needs
 
 Inputs = tuple[tuple[int, ...], tuple[int, ...]]  # joints whose q and v are looked at
-
-
-class Learner(Protocol):
-    """How a joint's remainder is learned."""
-
-    def __call__(
-        self,
-        x: Array,
-        y: Array,
-        *,
-        like: Remainder | None,
-        validation: tuple[Array, Array],
-        **options: Any,
-    ) -> Remainder:
-        """Learn.
-
-        Args:
-            x: Inputs, shape (N, d), [rad, rad/s].
-            y: Torque that is left, shape (N, 1), [N·m].
-            like: A regression whose size to take; without one, choose a size.
-            validation: Held-out samples to choose by; perhaps none.
-            **options: ``bound``, ``max_samples`` and ``seed``.
-        """
-
-
-def mixture(
-    x: Array,
-    y: Array,
-    *,
-    like: Remainder | None,
-    validation: tuple[Array, Array],
-    **options: Any,
-) -> Remainder:
-    """A Gaussian-mixture regression; see :class:`Learner`."""
-    if isinstance(like, GaussianMixtureRegression):
-        options["components"] = like.components
-    elif len(validation[0]):
-        options["validation"] = validation
-    return GaussianMixtureRegression.fit(x, y, candidates=_COMPONENTS, **options)
 
 
 @dataclass(frozen=True)
@@ -86,10 +46,9 @@ def fit_remainder(
     *,
     among: ArmRemainder | None = None,
     bound: Array | float = np.inf,
-    learn: Learner = mixture,
     seed: int = 0,
 ) -> Learned:
-    """A regression for each joint that gains from one.
+    """A Gaussian-mixture regression for each joint that gains from one.
 
     Each joint is offered its own position and speed, then its neighbours' too. Ridge
     regression on smooth features of them tells at little cost whether they hold
@@ -102,7 +61,6 @@ def fit_remainder(
         among: Try only the joints and inputs of this remainder.
         bound: Largest torque that may be learned, shape (n,), [N·m]. It is never
             larger than the largest that is left.
-        learn: How to learn.
         seed: Seed of the starts.
     """
     n = left[0].shape[1]
@@ -115,16 +73,17 @@ def fit_remainder(
     limits = np.broadcast_to(bound, n)
     for joint, candidates in offered.items():
         inputs = _most_telling(rest, joint, candidates)
-        fitting = _Fitting(rest, joint, float(limits[joint]), learn, seed)
-        tried = fitting.cross(inputs, data) if inputs else None
-        if tried is None or inputs is None:
+        if inputs is None:
             continue
-        regression, predicted = tried
+        fitting = _Fitting(rest, joint, inputs, float(limits[joint]), seed)
+        predicted = fitting.cross(data)
+        if predicted is None:
+            continue
         less = [x.copy() for x in left]
         for x, known in zip(less, predicted, strict=True):
             x[:, joint] -= known
         if lowers(before, data.squares(less), tried=len(candidates))[joint]:
-            parts.append(fitting.part(inputs, None, regression))
+            parts.append(fitting.part(None))
             for x, known in zip(cross, predicted, strict=True):
                 x[:, joint] = known
     after = data.squares([x - y for x, y in zip(left, cross, strict=True)])
@@ -138,12 +97,16 @@ def _most_telling(
     use = rest.moving[:, joint]
     y, fold = rest.tau[use, joint], rest.fold[use]
     best, chosen = (1 - _WORTH) * float(y @ y), None
-    for positions, speeds in candidates:
-        x = np.concatenate([rest.q[use][:, positions], rest.v[use][:, speeds]], axis=1)
-        left = _smooth_left(x, y, fold)
+    for inputs in candidates:
+        left = _smooth_left(_inputs(rest, inputs)[use], y, fold)
         if left < best:
-            best, chosen = left, (positions, speeds)
+            best, chosen = left, inputs
     return chosen
+
+
+def _inputs(rest: Rest, inputs: Inputs) -> Array:
+    positions, speeds = inputs
+    return np.concatenate([rest.q[:, positions], rest.v[:, speeds]], axis=1)
 
 
 def _smooth_left(x: Array, y: Array, fold: NDArray[np.intp]) -> float:
@@ -175,59 +138,58 @@ def _candidates(joint: int, n: int) -> list[Inputs]:
     return [(own, own), (near, own), (own, near)]
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Fitting:
-    """How one joint's remainder is fitted; its fields are as for the whole arm."""
+    """How one joint's remainder is fitted.
+
+    Attributes:
+        rest: What is left.
+        joint: The joint.
+        inputs: What is looked at.
+        bound: Largest torque that may be learned, [N·m].
+        seed: Seed of the starts.
+        components: Those of a mixture, once the first one has chosen.
+    """
 
     rest: Rest
     joint: int
+    inputs: Inputs
     bound: float
-    learn: Learner
     seed: int
+    components: int | None = None
 
-    def cross(self, inputs: Inputs, data: Data) -> tuple[Remainder, list[Array]] | None:
-        """A regression, and torque at each sample by those that left its fold out."""
-        rest, joint = self.rest, self.joint
+    def cross(self, data: Data) -> list[Array] | None:
+        """Torque at each sample by a regression that left its fold out."""
+        fold, moving = self.rest.fold, self.rest.moving[:, self.joint]
         predicted = [np.zeros(len(m.t)) for m in data.motions]
-        regression = None
-        for fold in np.unique(rest.fold):
-            moving = rest.moving[:, joint]
-            fitting, scoring = (
-                moving & (rest.fold != fold),
-                moving & (rest.fold == fold),
-            )
-            if min(fitting.sum(), 4 * scoring.sum()) < _FEWEST_SAMPLES:
+        for k in np.unique(fold):
+            seen, held = (moving & (fold != k)).sum(), (moving & (fold == k)).sum()
+            if min(seen, 4 * held) < _FEWEST_SAMPLES:
                 return None
-            part = self.part(inputs, int(fold), regression)
-            regression = part.regression
+            part = self.part(int(k))
             for x, motion, own in zip(predicted, data.motions, data.folds, strict=True):
-                here = own == fold
+                here = own == k
                 if here.any():
                     at = part.inputs(motion.q[here], motion.v[here])
-                    x[here] = regression.predict(at)[:, 0]
-        assert regression is not None
-        return regression, predicted
+                    x[here] = part.regression.predict(at)[:, 0]
+        return predicted
 
-    def part(
-        self,
-        inputs: Inputs,
-        left_out: int | None,
-        like: Remainder | None,
-    ) -> JointRemainder:
-        """Fit on all folds but one; without a regression like it that one chooses."""
-        (positions, speeds), rest = inputs, self.rest
-        x = np.concatenate([rest.q[:, positions], rest.v[:, speeds]], axis=1)
-        y = rest.tau[:, self.joint, None]
-        moving = rest.moving[:, self.joint]
-        scoring = moving & (rest.fold == left_out)
+    def part(self, left_out: int | None) -> JointRemainder:
+        """Fit on all folds but one, which chooses the size if none is known."""
+        x, y = _inputs(self.rest, self.inputs), self.rest.tau[:, self.joint, None]
+        moving = self.rest.moving[:, self.joint]
+        scoring = moving & (self.rest.fold == left_out)
         fitting = moving & ~scoring
-        regression = self.learn(
+        choose = self.components is None and bool(scoring.any())
+        regression = GaussianMixtureRegression.fit(
             x[fitting],
             y[fitting],
-            like=like,
-            validation=(x[scoring], y[scoring]),
+            components=self.components,
+            candidates=_COMPONENTS,
+            validation=(x[scoring], y[scoring]) if choose else None,
             bound=min(self.bound, float(np.abs(y[fitting]).max())),
             max_samples=_MOST_SAMPLES if scoring.any() else 20_000,
             seed=self.seed,
         )
-        return JointRemainder(self.joint, positions, speeds, regression)
+        self.components = regression.components
+        return JointRemainder(self.joint, *self.inputs, regression)

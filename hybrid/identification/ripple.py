@@ -9,7 +9,7 @@ terms fitted anew.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,13 +51,9 @@ def find_ripples(
         solution: The physical terms so far.
         waves: What was made of these data already; what is new is added.
     """
-    pieces = list(_pieces(data, solution, waves))
-    found = {}
-    for joint in range(solution.problem.chain.size):
-        ripples = _ripples(joint, [x.of(joint) for x in pieces], solution, data.cutoff)
-        if ripples:
-            found[joint] = ripples
-    return found
+    pieces = enumerate(_pieces(data, solution, waves))
+    found = {j: _ripples(j, own, solution, data.cutoff) for j, own in pieces}
+    return {j: ripples for j, ripples in found.items() if ripples}
 
 
 def _ripples(
@@ -154,42 +150,37 @@ class _Piece:
         return replace(self.sampler, factor=1)(full)
 
 
-@dataclass(frozen=True)
-class _Whole:
-    """One motion with the rows of all joints, filtered and decimated, (P, M)."""
-
-    data: Data
-    solution: Solution
-    number: int
-    motion: Motion
-    fold: NDArray[np.intp]
-    sampler: Sampler
-    rows: Array
-    known: Waves
-
-    def of(self, joint: int) -> _Piece:
-        """What concerns one joint."""
-        problem, motion = self.solution.problem, self.motion
-        rows = self.rows[problem.offsets[joint] : problem.offsets[joint + 1]].copy()
-        theta = self.solution.settled.theta[problem.support[joint]]
-        rows[-1] -= theta @ rows[:-1]
-        few = slice(None, None, self.sampler.factor)
-        use = self.data.moves(motion)[few, joint]
-        block = ((motion.t[few][use] - motion.t[0]) // _BLOCK_SECONDS).astype(int)
-        fold = self.fold[few][use]
-        place = self.number, motion, joint
-        return _Piece(*place, self.sampler, use, rows[:, use], fold, block, self.known)
-
-
-def _pieces(data: Data, solution: Solution, waves: Waves) -> Iterator[_Whole]:
+def _pieces(data: Data, solution: Solution, waves: Waves) -> list[list[_Piece]]:
+    """What concerns each joint, of every motion."""
+    problem, theta = solution.problem, solution.settled.theta
     share = _MOST_SECONDS / sum(m.t[-1] - m.t[0] for m in data.motions)
+    found: list[list[_Piece]] = [[] for _ in range(problem.chain.size)]
     for r, (motion, fold) in enumerate(zip(data.motions, data.folds, strict=True)):
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
         total = int(min(1.0, share) * len(motion.t))
-        chunks = data.chunks(solution.problem, motion, total)
-        rows = np.concatenate([D for _, D, _ in chunks], axis=1)
-        short = part(motion, slice(0, total))
-        yield _Whole(data, solution, r, short, fold[:total], sampler, rows, waves)
+        chunks = data.chunks(problem, motion, total)
+        whole = np.concatenate([D for _, D, _ in chunks], axis=1)
+        short, few = part(motion, slice(0, total)), slice(0, total, sampler.factor)
+        block = ((motion.t[few] - motion.t[0]) // _BLOCK_SECONDS).astype(int)
+        moves = data.moves(short)[:: sampler.factor]
+        for joint, own in enumerate(found):
+            use = moves[:, joint]
+            rows = whole[problem.offsets[joint] : problem.offsets[joint + 1], use]
+            rows[-1] -= theta[problem.support[joint]] @ rows[:-1]
+            own.append(
+                _Piece(
+                    r,
+                    short,
+                    joint,
+                    sampler,
+                    use,
+                    rows,
+                    fold[few][use],
+                    block[use],
+                    waves,
+                )  # fmt: skip
+            )
+    return found
 
 
 def _ripple(

@@ -105,7 +105,7 @@ class Solution:
             remainder,
             self.data.cutoff,
             self.data.standing,
-            visited(self.data),
+            visited(self.data.motions),
             self.inertial,
         )
 

@@ -79,18 +79,16 @@ def identify(
     )
     terms = Identification(robot, data, estimator, tuple(effects), robust, seed)
     held_out = terms.plain()
-    if "friction" in stages:
-        terms.bend()
-        held_out["+ friction"] = terms.error
-    if "ripple" in stages:
-        terms.ripple()
-        held_out["+ ripple"] = terms.error
-    if "remainder" in stages:
-        terms.learn()
-        held_out["+ remainder"] = terms.error
-    if consistent:
-        terms.constrain()
-        held_out["+ consistent"] = terms.error
+    rungs = {
+        "friction": terms.bend,
+        "ripple": terms.ripple,
+        "remainder": terms.learn,
+        "consistent": terms.constrain,
+    }
+    for name, climb in rungs.items():
+        if name in stages or (consistent and name == "consistent"):
+            climb()
+            held_out[f"+ {name}"] = terms.error
     fit = terms.fit(held_out)
     for text in fit.warnings:
         warnings.warn(text, HybridWarning, stacklevel=2)

@@ -10,6 +10,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError
+from hybrid.identification.data import check_torque
 from hybrid.identification.preparation import prepare_motions
 from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
@@ -70,25 +71,22 @@ class Validation:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
-        return {
-            "robot": self.robot,
+        floor = self.noise_floor
+        rows = [
+            {
+                "name": row.name,
+                "rms": row.rms.tolist(),
+                "relative": row.relative.tolist(),
+                "mean": row.mean,
+            }
+            for row in self.rows
+        ]
+        return vars(self) | {
             "joints": list(self.joints),
-            "rows": [
-                {
-                    "name": row.name,
-                    "rms": row.rms.tolist(),
-                    "relative": row.relative.tolist(),
-                    "mean": row.mean,
-                }
-                for row in self.rows
-            ],
+            "rows": rows,
             "reduction": self.reduction,
-            "noise_floor": None
-            if self.noise_floor is None
-            else self.noise_floor.tolist(),
+            "noise_floor": None if floor is None else floor.tolist(),
             "sources": list(self.sources),
-            "samples": self.samples,
-            "seconds": self.seconds,
         }
 
 
@@ -118,12 +116,7 @@ def validate(
     if robot is not None:
         check_same_arm(model, robot)
     motions, _ = prepare_motions(model.robot, recordings, model.cutoff)
-    for motion in motions:
-        if not np.isfinite(motion.tau).all():
-            raise RecordingError(
-                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
-                "positions and torques"
-            )
+    check_torque(motions)
     slowest = model.standing if standing is None else standing
     moving = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
     count = np.sum([x.sum(axis=0) for x in moving], axis=0)

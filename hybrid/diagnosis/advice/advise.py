@@ -22,7 +22,7 @@ from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import Candidate
 from hybrid.diagnosis.evidence.term import Term
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.effects import effect_class
+from hybrid.effects import Effect, effect_class
 from hybrid.effects.effect import Port
 from hybrid.excitation.folder import write_reference
 from hybrid.threads import one_thread
@@ -33,22 +33,10 @@ if TYPE_CHECKING:
 _CLEARLY = 1.2  # times the evidence that is needed
 _MOST_PAIRS = 6
 _SHORTLIST = 4  # experiments for which all is fitted anew
-_THERMAL = "thermal_friction"  # the one to which it matters when a motion is run
 _MOST_JOINTS = 3
-_SLOW_ENOUGH = 4.0  # s at one speed
 _RATE = 500.0  # Hz, of references at most
 _WHERE = "; it settles whether it is {} at {} or {} at {}"
 _IF_ANY = "; it settles whether it is {}, or else bounds it"
-# Pairs that have the same torque on every motion, and what differs without one.
-_ALIKE = {
-    frozenset({"torque_offset", "asymmetric_friction"}): (
-        "log the torque of {joint} at rest with its brake on and the drive off: a "
-        "shifted sensor shows its offset, friction shows none"
-    ),
-    frozenset({"payload", "link_inertia"}): (
-        "take off what the arm carries and repeat a motion"
-    ),
-}
 # What a residual depends on (see `ceiling`), and which experiment isolates that.
 _SHOWS = (
     ("past", "a multisine"),
@@ -98,8 +86,7 @@ def advise(
     menu = Menu(result.gap.robot, rng, rate=rate)
     prospects = Prospects(result, menu)
     plans = [
-        *sorted(_between_rivals(result, prospects), key=_least_told),
-        *sorted(_between_places(result, prospects), key=_least_told),
+        *sorted(_between(result, prospects), key=_least_told),
         *_for_unexplained(result, menu),
         *_for_servos(result, menu),
         *_for_not_excited(result, menu),
@@ -118,27 +105,6 @@ def advise(
             write_reference(path, ask.reference, result.gap.robot.joints)
         advice.append(replace(plan.advice, file=file))
     return tuple(advice)
-
-
-def rivals(search: Search, term: Term, ids: Sequence[str]) -> list[Candidate]:
-    """The best candidates at a term's joint for some ids of effects, shapes fitted.
-
-    Args:
-        search: A search that has run.
-        term: One of its terms.
-        ids: Effects that explain as much.
-    """
-    base = search.base(term)
-    _, own = search.refine(base, term.candidate)
-    least = own - needed(own)
-    joint, found = term.place[1][-1], dict[str, tuple[Candidate, float]]()
-    for c, _ in search.ranked(base):
-        if c.place[0] in ids and c.place != term.place and joint in c.place[1]:
-            refined, gain = search.refine(base, c)
-            better = c.place[0] not in found or gain > found[c.place[0]][1]
-            if gain > least and better:
-                found[c.place[0]] = refined, gain
-    return [c for c, _ in found.values()]
 
 
 class Prospects:
@@ -179,52 +145,42 @@ class Prospects:
         return self._known[experiment]
 
 
-def _between_rivals(result: Result, prospects: Prospects) -> Iterator[Plan]:
-    """One experiment for each pair of a term and an effect that explains as much."""
+def _between(result: Result, prospects: Prospects) -> Iterator[Plan]:
+    """One experiment for each pair of a term and what explains as much."""
     search, joints = result.search, result.gap.robot.joints
-    named = {f.effect: f.alternatives[1:] for f in result.diagnosis.findings}
-    seen: set[tuple[int, frozenset[str]]] = set()
-    for term in search.terms:
-        effect_id, joint = term.place[0], term.place[1][-1]
-        ids = named.get(effect_id, ())
-        if not ids:
+    pairs = [(term, c) for term, others in result.alike.items() for c in others]
+    own: dict[int, Rival] = {}
+    chosen: dict[int, list[Experiment]] = {}
+    for term, other in pairs[:_MOST_PAIRS]:
+        if by_hand := _by_hand(term.candidate.effect, other.effect):
+            text = by_hand.format(joint=joints[term.place[1][-1]])
+            ids = tuple(sorted((term.place[0], other.place[0])))
+            yield Plan(Advice(text, ids, 0.0))
             continue
-        own = fit_rival(search, term, term.candidate)
-        chosen: list[Experiment] = []
-        for other in rivals(search, term, ids):
-            pair = frozenset({effect_id, other.place[0]})
-            if (joint, pair) in seen or len(seen) >= _MOST_PAIRS:
-                continue
-            seen.add((joint, pair))
-            if pair in _ALIKE:
-                text = _ALIKE[pair].format(joint=joints[joint])
-                yield Plan(Advice(text, tuple(sorted(pair)), 0.0))
-                continue
-            rival = fit_rival(search, term, other)
-            plan = choose(prospects, (joint,), (own, rival), chosen)
-            if plan is not None:
-                yield plan
+        key = id(term)
+        if key not in own:
+            own[key], chosen[key] = fit_rival(search, term, term.candidate), []
+        both = own[key], fit_rival(search, term, other)
+        at = dict.fromkeys(c.place[1][-1] for c in (term, other))
+        plan = choose(prospects, tuple(at), both, chosen[key])
+        if plan is not None:
+            yield plan if len(at) == 1 else _placed(search, plan, (term, other))
 
 
-def _between_places(result: Result, prospects: Prospects) -> Iterator[Plan]:
-    """One experiment for each term that something at another joint does as well as."""
-    search, chosen = result.search, list[Experiment]()
-    for term, other in list(result.torn.items())[:_MOST_PAIRS]:
-        both = term.candidate, other
-        at = [c.place[1][-1] for c in both]
-        own, rival = (fit_rival(search, term, c) for c in both)
-        plan = choose(prospects, at, (own, rival), chosen)
-        if plan is None or plan.experiment is None:
-            continue
-        text = _run(plan.experiment)
-        if plan.advice.experiment != text:  # it tells if it is one, not if the other
-            yield plan
-            continue
-        (one, here), (two, there) = map(search.placed, both)
-        laws = one.replace("_", " "), two.replace("_", " ")
-        text += _WHERE.format(laws[0], here, laws[1], there)
-        advice = replace(plan.advice, experiment=text)
-        yield replace(plan, advice=advice)
+def _by_hand(one: Effect, other: Effect) -> str:
+    """What tells laws apart that have the same torque on every motion."""
+    return one.told_apart.get(other.id) or other.told_apart.get(one.id, "")
+
+
+def _placed(search: Search, plan: Plan, both: Sequence[Term | Candidate]) -> Plan:
+    """A plan that says which joints it is about."""
+    text = plan.advice.experiment
+    if plan.experiment is None or text != _run(plan.experiment):
+        return plan  # it tells if it is one of them only
+    (one, here), (two, there) = map(search.placed, both)
+    laws = one.replace("_", " "), two.replace("_", " ")
+    text += _WHERE.format(laws[0], here, laws[1], there)
+    return replace(plan, advice=replace(plan.advice, experiment=text))
 
 
 def _least_told(plan: Plan) -> float:
@@ -253,8 +209,8 @@ def choose(
         The advice; nothing if no experiment tells enough.
     """
     splits = rivals[0].effect.id, rivals[1].effect.id
-    asked = (prospects.about(j, warm=_THERMAL in splits) for j in joints)
-    menu = list(dict.fromkeys(x for some in asked for x in some))
+    warm = any(effect_class(x).warms for x in splits)
+    menu = list(dict.fromkeys(x for j in joints for x in prospects.about(j, warm=warm)))
     known = [x for x in chosen if x.plain]
     plain = [x for x in menu if x.plain and x not in known]
     half: tuple[float, Plan | None] = _CLEARLY, None
@@ -274,16 +230,11 @@ def choose(
                 text += _IF_ANY.format(splits[int(np.argmax(told))].replace("_", " "))
                 half = max(told), Plan(Advice(text, splits, sizes[k]), dishes[k])
         if best[1] is not None:
-            return _chosen(best[1], chosen)
-    return _chosen(half[1], chosen)
-
-
-def _chosen(plan: Plan | None, chosen: list[Experiment]) -> Plan | None:
-    """A plan, whose experiment is taken down."""
-    experiment = None if plan is None else plan.experiment
-    if experiment is not None and experiment not in chosen:
-        chosen.append(experiment)
-    return plan
+            break
+    found = best[1] or half[1]
+    if found and found.experiment not in chosen:
+        chosen += [found.experiment] if found.experiment else []
+    return found
 
 
 def _for_unexplained(result: Result, menu: Menu) -> Iterator[Plan]:
@@ -313,7 +264,7 @@ def _for_not_excited(result: Result, menu: Menu) -> Iterator[Plan]:
         ]
         if not wanting or count >= _MOST_JOINTS:
             continue
-        for experiment in menu.ladder(j, longest=_SLOW_ENOUGH):
+        for experiment in menu.ladder(j):
             count += 1
             yield Plan(Advice(_run(experiment), (), 0.0), experiment)
 

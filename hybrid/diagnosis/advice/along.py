@@ -16,7 +16,7 @@ from hybrid.diagnosis.gap.background import background, clocks, rest
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
-from hybrid.signals import Motion
+from hybrid.regression.problem import part
 
 
 class Along:
@@ -85,19 +85,9 @@ def coarse(gap: Gap) -> Gap:
 
     Columns of effects are then worked out on a part of the samples.
     """
-    motions, bodies = [], []
-    for motion, body, sampler in gap:
-        few = motion
-        if sampler.factor > 1:
-            few = _every(motion, sampler.factor)
-            body = RigidBody(body.chain, few, body.inertial)
-        motions.append(few)
-        bodies.append(body)
-    return replace(gap, motions=tuple(motions), bodies=tuple(bodies))
-
-
-def _every(motion: Motion, step: int) -> Motion:
-    """A motion at every so many samples."""
-    signals = ("t", "q", "v", "a", "tau", "mask", "temperature", "asked")
-    found = {x: getattr(motion, x) for x in signals}
-    return replace(motion, **{k: x[::step] for k, x in found.items() if x is not None})
+    pairs = [(part(m, slice(None, None, s.factor)), b) for m, b, s in gap]
+    return replace(
+        gap,
+        motions=tuple(m for m, _ in pairs),
+        bodies=tuple(RigidBody(b.chain, m, b.inertial) for m, b in pairs),
+    )

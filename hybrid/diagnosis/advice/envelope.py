@@ -12,23 +12,21 @@ from hybrid.errors import ExcitationError, HybridWarning, RobotError
 from hybrid.excitation.clearance import Clearance
 from hybrid.excitation.constraints import Limits
 from hybrid.excitation.experiments import checked, path_from_reference
-from hybrid.excitation.path import Path
 from hybrid.plant.reference import Reference
 from hybrid.robot import Robot
 
-_CHECKS = 100.0  # postures per second whose clearance is checked
 _ALIKE = 0.01  # rad or m, between postures that need no second look
 _TRIES = 12
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """A part of the limits of an arm's file, and the distance between its links.
+    """80 % of the limits of an arm's file, and the distance between its links.
 
     Attributes:
         robot: The arm.
         limits: The limits.
-        clearance: The links; nothing where the file holds no geometry.
+        clearance: The links, 1 cm apart; nothing where the file holds no geometry.
     """
 
     robot: Robot
@@ -37,15 +35,16 @@ class Envelope:
 
     @classmethod
     def of(cls, robot: Robot) -> Envelope:
-        """80 % of the limits, of torque too, and 1 cm between links."""
-        limits = Limits.of(robot)
-        try:
-            with warnings.catch_warnings():
-                # Links that touch in most postures are left out here as well.
-                warnings.simplefilter("ignore", HybridWarning)
-                return cls(robot, limits, Clearance.of(robot, limits))
-        except RobotError:
-            return cls(robot, limits, None)
+        """Take it from the robot's file."""
+        limits, clearance = Limits.of(robot), None
+        with warnings.catch_warnings():
+            # Links that touch in most postures are left out here as well.
+            warnings.simplefilter("ignore", HybridWarning)
+            try:
+                clearance = Clearance.of(robot, limits)
+            except RobotError:
+                pass
+        return cls(robot, limits, clearance)
 
     def first_safe(
         self, make: Callable[[int], Reference], robot: Robot | None = None
@@ -59,7 +58,6 @@ class Envelope:
         Raises:
             ExcitationError: None is.
         """
-        failed = ExcitationError("no motion was tried")
         for k in range(_TRIES):
             try:
                 return self.checked(make(k), robot)
@@ -80,12 +78,10 @@ class Envelope:
         checked(robot or self.robot, reference, self.limits)
         if self.clearance is None or not len(self.clearance.pairs):
             return reference
-        q = reference.q[:: max(1, int(reference.rate / _CHECKS))]
-        _, first = np.unique(np.round(q / _ALIKE), axis=0, return_index=True)
-        path = path_from_reference(reference)
-        some = Path(*(x[first] for x in (path.t, q, path.v, path.a, path.jerk)))
-        worst = self.clearance.excess(some).max(axis=0)
+        postures = np.round(reference.q / _ALIKE)
+        _, first = np.unique(postures, axis=0, return_index=True)
+        worst = self.clearance.excess(path_from_reference(reference).at(first))
         if (worst > 0).any():
-            name = self.clearance.names[int(worst.argmax())]
+            name = self.clearance.names[int(worst.max(axis=0).argmax())]
             raise ExcitationError(f"{name}; valid is a motion with more room")
         return reference

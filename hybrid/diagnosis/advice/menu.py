@@ -21,12 +21,12 @@ from hybrid.excitation.experiments import (
     static_poses,
 )
 from hybrid.excitation.knots import Walk
+from hybrid.identification.preparation import STANDING
 from hybrid.plant.reference import Reference, random_fourier
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 
 _EDGE = 0.2  # s, at both ends of a motion, that filters spoil
-_STANDING = 0.01  # of the highest speed
 _CUTOFF = 30.0  # Hz, of what is expected of experiments; none is that fast
 _CLOCK = 5.0  # samples per period of the cut-off
 _POSES, _FEWEST_POSES, _DRAWS = 8, 4, 60
@@ -34,8 +34,7 @@ _PREVIEW = 50.0  # Hz, of moves that are only checked
 _SMALLER = 0.85  # from one try to the next
 _WARM = 1200.0  # s, after which a drive is warm
 _WARMER = 20.0  # K, by then
-_MASS = 0.5  # of a middling link, to be carried
-_LIGHTER = (1.0, 0.5, 0.25)
+_LIGHTER = (0.5, 0.25, 0.125)  # of a middling link, to be carried
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +81,15 @@ class Menu:
     def about(self, joint: int) -> tuple[Experiment, ...]:
         """Experiments that tell something about a joint."""
         if joint not in self._of_joint:
-            self._of_joint[joint] = self._about(joint)
+            # A number from 1, as text, is the one name no joint can be taken for.
+            robot, rate, number = self._robot, self._rate, str(joint + 1)
+
+            def reversals(k: int) -> Reference:
+                posture = self._posture(k)
+                return micro_reversals(robot, number, rate=rate, posture=posture)
+
+            small = self._served(f"small reversals of {robot.joints[joint]}", reversals)
+            self._of_joint[joint] = (*self.ladder(joint, longest=2.0), *small)
         return (*self._of_joint[joint], *self.of_all_joints)
 
     @cached_property
@@ -90,36 +97,23 @@ class Menu:
         """What the arm may do."""
         return Envelope.of(self._robot)
 
-    def _about(self, joint: int) -> tuple[Experiment, ...]:
-        name, robot, number = self._robot.joints[joint], self._robot, str(joint + 1)
-
-        def reversals(k: int) -> Reference:
-            posture = self._posture(k)
-            return micro_reversals(robot, number, rate=self._rate, posture=posture)
-
-        small = self._served((f"small reversals of {name}", reversals))
-        return (*self.ladder(joint, longest=2.0), *small)
-
-    def ladder(self, joint: int, *, longest: float) -> tuple[Experiment, ...]:
+    def ladder(self, joint: int, *, longest: float = 4.0) -> tuple[Experiment, ...]:
         """A joint forth and back at many speeds, if there is room for it.
 
         Args:
             joint: The joint.
             longest: Longest time at one speed, [s].
         """
-        # A number from 1, as text, is the one name that no joint can be taken for.
-        name, number = self._robot.joints[joint], str(joint + 1)
+        robot, rate, number = self._robot, self._rate, str(joint + 1)
 
         def make(k: int) -> Reference:
+            posture = self._posture(k)
             return speed_ladder(
-                self._robot,
-                number,
-                longest=longest,
-                rate=self._rate,
-                posture=self._posture(k),
+                robot, number, longest=longest, rate=rate, posture=posture
             )
 
-        return self._served((f"a ladder of speeds of {name}, up and down", make))
+        name = f"a ladder of speeds of {robot.joints[joint]}, up and down"
+        return self._served(name, make)
 
     @cached_property
     def of_all_joints(self) -> tuple[Experiment, ...]:
@@ -127,7 +121,7 @@ class Menu:
         robot, rng, rate = self._robot, self._rng, self._rate
 
         def speeds(k: int) -> Reference:
-            return joined(at_speeds(robot, self._path(10.0, 0.2, k), (0.5, 1.0, 2.0)))
+            return joined(at_speeds(robot, self._path(10.0, 0.2, k)))
 
         def poses(_: int) -> Reference:
             return static_poses(robot, self._poses(), hold=0.5, rate=rate)
@@ -136,58 +130,64 @@ class Menu:
             fill, posture = 0.5 * _SMALLER**k, self._posture(k)
             return multisine(robot, fill=fill, posture=posture, seed=rng, rate=rate)
 
-        plain = self._served(
-            ("one path of all joints at 0.5, 1 and 2 times its speed", speeds),
-            ("moves between poses all over the workspace, with a rest in each", poses),
-            ("a multisine of all joints from 0.2 to 5 Hz", tones),
-            (
+        return (
+            *self._served(
+                "one path of all joints at 0.5, 1 and 2 times its speed", speeds
+            ),
+            *self._served(
+                "moves between poses all over the workspace, with a rest in each", poses
+            ),
+            *self._served("a multisine of all joints from 0.2 to 5 Hz", tones),
+            *self._served(
                 "a fast random motion of all joints over most of their range",
                 lambda k: self._path(20.0, 0.8, k),
             ),
+            *self._with_hands(),
         )
-        return (*plain, *self._with_hands())
 
     def _with_hands(self) -> tuple[Experiment, ...]:
         """Experiments for which something has to be prepared."""
-        warm = (
-            "a random motion of all joints again when the drives are warm, after "
-            f"{_WARM / 60:.0f} minutes of work, logged by the same clock"
+        found = (
+            *self._served(
+                "a random motion of all joints again when the drives are warm, after "
+                f"{_WARM / 60:.0f} minutes of work, logged by the same clock",
+                self._random,
+                start=_WARM,
+            ),
+            *self._served(
+                "a random motion of all joints twice, the second time with the gains "
+                "of the servo at half",
+                self._random,
+                gains=True,
+            ),
         )
-        gains = (
-            "a random motion of all joints twice, the second time with the gains of "
-            "the servo at half"
-        )
-        found = [
-            *(replace(x, start=_WARM) for x in self._served((warm, self._random))),
-            *(replace(x, gains=True) for x in self._served((gains, self._random))),
-        ]
-        links = self._robot.chain.inertial[:, 0]
         for part in _LIGHTER:
-            mass = float(f"{part * _MASS * np.median(links):.1g}")
-            arm = loaded(self._robot, mass)
+            mass = float(f"{part * np.median(self._robot.chain.inertial[:, 0]):.1g}")
             carry = (
                 f"a random motion of all joints with a known mass of {mass:g} kg at "
                 "the last link, and diagnose that recording alone, with the mass in "
                 "the simulator's file"
             )
-            served = self._served((carry, self._random), arm=arm) if mass > 0 else ()
-            found += [replace(x, mass=mass) for x in served]
-            if served:
-                break
-        return tuple(found)
+            if mass > 0 and (heavy := self._served(carry, self._random, mass=mass)):
+                return (*found, *heavy)
+        return found
 
     def _served(
         self,
-        *dishes: tuple[str, Callable[[int], Reference]],
-        arm: Robot | None = None,
+        name: str,
+        make: Callable[[int], Reference],
+        *,
+        start: float = 0.0,
+        mass: float = 0.0,
+        gains: bool = False,
     ) -> tuple[Experiment, ...]:
-        found = []
-        for text, make in dishes:
-            try:
-                found.append(Experiment(text, self.envelope.first_safe(make, arm)))
-            except HybridError:
-                continue  # this arm has no room, speed or torque for it
-        return tuple(found)
+        """An experiment; nothing if the arm has no room, speed or torque for it."""
+        arm = loaded(self._robot, mass) if mass else self._robot
+        try:
+            reference = self.envelope.first_safe(make, arm)
+        except HybridError:
+            return ()
+        return (Experiment(name, reference, start, mass, gains),)
 
     def _random(self, k: int) -> Reference:
         return self._path(20.0, 0.6, k)
@@ -214,7 +214,9 @@ class Menu:
 
     def _poses(self) -> Array:
         """Poses between which the arm can go straight, back to the first one too."""
-        first = self.envelope.first_safe(lambda k: self._move(self._start(k)))
+        first = self.envelope.first_safe(
+            lambda k: self._move(self._anywhere(0.6 if k else 0.0))
+        )
         poses = [first.q[0]]
         for _ in range(_DRAWS):
             goal = self._anywhere(0.85)
@@ -229,9 +231,6 @@ class Menu:
         if len(poses) < _FEWEST_POSES:
             raise HybridError("too few poses can be reached safely")
         return np.array([*poses, poses[0]])  # so that it can be run again
-
-    def _start(self, k: int) -> Array:
-        return self._anywhere(0.6 if k else 0.0)
 
     def _move(self, *poses: Array) -> Reference:
         walk = Walk(poses[0])
@@ -273,18 +272,17 @@ def gap_along(gap: Gap, experiment: Experiment) -> Gap:
     motion = replace(motion, tau=simulated_torque(robot, motion, body))
     sampler = Sampler.for_rate(motion.rate, cutoff)
     v = v[:: sampler.factor]
-    moving = np.abs(v) > _STANDING * np.abs(gap.sampled.v).max(axis=0)
+    moving = np.abs(v) > STANDING * np.abs(gap.sampled.v).max(axis=0)
     moving &= sampler.keep(mask)[:, None]
-    of = np.zeros(len(v), dtype=np.intp)
-    left = np.zeros_like(v)
+    of, left = np.zeros(len(v), dtype=np.intp), np.zeros_like(v)
     return Gap(robot, (motion,), (body,), cutoff, left, moving, of, of)
 
 
 def joined(references: Sequence[Reference]) -> Reference:
     """References that end where the next one starts, at rest, one after the other."""
-    t, parts = np.zeros(1), [[getattr(references[0], x)[:1]] for x in "qva"]
-    for r in references:
-        t = np.concatenate([t, t[-1] + r.t[1:]])
-        for part, x in zip(parts, "qva", strict=True):
-            part.append(getattr(r, x)[1:])
-    return Reference(t, *(np.concatenate(part) for part in parts))
+    whole = references[0]
+    for r in references[1:]:
+        t = np.append(whole.t, whole.t[-1] + r.t[1:])
+        pairs = ((whole.q, r.q), (whole.v, r.v), (whole.a, r.a))
+        whole = Reference(t, *(np.concatenate([x, y[1:]]) for x, y in pairs))
+    return whole

@@ -26,7 +26,6 @@ from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import Columns
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects import Effect
-from hybrid.effects.torque_ripple import TorqueRipple
 
 _EXACT_PASSES = 4
 _LONG_WAVES = 6  # per turn
@@ -98,10 +97,10 @@ def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
 def shapes_of(search: Search) -> list[Candidate]:
     """All shapes that a search has tried, and long waves, which other data may show."""
     tried = [t.candidate for t in search.pool.tried]
-    ripples = {c.place: c for c in tried if c.place[0] == TorqueRipple.id}
-    for c in ripples.values():
-        long = (c.effect.at({"periods": float(k)}) for k in range(1, _LONG_WAVES + 1))
-        tried += [replace(c, effect=effect) for effect in long]
+    for c in list({c.place: c for c in tried}.values()):
+        for wave in (s.name for s in c.effect.shapes if s.unit == "1/turn"):
+            long = (c.effect.at({wave: k}) for k in range(1, _LONG_WAVES + 1))
+            tried += [replace(c, effect=effect) for effect in long]
     return tried
 
 

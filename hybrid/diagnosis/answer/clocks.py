@@ -6,52 +6,21 @@ effects included. So it is no term of a search, and is scored here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.answer.diagnosis import Finding
-from hybrid.diagnosis.answer.findings import fall, listed, values
+from hybrid.diagnosis.answer.findings import Beside, fall, found_at, values
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.effects import Effect
 from hybrid.effects.delay import Delay
-
-
-@dataclass(frozen=True, eq=False)
-class Clocks:
-    """What clocks that are apart account for.
-
-    Attributes:
-        finding: The finding; its share is one.
-        effects: The delay of each joint that moves.
-        squares: What it explains on the samples learnt from, shape (n,), in units of
-            noise.
-        share: Its part of what it and all terms explain.
-    """
-
-    finding: Finding
-    effects: tuple[Effect, ...]
-    squares: Array
-    share: float
-
-    def beside(self, others: Sequence[Finding]) -> tuple[Finding, ...]:
-        """All findings, with their shares of what they explain together.
-
-        Args:
-            others: Findings of the log without the delay.
-        """
-        found = [replace(self.finding, share=self.share)]
-        found += [replace(f, share=(1.0 - self.share) * f.share) for f in others]
-        return tuple(sorted(found, key=lambda f: -f.share))
 
 
 def clocks_apart(
     logged: Gap, scored: Explanation, convention: Convention, rng: np.random.Generator
-) -> Clocks:
+) -> tuple[Beside, float]:
     """The finding that torque is late at every joint.
 
     Args:
@@ -59,9 +28,12 @@ def clocks_apart(
         scored: What was found in the log without the delay.
         convention: By how much torque is late.
         rng: Draws of the bootstrap.
+
+    Returns:
+        It, and what the terms explain on the samples learnt from, in units of noise.
     """
-    gap, size = scored.gap, logged.robot.size
-    moving = [j for j in range(size) if logged.moving[:, j].any()]
+    gap = scored.gap
+    moving = np.flatnonzero(logged.moving.any(axis=0)).tolist()
     std = float(np.hypot(convention.std, Delay.inexact["time"] * convention.late))
     time = {"time": convention.late}
     effects = tuple(Delay((j,), time, {"time": std}) for j in moving)
@@ -78,15 +50,9 @@ def clocks_apart(
         for left in (late(learnt), learnt.before)
     )
     names = [gap.robot.joints[j] for j in moving]
-    finding = Finding(
-        effect=Delay.id,
-        joints=tuple(names),
-        alternatives=(Delay.id,),
-        share=1.0,
-        parameters=tuple(v for e in effects for v in values(gap, e)),
+    parameters = [v for e in effects for v in values(gap, e)]
+    finding = replace(
+        found_at(Delay, names, (), parameters),
         shrink={"torque": fall(scored, late(scored), rng)},
-        sentence=Delay.sentence.format(joints=listed(names)),
-        remedy=Delay.remedy,
     )
-    share = own.sum() / max(own.sum() + others.sum(), 1e-300)
-    return Clocks(finding, effects, own, float(share))
+    return Beside((finding,), effects, own), float(others.sum())

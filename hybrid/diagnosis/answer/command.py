@@ -7,14 +7,15 @@ logged is held against the torque that a servo law asks for.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.answer.diagnosis import Finding, Shrink
-from hybrid.diagnosis.answer.findings import listed, values
+from hybrid.diagnosis.answer.diagnosis import Finding
+from hybrid.diagnosis.answer.findings import Beside, found_at, values
+from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS, NORMAL, shrink
 from hybrid.diagnosis.explanations.servo_fit import (
     WORTH,
     Fit,
@@ -34,32 +35,21 @@ from hybrid.recording import Recording
 from hybrid.signals import Motion
 
 _EXPLAINED = 0.95  # of the torque's squares, or the servo is of another kind
-# A controller holds its command for a period, and a log may be a period late.
-_HELD, _PERIODS = 0.002, 1.0  # s, of the log
+_HELD = 0.002  # s, for which a controller may hold its command
 _LEAST_GAIN = 0.02  # relative error of a gain
-_MOST_HIDDEN = 0.99  # of the damping
 _LEAST_FALL = 0.01  # of the squares of what a servo law leaves
-_RESAMPLES = 400
-_NORMAL = 1.96
-_BLOCK_SECONDS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class Link(Beside):
     """What the link from command to torque lacks.
 
     Attributes:
-        findings: Findings, with their shares of this link.
-        effects: The effects found, joint by joint.
-        squares: What they explain, in units of noise.
         excess: Squares above noise of the servos as they are thought to be, by block
             of time, shape (B, n), in units of noise; 0 where nothing was found.
     """
 
-    findings: tuple[Finding, ...] = ()
-    effects: tuple[Effect, ...] = ()
-    squares: float = 0.0
-    excess: Array = field(default_factory=lambda: np.zeros((1, 1)))
+    excess: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +63,7 @@ class _Servo:
         fits: Fits on the others, by (late, off): whether commands may be late, and
             whether gains may be off the declared ones.
         found: Effects found: ``CommandLatency`` and ``ControllerGain``.
+        effects: The same with their values from all samples.
         noise: Variance of the torque that no law explains, [(N·m)²].
         scale: Whether a torque logged at another scale would look like other gains.
     """
@@ -82,6 +73,7 @@ class _Servo:
     test: ServoLog
     fits: dict[tuple[bool, bool], Fit]
     found: tuple[type[Effect], ...]
+    effects: tuple[Effect, ...]
     noise: float
     scale: bool
 
@@ -136,22 +128,24 @@ def command_link(
     kinds = [k for k in (CommandLatency, ControllerGain) if k.id not in without]
     servos = []
     for i, log in enumerate(servo_logs(gap, recordings)):
-        if log is None or i in distorted:
-            continue
-        servo = _examined(gap, i, log, learn, test, kinds)
-        if servo is not None and servo.found:
-            servos.append(servo)
-    fitted = {s.joint: _fitted(gap, s) for s in servos}
-    # No servo has gains beyond all bounds: one that seems to follows another law.
-    servos = [s for s in servos if all(map(_plausible, fitted[s.joint]))]
-    effects = tuple(e for s in servos for e in fitted[s.joint])
-    total = sum(s.share(k) for s in servos for k in s.found)
+        if log is not None and i not in distorted:
+            servo = _examined(gap, i, log, learn, test, kinds)
+            if (
+                servo is not None
+                and servo.found
+                and all(map(_plausible, servo.effects))
+            ):
+                servos.append(servo)
+    squares = np.zeros(gap.robot.size)
+    for s in servos:
+        squares[s.joint] = sum(map(s.share, s.found))
     found = [
-        _finding(gap, [s for s in servos if k in s.found], k, effects, total, rng)
+        _finding(gap, own, k, squares.sum(), rng)
         for k in kinds
-        if any(k in s.found for s in servos)
+        if (own := [s for s in servos if k in s.found])
     ]
-    return Link(tuple(found), effects, total, _excess(gap, servos))
+    effects = tuple(e for s in servos for e in s.effects)
+    return Link(tuple(found), effects, squares, _excess(gap, servos))
 
 
 def _examined(
@@ -177,8 +171,9 @@ def _examined(
         return None
     fits = {(True, True): whole, (False, True): at_once(own, free, whole)}
     found: list[type[Effect]] = []
-    least = max(_HELD, _PERIODS / gap.motions[0].rate)
-    late = whole.latency - _NORMAL * whole.latency_std > least
+    # A log may be a period late.
+    least = max(_HELD, 1.0 / gap.motions[0].rate)
+    late = whole.latency - NORMAL * whole.latency_std > least
     if late and _better(own, unseen, fit(own, free, prompt=True), whole):
         found.append(CommandLatency)
     same = False
@@ -200,7 +195,8 @@ def _examined(
             fits[False, False] = at_once(own, stated, whole)
     noise = float(whole.left @ whole.left) / len(own.row)
     named = tuple(k for k in found if k in kinds)
-    return _Servo(i, log, unseen, fits, named, noise, same)
+    effects = _fitted(gap, i, log, named)
+    return _Servo(i, log, unseen, fits, named, effects, noise, same)
 
 
 def _better(own: ServoLog, unseen: ServoLog, before: Fit, after: Fit) -> bool:
@@ -238,86 +234,68 @@ def _off(found: Fit, gap: Gap, i: int) -> tuple[Array, Array]:
 
 
 def _wrong(found: Fit, gap: Gap, own: ServoLog, i: int) -> bool:
-    """Whether gains are surely not the declared ones, and plausible."""
+    """Whether gains are surely not the declared ones."""
     off, std = _off(found, gap, i)
     # Of what is there, the part that noise hides comes on top of what is seen.
-    part = min(blur(own, found, gap.rate, gap.cutoff), _MOST_HIDDEN)
-    hidden = np.array([0.0, (1.0 + off[1]) * part / (1.0 - part)])
-    wrong = np.maximum(off, -off - hidden) - _NORMAL * std > _LEAST_GAIN
-    bounds = zip(ControllerGain.gains, off, strict=True)
-    return bool(wrong.any()) and all(g.lower < x < g.upper for g, x in bounds)
+    part = blur(own, found, gap.rate, gap.cutoff)
+    hidden = np.array([0.0, (1.0 + off[1]) * part / max(1.0 - part, 1e-3)])
+    return bool((np.maximum(off, -off - hidden) - NORMAL * std > _LEAST_GAIN).any())
 
 
 def _plausible(effect: Effect) -> bool:
+    """Whether a servo may be off by so much: one beyond follows another law."""
     pairs = zip(effect.gains, effect.gain_values, strict=True)
     return all(g.lower < x < g.upper for g, x in pairs)
 
 
-def _fitted(gap: Gap, servo: _Servo) -> list[Effect]:
+def _fitted(
+    gap: Gap, i: int, log: ServoLog, kinds: Sequence[type[Effect]]
+) -> tuple[Effect, ...]:
     """The effects of a joint with their values from all samples."""
-    found = fit(servo.log, list(laws()), prompt=CommandLatency not in servo.found)
-    effects: list[Effect] = []
-    for kind in servo.found:
-        if kind is CommandLatency:
-            value, std = [found.latency], [found.latency_std]
-        else:
-            off, spread = _off(found, gap, servo.joint)
-            law = [kind.inexact.get(g.name, 0.0) for g in kind.gains]
-            value, std = off.tolist(), np.hypot(spread, law * (1.0 + off)).tolist()
+    found = fit(log, list(laws()), prompt=CommandLatency not in kinds)
+    effects = []
+    for kind in kinds:
         names = [g.name for g in kind.gains]
-        effect = kind((servo.joint,), dict(zip(names, value, strict=True)))
-        effects.append(effect.at({}, dict(zip(names, std, strict=True))))
-    return effects
+        value, std = np.array([found.latency]), np.array([found.latency_std])
+        if kind is ControllerGain:
+            value, spread = _off(found, gap, i)
+            law = np.array([kind.inexact.get(x, 0.0) for x in names])
+            std = np.hypot(spread, law * (1.0 + value))
+        values = (dict(zip(names, x.tolist(), strict=True)) for x in (value, std))
+        effects.append(kind((i,), *values))
+    return tuple(effects)
 
 
 def _finding(
     gap: Gap,
     servos: Sequence[_Servo],
     kind: type[Effect],
-    effects: Sequence[Effect],
     total: float,
     rng: np.random.Generator,
 ) -> Finding:
-    names = tuple(gap.robot.joints[s.joint] for s in servos)
-    own = [e for e in effects if isinstance(e, kind)]
+    block, count = _blocks(gap), sum(len(s.test.row) for s in servos)
+    squares = np.zeros((2, block[-1] + 1))
+    for s in servos:
+        for k, fitted in enumerate((s.without(kind), s.fits[True, True])):
+            left = fitted.residual(s.test)
+            squares[k] += np.bincount(block[s.test.row], left**2, len(squares[k]))
     alike = kind is ControllerGain and any(s.scale for s in servos)
-    return Finding(
-        effect=kind.id,
-        joints=names,
-        alternatives=(kind.id, *(["torque_gain"] if alike else [])),
+    own = [e for s in servos for e in s.effects if isinstance(e, kind)]
+    joints = [s.joint for s in servos]
+    return replace(
+        found_at(
+            kind,
+            [gap.robot.joints[j] for j in joints],
+            ControllerGain.at_scale if alike else (),
+            [v for e in own for v in values(gap, e)],
+        ),
         share=sum(s.share(kind) for s in servos) / max(total, 1e-300),
-        parameters=tuple(v for e in own for v in values(gap, e)),
-        shrink={"torque": _shrink(gap, servos, kind, rng)},
-        sentence=kind.sentence.format(joints=listed(names)),
-        remedy=kind.remedy,
+        shrink={"torque": shrink(squares, count, units(gap.robot, joints)[1], rng)},
     )
 
 
 def _blocks(gap: Gap) -> NDArray[np.intp]:
-    return np.arange(len(gap.fold)) // max(1, round(_BLOCK_SECONDS * gap.rate))
-
-
-def _shrink(
-    gap: Gap,
-    servos: Sequence[_Servo],
-    kind: type[Effect],
-    rng: np.random.Generator,
-) -> Shrink:
-    """Torque that the servo laws leave, without and with an effect."""
-    block, count = _blocks(gap), sum(len(s.test.row) for s in servos)
-    squares = np.zeros((2, block[-1] + 1))
-    for s in servos:
-        for k, found in enumerate((s.without(kind), s.fits[True, True])):
-            left = found.residual(s.test)
-            squares[k] += np.bincount(block[s.test.row], left**2, len(squares[k]))
-    squares = squares[:, squares[0] > 0]
-    size = squares.shape[1]
-    draws = squares @ rng.multinomial(size, np.full(size, 1 / size), _RESAMPLES).T
-    before, after = np.sqrt(squares.sum(axis=1) / count).tolist()
-    low, high = np.quantile(1 - np.sqrt(draws[1] / draws[0]), [0.025, 0.975])
-    interval = (float(low), float(high)) if size > 1 else (0.0, 1.0)
-    unit = units(gap.robot, [s.joint for s in servos])[1]
-    return Shrink(before, after, 1 - after / before, interval, unit=unit)
+    return np.arange(len(gap.fold)) // max(1, round(BLOCK_SECONDS * gap.rate))
 
 
 def _excess(gap: Gap, servos: Sequence[_Servo]) -> Array:

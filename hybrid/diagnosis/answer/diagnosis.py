@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from math import isfinite
 from pathlib import Path
@@ -149,13 +149,6 @@ class Unseen:
     ceiling: tuple[float, ...]
     noise: tuple[float, ...]
 
-    def as_dict(self) -> dict[str, list[float | None]]:
-        """JSON-ready; nothing where nothing was measured."""
-        return {
-            name: [x if isfinite(x) else None for x in values]
-            for name, values in asdict(self).items()
-        }
-
 
 @dataclass(frozen=True)
 class Diagnosis(Shown):
@@ -206,62 +199,31 @@ class Diagnosis(Shown):
         write_json(path, self.as_dict())
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-ready content in the form of ``hybrid.diagnosis/1``."""
-        return {
-            "schema": SCHEMA,
-            "robot": self.robot,
-            "joints": list(self.joints),
-            "gap": {
-                "rms": self._of_moved(self.rms),
-                "relative": self._of_moved(self.relative),
-                "noise_floor": self._of_moved(self.noise_floor),
-                "units": list(self.units),
-            },
-            "unseen": None if self.unseen is None else self.unseen.as_dict(),
-            "where": [_region(r) for r in self.where],
-            "events": [
-                {**asdict(e), "torque": list(e.torque), "force": list(e.force)}
-                for e in self.events
-            ],
-            "findings": [_finding(f) for f in self.findings],
-            "verdict": self.verdict,
-            "unexplained": self.unexplained,
-            "background": self.background,
-            "not_excited": list(self.not_excited),
-            "advice": [{**asdict(a), "splits": list(a.splits)} for a in self.advice],
-            "warnings": list(self.warnings),
-            "provenance": dict(self.provenance),
-        }
+        """JSON-ready content in the form of ``hybrid.diagnosis/1``.
 
-    def _of_moved(self, values: Sequence[float]) -> list[float | None]:
-        """Nothing where nothing was measured."""
-        return [x if r > 0 else None for x, r in zip(values, self.rms, strict=True)]
+        Null where nothing was measured.
+        """
+        content = _listed(asdict(self))
+        gap = {x: content.pop(x) for x in ("rms", "relative", "noise_floor")}
+        for name, values in gap.items():
+            pairs = zip(values, self.rms, strict=True)
+            gap[name] = [x if moved > 0 else None for x, moved in pairs]
+        for region in content["where"]:
+            names = "variable", "low", "high", "unit"
+            region["region"] = {x: region.pop(x) for x in names}
+        for finding in content["findings"]:
+            finding["class"] = finding.pop("alternatives")
+            for shrink in finding["shrink"].values():
+                if shrink["horizon_s"] is None:
+                    del shrink["horizon_s"]
+        gap["units"] = content.pop("units")
+        return {"schema": SCHEMA, "gap": gap, **content}
 
 
-def _region(r: Region) -> dict[str, Any]:
-    region = {"variable": r.variable, "low": r.low, "high": r.high, "unit": r.unit}
-    return {
-        "joint": r.joint,
-        "region": region,
-        "share": r.share,
-        "interval": list(r.interval),
-    }
-
-
-def _finding(f: Finding) -> dict[str, Any]:
-    shrink = {}
-    for name, s in f.shrink.items():
-        content = {k: x for k, x in asdict(s).items() if x is not None}
-        shrink[name] = {**content, "interval": list(s.interval)}
-    return {
-        "effect": f.effect,
-        "joints": list(f.joints),
-        "class": list(f.alternatives),
-        "share": f.share,
-        "parameters": [
-            {**asdict(p), "interval": list(p.interval)} for p in f.parameters
-        ],
-        "shrink": shrink,
-        "sentence": f.sentence,
-        "remedy": f.remedy,
-    }
+def _listed(x: Any) -> Any:
+    """Lists in place of tuples, and nothing in place of what is not a number."""
+    if isinstance(x, Mapping):
+        return {name: _listed(value) for name, value in x.items()}
+    if isinstance(x, (tuple, list)):
+        return [_listed(value) for value in x]
+    return None if isinstance(x, float) and not isfinite(x) else x

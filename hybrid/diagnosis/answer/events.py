@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.stats import median_abs_deviation
 
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects.contact import Contact
+from hybrid.identification.preparation import STANDING
 
-_SLOW, _SLOWEST = 0.01, 0.01  # of the highest speed; rad/s or m/s
+_SLOWEST = 0.01  # rad/s or m/s
 _CLEAR = 8.0  # deviations of what the arm holds at rest
 _LEAST = 0.01  # of the rated torque
 _SHORTEST, _PAUSE = 0.05, 0.2  # s, of an event, and between two of them
 _FEWEST = 1.0  # s at rest, to know what is usual
-_NORMAL = 1.4826  # standard deviation over median size
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ def events_at_rest(gap: Gap) -> tuple[Event, ...]:
     """Pushes while no joint moves, in their order."""
     sampled, n = gap.sampled, gap.robot.size
     v = np.abs(sampled.v)
-    slow = v <= np.maximum(_SLOW * v.max(axis=0, initial=0.0), _SLOWEST)
+    slow = v <= np.maximum(STANDING * v.max(axis=0, initial=0.0), _SLOWEST)
     still = sampled.mask & slow.all(axis=1)
     rated = np.array([s.torque for s in gap.scales])
     found = []
@@ -54,31 +53,23 @@ def events_at_rest(gap: Gap) -> tuple[Event, ...]:
         if len(rows) < _FEWEST * gap.rate:
             continue
         x = gap.left[rows] - np.median(gap.left[rows], axis=0)
-        usual = _NORMAL * np.median(np.abs(x), axis=0)
-        odd = np.abs(x) > np.maximum(_CLEAR * usual, _LEAST * rated)
-        for own in _stretches(np.any(odd, axis=1), rows, gap.rate):
-            torque = x[own].mean(axis=0)
+        usual = median_abs_deviation(x, scale="normal")
+        odd = np.any(np.abs(x) > np.maximum(_CLEAR * usual, _LEAST * rated), axis=1)
+        at = np.flatnonzero(odd)
+        ends = np.flatnonzero(np.diff(rows[at]) > _PAUSE * gap.rate) + 1
+        for own in np.split(at, ends):
+            if len(own) < max(_SHORTEST * gap.rate, 2):
+                continue
+            torque, t = x[own].mean(axis=0), sampled.t[rows[own]]
             columns = push[rows[own]].mean(axis=0)
             force = np.linalg.lstsq(columns, torque, rcond=1e-3)[0]
-            t = sampled.t[rows[own]]
             found.append(
                 Event(
                     motion.source or str(r),
                     float(t[0]),
                     float(t[-1]),
-                    tuple(map(float, torque)),
-                    tuple(map(float, force)),
+                    tuple(torque.tolist()),
+                    tuple(force.tolist()),
                 )
             )
     return tuple(found)
-
-
-def _stretches(
-    odd: NDArray[np.bool_], rows: NDArray[np.intp], rate: float
-) -> Iterator[NDArray[np.intp]]:
-    """Odd samples that follow each other, as places among the rows."""
-    at = np.flatnonzero(odd)
-    parts = np.split(at, np.flatnonzero(np.diff(rows[at]) > _PAUSE * rate) + 1)
-    for part in parts:
-        if len(part) >= max(_SHORTEST * rate, 2):
-            yield part

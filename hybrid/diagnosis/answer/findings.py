@@ -3,23 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Finding, Shrink, Value
+from hybrid.diagnosis.answer.intervals import NORMAL, shrink
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import part_of_range
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.units import unit_at, units
-from hybrid.effects import Effect
+from hybrid.effects import Effect, effect_class
 
-_RESAMPLES = 400
-_NORMAL = 1.96
+_BYPRODUCT = 0.05  # of the largest change; joints below are merely touched
 _OPEN = 0.8  # of a shape's range: an interval that wide says nothing of it
 _PLACE = " It takes the place of the {} friction that the file declares."
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """What explains torque besides the terms of a search.
+
+    Attributes:
+        findings: Findings, with their shares of it.
+        effects: The effects found, joint by joint.
+        squares: What they explain at each joint, shape (n,), in units of noise.
+    """
+
+    findings: tuple[Finding, ...]
+    effects: tuple[Effect, ...]
+    squares: Array
+
+    def joined(
+        self, others: Sequence[Finding], explained: float
+    ) -> tuple[Finding, ...]:
+        """All findings with their shares of both, largest first.
+
+        Args:
+            others: Findings of the search.
+            explained: What they explain, in units of noise.
+        """
+        own = float(self.squares.sum())
+        part = own / max(own + explained, 1e-300)
+        found = [replace(f, share=(1.0 - part) * f.share) for f in others]
+        found += [replace(f, share=part * f.share) for f in self.findings]
+        return tuple(sorted(found, key=lambda f: -f.share))
 
 
 def findings(
@@ -50,44 +80,53 @@ def findings(
             continue
         # What the file declares, and this takes the place of, comes last.
         members.sort(key=lambda k: effects[k].id != effect_id)
-        cls = effects[members[0]]
-        joints = tuple(dict.fromkeys(j for k in members for j in effects[k].at_joints))
+        own = [k for k in members if effects[k].id == effect_id]
+        joints = {j for k in members for j in effects[k].at_joints}
         names = tuple(gap.robot.joints[j] for j in sorted(joints))
-        alike = [a for k in members if effects[k].id == effect_id for a in kinds[k]]
-        gone = dict.fromkeys(x for k in members if (x := effects[k].id) != effect_id)
+        gone = dict.fromkeys(effects[k].id for k in members if k not in own)
+        parameters = [v for k in own for v in values(gap, effects[k])]
+        for k in members[len(own) :]:
+            parameters += [
+                replace(v, name=f"{effects[k].id} {v.name}")
+                for v in values(gap, effects[k])
+            ]
+        law, seen = effect_class(effect_id), scored.where_seen(members)
+        finding = found_at(law, names, [a for k in own for a in kinds[k]], parameters)
         found.append(
-            Finding(
-                effect=effect_id,
-                joints=names,
-                alternatives=tuple(dict.fromkeys((effect_id, *alike))),
+            replace(
+                finding,
                 share=float(parts[members].sum()),
-                parameters=tuple(
-                    v
-                    if effects[k].id == effect_id
-                    else replace(v, name=f"{effects[k].id} {v.name}")
-                    for k in members
-                    for v in values(gap, effects[k])
-                ),
-                shrink={
-                    "torque": torque_shrink(scored.where_seen(members), members, rng)
-                },
-                sentence=cls.sentence.format(joints=listed(names))
-                + "".join(_PLACE.format(x) for x in gone),
-                remedy=cls.remedy,
+                shrink={"torque": fall(seen, seen.left(seen.without(*members)), rng)},
+                sentence=finding.sentence + "".join(map(_PLACE.format, gone)),
             )
         )
     return tuple(sorted(found, key=lambda f: -f.share))
 
 
-def torque_shrink(
-    scored: Explanation, members: Sequence[int], rng: np.random.Generator
-) -> Shrink:
-    """Torque gap with everything but some terms, and with them, where they act.
+def found_at(
+    law: type[Effect],
+    joints: Sequence[str],
+    alike: Sequence[str],
+    parameters: Sequence[Value],
+) -> Finding:
+    """A finding in the words of its effect, of all that is explained.
 
-    Both sides have the corrected background and the other terms, so that the fall is
-    due to these terms. Joints add up in units of N·m.
+    Args:
+        law: The effect.
+        joints: Names of the joints where it acts.
+        alike: Ids that explain as much.
+        parameters: What was fitted.
     """
-    return fall(scored, scored.left(scored.without(*members)), rng)
+    return Finding(
+        effect=law.id,
+        joints=tuple(joints),
+        alternatives=tuple(dict.fromkeys((law.id, *alike))),
+        share=1.0,
+        parameters=tuple(parameters),
+        shrink={},
+        sentence=law.sentence.format(joints=listed(joints)),
+        remedy=law.remedy,
+    )
 
 
 def fall(
@@ -95,63 +134,35 @@ def fall(
 ) -> Shrink:
     """Torque gap as it is without something, and with all that was found.
 
+    Both sides have the corrected background and all else that was found. Joints add up
+    in units of N·m.
+
     Args:
         scored: What was found.
         without: Residual of each joint without it, [N·m].
         rng: Draws of the bootstrap.
     """
-    joints = [
-        i
-        for i, (x, y) in enumerate(zip(without, scored.after, strict=True))
-        if len(x) and np.abs(x - y).max() > 0
+    joints, samples = acting(scored, without), len(scored.gap.fold)
+    squares = [
+        sum(np.bincount(scored.blocks(i), x[i] ** 2, samples) for i in joints)
+        for x in (without, scored.after)
     ]
-    main = _main_joints(without, scored.after, scored.evidence.noise, joints)
-    before, after = (
-        _block_squares(scored, without, main),
-        _block_squares(scored, scored.after, main),
-    )
-    count = sum(len(scored.after[i]) for i in main)
-    removed = _removed(before.sum(), after.sum())
-    draws = []
-    for _ in range(_RESAMPLES):
-        pick = rng.integers(len(before), size=len(before))
-        draws.append(_removed(before[pick].sum(), after[pick].sum()))
-    low, high = np.quantile(draws, [0.025, 0.975]) if len(before) > 1 else (0.0, 1.0)
-    return Shrink(
-        float(np.sqrt(before.sum() / max(count, 1))),
-        float(np.sqrt(after.sum() / max(count, 1))),
-        removed,
-        (float(low), float(high)),
-        unit=units(scored.gap.robot, main)[1],
-    )
+    count = sum(len(scored.after[i]) for i in joints)
+    unit = units(scored.gap.robot, joints)[1]
+    return shrink(np.array(squares), count, unit, rng)
 
 
-def _main_joints(
-    without: Sequence[Array], after: Sequence[Array], noise: Array, joints: list[int]
-) -> list[int]:
-    """Joints where the fall is not a mere by-product."""
-    fall = {
-        i: (without[i] @ without[i] - after[i] @ after[i]) / noise[i] for i in joints
-    }
-    most = max(fall.values(), default=0.0)
-    return [i for i in joints if fall[i] > 0.05 * most] or joints
+def acting(scored: Explanation, without: Sequence[Array]) -> list[int]:
+    """Joints where it matters that something is left out, not as a by-product.
 
-
-def _block_squares(
-    scored: Explanation, left: Sequence[Array], joints: Sequence[int]
-) -> Array:
-    total = np.zeros(1)
-    for i in joints:
-        blocks = scored.blocks(i)
-        squares = np.bincount(blocks, weights=left[i] ** 2)
-        size = max(len(total), len(squares))
-        total = np.pad(total, (0, size - len(total)))
-        total += np.pad(squares, (0, size - len(squares)))
-    return np.asarray(total[total > 0]) if np.any(total > 0) else total
-
-
-def _removed(before: float, after: float) -> float:
-    return float(1.0 - np.sqrt(after / before)) if before > 0 else 0.0
+    Args:
+        scored: What was found.
+        without: Residual of each joint without it, [N·m].
+    """
+    noise = scored.evidence.noise
+    change = [x - y for x, y in zip(without, scored.after, strict=True)]
+    size = np.array([x @ x for x in change]) / noise
+    return np.flatnonzero(size >= _BYPRODUCT * size.max(initial=0.0)).tolist()
 
 
 def values(gap: Gap, effect: Effect) -> list[Value]:
@@ -168,7 +179,7 @@ def values(gap: Gap, effect: Effect) -> list[Value]:
         if x.inner:
             continue
         value, std = effect.values[x.name], effect.std.get(x.name, 0.0)
-        low, high = value - _NORMAL * std, value + _NORMAL * std
+        low, high = value - NORMAL * std, value + NORMAL * std
         determined = k >= len(prior) or bool(std < prior[k])
         if std > 0 and x in effect.shapes:
             bounds = x.scaled(scale)

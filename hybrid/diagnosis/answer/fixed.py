@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybrid.diagnosis.answer.simulator import corrected
-from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.explanations.refit import solve_all
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.dynamics import stacked_base
 from hybrid.effects import Effect
 from hybrid.exports.simulator import build_simulator
 from hybrid.identification import DynamicModel
+from hybrid.identification.data import visited
 from hybrid.model.declared import declared_effects
 from hybrid.robot import Robot
 
@@ -81,14 +81,9 @@ def _of_servos(result: Result) -> list[str]:
     """What lies between command and torque, where motors that take torque have none."""
     robot, notes = result.gap.robot, []
     for effect in result.command:
-        (j,), value = effect.joints, effect.values
-        note = f"{effect.id} of {robot.joints[j]}"
-        if effect.id == "command_latency":
-            note += f", delay commands by {1000 * value['time']:.3g} ms"
-        else:
-            kp, kd = effect.tune(robot.kp[[j]], robot.kd[[j]])
-            note += f", use kp = {kp[0]:.4g} and kd = {kd[0]:.4g}"
-        notes.append(note)
+        (j,) = effect.joints
+        setting = effect.setting(float(robot.kp[j]), float(robot.kd[j]))
+        notes.append(f"{effect.id} of {robot.joints[j]}, {setting}")
     return notes
 
 
@@ -101,8 +96,7 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
         return result.gap.robot, ()
     _, solution, _ = solve_all(result.scored.gap, result.search)
     rigid = len(result.search.rigid)
-    scored: Explanation = result.scored
-    return corrected(scored, result.effects, solution.gains[:rigid])
+    return corrected(result.scored, result.effects, solution.gains[:rigid])
 
 
 def fixed_model(gap: Gap, robot: Robot, effects: Sequence[Effect]) -> DynamicModel:
@@ -121,12 +115,6 @@ def fixed_model(gap: Gap, robot: Robot, effects: Sequence[Effect]) -> DynamicMod
         effects=(*declared_effects(robot), *effects),
         cutoff=gap.cutoff,
         standing=np.zeros(robot.size),
-        range=_visited(gap),
+        range=visited([gap.sampled]),
         inertial=inertial,
     )
-
-
-def _visited(gap: Gap) -> dict[str, np.ndarray]:
-    q, v = (getattr(gap.sampled, name)[gap.sampled.mask] for name in "qv")
-    fastest = np.abs(v).max(axis=0)
-    return {"q_min": q.min(axis=0), "q_max": q.max(axis=0), "v_max": fastest}

@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.command import Link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Verdict
+from hybrid.diagnosis.answer.intervals import interval
 from hybrid.diagnosis.explanations.account import Account
 from hybrid.diagnosis.gap.gap import Gap
 
 COMMAND_TO_TORQUE = "command to torque"
-
-_RESAMPLES = 400
 
 
 def joined(
@@ -40,19 +40,16 @@ def joined(
     noise = np.maximum(diagnosis.noise_floor, 1e-12)
     above = np.where(gap.moving, (gap.left / noise) ** 2 - 1.0, 0.0).sum()
     explained = float(account.explained.sum()) if diagnosis.findings else 0.0
-    part = link.squares / (link.squares + explained)
-    found = [replace(f, share=(1 - part) * f.share) for f in diagnosis.findings]
-    found += [replace(f, share=part * f.share) for f in link.findings]
     whole = explained + float(account.missed.sum()) or max(float(above), 0.0)
     verdict: Verdict = {
         "no_gap": "explained", "unexplained": "partly_explained",
     }.get(diagnosis.verdict, diagnosis.verdict)  # type: ignore[assignment]  # fmt: skip
     return replace(
         diagnosis,
-        findings=tuple(sorted(found, key=lambda f: -f.share)),
+        findings=link.joined(diagnosis.findings, explained),
         where=_where(diagnosis, max(float(above), 0.0), link.excess, rng),
         verdict=verdict,
-        unexplained=diagnosis.unexplained * whole / (whole + link.squares),
+        unexplained=diagnosis.unexplained * whole / (whole + float(link.squares.sum())),
     )
 
 
@@ -62,10 +59,6 @@ def _where(
     """Regions with their shares of both links; the new ones before smaller ones."""
     total = excess.sum()
     other = above if diagnosis.where else 0.0
-    size = len(excess)
-    times = rng.multinomial(size, np.full(size, 1 / size), _RESAMPLES)
-    drawn = times @ excess
-    shares = drawn / np.maximum(drawn.sum(axis=1) + other, 1e-300)[:, None]
     scale = other / max(other + total, 1e-300)
     found = [
         replace(
@@ -75,11 +68,16 @@ def _where(
         )
         for r in diagnosis.where
     ]
-    for i in np.flatnonzero(excess.sum(axis=0) > 0):
-        low, high = np.quantile(shares[:, i], [0.025, 0.975])
+    for i in np.flatnonzero(excess.sum(axis=0) > 0).tolist():
+
+        def share(k: NDArray[np.intp], i: int = i) -> Array:
+            own, every = excess[k, i].sum(axis=1), excess.sum(axis=1)[k].sum(axis=1)
+            return np.asarray(own / np.maximum(every + other, 1e-300))
+
         region = Region(
             diagnosis.joints[i], "link", 0.0, 1.0, COMMAND_TO_TORQUE,
-            float(excess[:, i].sum() / (total + other)), (float(low), float(high)),
+            float(excess[:, i].sum() / (total + other)),
+            interval(share, len(excess), rng),
         )  # fmt: skip
         smaller = [k for k, r in enumerate(found) if r.share < region.share]
         found.insert(smaller[0] if smaller else len(found), region)

@@ -1,8 +1,13 @@
-"""Where the gap lies: which joint, under which conditions, in which frequency band."""
+"""Where the gap lies: which joint, under which conditions, in which frequency band.
+
+Squares count in units of each joint's noise, less the noise itself. Of each joint and
+variable the range is reported in which this excess is densest: the one with the largest
+excess over what its share of the joint's samples would bring.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,22 +16,21 @@ from scipy.stats import norm
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Region
+from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.units import units
 
 TORQUE_TO_MOTION = "torque to motion"
 
-_BLOCK_SECONDS = 1.0
 _RESAMPLES = 1000
-_MOST_REGIONS = 40
 _FALSE_ALARM = 0.05  # of all regions together
 _NEGLIGIBLE = 0.05  # of the noise, by which its estimate may be off
 _FEWEST_SECONDS = 0.2  # in a bin
 _MOST_BINS = 10
-_SPEEDS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # rad/s
-_TIMES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # s
-_BANDS = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # Hz
+# Ends of bins of what varies over decades: speed [rad/s], time [s], frequency [Hz].
+_ROUND = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+_SLOWEST = 0.5  # Hz, the end of the first band
 
 
 @dataclass(frozen=True)
@@ -51,14 +55,35 @@ class _Cut:
     samples: Array
 
 
+@dataclass(frozen=True)
+class _Test:
+    """What an excess is held against.
+
+    Attributes:
+        draws: How often each block of time counts in each resample, shape (R, B).
+        limit: Standard deviations above which one of all regions is not chance.
+        alike: Samples for an independent one.
+    """
+
+    draws: NDArray[np.int64]
+    limit: float
+    alike: float
+
+    def exceeds(self, excess: float, samples: float) -> bool:
+        """Whether squares are above those of noise, and by enough to matter.
+
+        The square of white noise that passed the filter scatters by √2, and repeats
+        itself over as many samples as the filter is slower than the clock.
+        """
+        chance = self.limit * np.sqrt(2 * samples * self.alike)
+        return bool(excess > max(chance, _NEGLIGIBLE * samples))
+
+
 def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ...]:
     """Parts of the gap that hold more of it than their share of the samples.
 
-    Squares count in units of each joint's noise, less the noise itself. Of each joint
-    and variable the range is reported in which the excess is densest: the one with the
-    largest excess over what its share of the joint's samples would bring. The joint as
-    a whole is the link of the chain from torque to motion, where torque is compared.
-    Noise is taken to be white up to the cut-off.
+    The joint as a whole is the link of the chain from torque to motion, where torque is
+    compared. Noise is taken to be white up to the cut-off.
 
     Args:
         gap: The gap.
@@ -73,9 +98,16 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
     whole = [c for c in cuts if c.variable == "link"]
     if not whole:
         return ()
-    test = _Test.of(gap, cuts, rng)
     squares = np.concatenate([c.excess for c in whole], axis=1).sum(axis=1)  # (B,)
     visits = sum(c.samples.sum() for c in whole)
+    blocks = len(squares)
+    # As many ranges might be picked.
+    ranges = sum(c.excess.shape[1] * (c.excess.shape[1] + 1) // 2 for c in cuts)
+    test = _Test(
+        rng.multinomial(blocks, np.full(blocks, 1 / blocks), _RESAMPLES),
+        float(norm.isf(_FALSE_ALARM / ranges)),
+        gap.rate / (2 * _band(gap)),
+    )
     if not test.exceeds(squares.sum(), visits):
         return ()
     drawn = test.draws @ squares
@@ -95,40 +127,7 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
         )  # fmt: skip
         found.append((lead, region))
     found.sort(key=lambda x: -x[0])
-    return tuple(region for _, region in found[:_MOST_REGIONS])
-
-
-@dataclass(frozen=True)
-class _Test:
-    """What an excess is held against.
-
-    Attributes:
-        draws: How often each block of time counts in each resample, shape (R, B).
-        limit: Standard deviations above which one of all regions is not chance.
-        alike: Samples for an independent one.
-    """
-
-    draws: NDArray[np.int64]
-    limit: float
-    alike: float
-
-    @classmethod
-    def of(cls, gap: Gap, cuts: Sequence[_Cut], rng: np.random.Generator) -> _Test:
-        """Resamples, and a limit for as many ranges as might be picked."""
-        blocks = len(cuts[0].excess)
-        draws = rng.multinomial(blocks, np.full(blocks, 1 / blocks), _RESAMPLES)
-        ranges = sum(c.excess.shape[1] * (c.excess.shape[1] + 1) // 2 for c in cuts)
-        band = min(gap.cutoff, gap.rate / 2)
-        return cls(draws, float(norm.isf(_FALSE_ALARM / ranges)), gap.rate / (2 * band))
-
-    def exceeds(self, excess: float, samples: float) -> bool:
-        """Whether squares are above those of noise, and by enough to matter.
-
-        The square of white noise that passed the filter scatters by √2, and repeats
-        itself over as many samples as the filter is slower than the clock.
-        """
-        chance = self.limit * np.sqrt(2 * samples * self.alike)
-        return bool(excess > max(chance, _NEGLIGIBLE * samples))
+    return tuple(region for _, region in found)
 
 
 def _densest(cut: _Cut, test: _Test) -> slice | None:
@@ -157,7 +156,7 @@ def _densest(cut: _Cut, test: _Test) -> slice | None:
 
 def _cuts(gap: Gap, noise: Array) -> Iterator[_Cut]:
     """Every joint over every variable, with the bins that the samples visit."""
-    seconds = gap.trajectory * 1e6 + gap.sampled.t // _BLOCK_SECONDS
+    seconds = gap.trajectory * 1e6 + gap.sampled.t // BLOCK_SECONDS
     block: Index = np.unique(seconds, return_inverse=True)[1]
     blocks = int(block.max()) + 1
     fewest = _FEWEST_SECONDS * gap.rate
@@ -166,17 +165,17 @@ def _cuts(gap: Gap, noise: Array) -> Iterator[_Cut]:
         if len(rows) < fewest:
             continue
         excess = (gap.left[rows, i] / noise[i]) ** 2 - 1.0
-        own = block[rows]
         for variable, unit, x, edges in _variables(gap, i, rows):
             edges = _visited(edges, x, fewest)
-            place = np.clip(np.searchsorted(edges, x, "right") - 1, 0, len(edges) - 2)
             size = len(edges) - 1
-            at = own * size + place
-            shape = blocks, size
-            squares = _sums(at, excess, blocks * size).reshape(shape)
-            samples = _sums(at, np.ones(len(at)), blocks * size).reshape(shape)
+            place = np.clip(np.searchsorted(edges, x, "right") - 1, 0, size - 1)
+            at = block[rows] * size + place
+            squares, samples = (
+                np.bincount(at, x, blocks * size).reshape(-1, size).astype(np.float64)
+                for x in (excess, None)
+            )
             yield _Cut(i, variable, unit, edges, squares, samples)
-        yield _bands(gap, i, noise[i], rows, own, blocks)
+        yield _bands(gap, i, noise[i], rows, block[rows], blocks)
 
 
 def _variables(
@@ -185,15 +184,13 @@ def _variables(
     """Name, unit, values at the samples and edges of bins of each variable."""
     m = gap.sampled
     angle, force = units(gap.robot, [i])
-    speed = np.abs(m.v[rows, i])
-    since = time_since_reversal(gap, i)[rows]
-    one = np.array([0.0, 1.0])
-    yield "link", TORQUE_TO_MOTION, np.zeros(len(rows)), one
-    yield "speed", f"{angle}/s", speed, _upto(_SPEEDS, speed)
+    speed, since = np.abs(m.v[rows, i]), time_since_reversal(gap, i)[rows]
+    yield "link", TORQUE_TO_MOTION, np.zeros(len(rows)), np.array([0.0, 1.0])
+    yield "speed", f"{angle}/s", speed, _upto(speed)
     yield "direction", "", np.sign(m.v[rows, i]), np.array([-1.0, 0.0, 1.0])
     yield "position", angle, m.q[rows, i], _even(m.q[rows, i])
     yield "load", force, gap.load[rows, i], _even(gap.load[rows, i])
-    yield "time_since_reversal", "s", since, _upto(_TIMES, since)
+    yield "time_since_reversal", "s", since, _upto(since)
     yield "time", "s", m.t[rows], _even(m.t[rows])
     if m.temperature is not None:
         warm = m.temperature[rows, i]
@@ -213,36 +210,33 @@ def _bands(
     gap: Gap, i: int, noise: float, rows: Index, block: Index, blocks: int
 ) -> _Cut:
     """The gap in bands of frequency; noise is shared out by their width."""
-    edges = np.array([*(b for b in _BANDS if b < 0.8 * gap.cutoff), gap.cutoff])
-    if not np.isfinite(gap.cutoff):
-        edges = np.array([*(b for b in _BANDS if b < 0.4 * gap.rate), gap.rate / 2])
-    part = np.diff(edges) / edges[-1]
+    band = _band(gap)
+    edges = np.array([0.0, *(b for b in _ROUND if _SLOWEST <= b < 0.8 * band), band])
+    part = np.diff(edges) / band
     power = np.empty((len(gap.left), len(part)))
     for r in np.unique(gap.trajectory):
         own = gap.trajectory == r
         x = np.where(gap.moving[own, i], gap.left[own, i], 0.0) / noise
-        spectrum = np.fft.rfft(x)
-        line = np.fft.rfftfreq(len(x), 1 / gap.rate)
-        for k, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
-            # What passes above the cut-off belongs to the last band.
-            inside = (line >= low) & ((line < high) | (k == len(part) - 1))
-            power[own, k] = np.fft.irfft(spectrum * inside, len(x)) ** 2
-    excess = power[rows] - part
-    sums = np.stack([_sums(block, e, blocks) for e in excess.T], axis=1)
-    samples = _sums(block, np.ones(len(block)), blocks)[:, None] * part
-    return _Cut(i, "frequency", "Hz", edges, sums, samples)
+        # What passes above the cut-off belongs to the last band.
+        place = np.searchsorted(
+            edges[1:-1], np.fft.rfftfreq(len(x), 1 / gap.rate), "right"
+        )
+        lines = np.fft.rfft(x) * (place == np.arange(len(part))[:, None])
+        power[own] = np.fft.irfft(lines, len(x)).T ** 2
+    excess = [np.bincount(block, e, blocks) for e in (power[rows] - part).T]
+    samples = np.outer(np.bincount(block, minlength=blocks), part)
+    return _Cut(i, "frequency", "Hz", edges, np.stack(excess, axis=1), samples)
 
 
-def _sums(place: Index, x: Array, size: int) -> Array:
-    """Sum of the values at each place, shape (size,)."""
-    return np.bincount(place, x, size).astype(np.float64)
+def _band(gap: Gap) -> float:
+    """Frequency up to which there is noise, [Hz]."""
+    return min(gap.cutoff, gap.rate / 2)
 
 
-def _upto(edges: Sequence[float], x: Array) -> Array:
-    """Edges up to the largest value."""
-    inner = [e for e in edges if e < x.max()]
-    beyond = [e for e in edges if e >= x.max()]
-    return np.array([*inner, beyond[0] if beyond else float(x.max())])
+def _upto(x: Array) -> Array:
+    """Round edges from zero to the first one above all values."""
+    inner = [e for e in _ROUND if e < x.max()]
+    return np.array([0.0, *inner, *_ROUND[len(inner) : len(inner) + 1]])
 
 
 def _visited(edges: Array, x: Array, fewest: float) -> Array:

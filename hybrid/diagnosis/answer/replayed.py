@@ -1,23 +1,36 @@
-"""What a diagnosis does to motion: the simulator replayed with the effects found."""
+"""How far the gap shrinks in motion: the simulator replayed with the effects found."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from hybrid.diagnosis.answer.motion import motion_shrink, rollout_agrees, step_warning
+from hybrid.arrays import Array
+from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Shrink
+from hybrid.diagnosis.answer.findings import acting
+from hybrid.diagnosis.answer.intervals import interval
 from hybrid.diagnosis.answer.replay import Replay
 from hybrid.diagnosis.answer.result import Result
-from hybrid.effects import effect_class
+from hybrid.diagnosis.gap.units import units
+from hybrid.effects import Effect, effect_class
 from hybrid.errors import HybridError
 
 _LOST = 1.0  # rad; a replay that is so far off tells nothing
+_STEP_MATTERS = 0.1  # of the motion error before
 _ASTRAY = "replayed, the simulator leaves the motion with or without {}"
 _NO_REPLAY = (
     "too few stretches of a tenth of a second, of those kept for scoring, to replay "
     "{}: its shrinkage in motion is not known"
+)
+_DENIED = (
+    "{} explains torque, but the simulator with it does not move more like the arm: "
+    "do not take it for the cause"
+)
+_HALVED = (
+    "replayed at half the step of {:g} ms, the motion error differs by {:.0%}; take "
+    "its shrinkage as a rough figure"
 )
 
 
@@ -39,51 +52,155 @@ def replayed(
     """
     if not result.effects:
         return result
-    (progress or (lambda _: None))("replaying the simulator")
-    diagnosis = result.diagnosis
-    replay, found = Replay(result.scored), []
-    notes: list[str] = []
-    denied = 0.0
-    lost: list[str] = []
-    unseen: list[str] = []
+    if progress:
+        progress("replaying the simulator")
     try:
-        for f in diagnosis.findings:
-            members = result.scored.members(f.effect)
-            once = result.scored.where_seen(members) is not result.scored
-            late = [e for e in result.late if e.id == f.effect]
-            # A replay is driven by torque: what lies before it plays no part.
-            apart = not late and (once or not members)
-            shrink = None if apart else motion_shrink(replay, members, rng, late=late)
+        diagnosis = _in_motion(result, Replay(result.scored), rng)
+    except HybridError as error:
+        diagnosis = _noted(result.diagnosis, [f"no replay: {error}"])
+    return replace(result, diagnosis=diagnosis)
+
+
+def _in_motion(result: Result, replay: Replay, rng: np.random.Generator) -> Diagnosis:
+    found: list[Finding] = []
+    denied: list[Finding] = []
+    astray: list[str] = []
+    unknown: list[str] = []
+    for f in result.diagnosis.findings:
+        members = result.scored.members(f.effect)
+        late = [e for e in result.late if e.id == f.effect]
+        once = result.scored.where_seen(members) is not result.scored
+        # A replay is driven by torque: what lies before it plays no part.
+        if late or (members and not once):
+            shrink = motion_shrink(replay, members, rng, late=late)
             if shrink is None:
-                unseen += [] if apart else [f.effect]
+                unknown.append(f.effect)
             elif shrink.after >= _LOST:
-                lost.append(f.effect)
+                astray.append(f.effect)
             else:
                 f = replace(f, shrink={**f.shrink, "motion": shrink})
-            found.append(f)
-            if effect_class(f.effect).shows_in_motion and any(
-                rollout_agrees(replay, k, rng) is False for k in members
-            ):
-                denied += f.share
-                notes.append(
-                    f"{f.effect} explains torque, but the simulator with it does not "
-                    "move more like the arm: do not take it for the cause"
-                )
-        halved = step_warning(replay)
-    except HybridError as error:
-        notes.append(f"no replay: {error}")
-        found, halved = list(diagnosis.findings), None
-    if lost:
-        notes.append(_ASTRAY.format(", ".join(lost)))
-    if unseen:
-        notes.append(_NO_REPLAY.format(", ".join(unseen)))
-    notes += [halved] if halved else []
-    if denied and diagnosis.verdict == "explained":
-        left = max(diagnosis.unexplained, min(denied, 1.0))
+        found.append(f)
+        if effect_class(f.effect).shows_in_motion and any(
+            rollout_agrees(replay, k, rng) is False for k in members
+        ):
+            denied.append(f)
+    diagnosis = replace(result.diagnosis, findings=tuple(found))
+    share = sum(f.share for f in denied)
+    if share and diagnosis.verdict == "explained":
+        left = max(diagnosis.unexplained, min(share, 1.0))
         diagnosis = replace(diagnosis, verdict="partly_explained", unexplained=left)
-    diagnosis = replace(
-        diagnosis,
-        findings=tuple(found),
-        warnings=(*diagnosis.warnings, *notes),
+    notes = [_DENIED.format(f.effect) for f in denied]
+    notes += [_ASTRAY.format(", ".join(astray))] if astray else []
+    notes += [_NO_REPLAY.format(", ".join(unknown))] if unknown else []
+    return _noted(diagnosis, [*notes, *step_warning(replay)])
+
+
+def _noted(diagnosis: Diagnosis, notes: Sequence[str]) -> Diagnosis:
+    return replace(diagnosis, warnings=(*diagnosis.warnings, *notes))
+
+
+def motion_shrink(
+    replay: Replay,
+    members: Sequence[int],
+    rng: np.random.Generator,
+    *,
+    late: Sequence[Effect] = (),
+) -> Shrink | None:
+    """Motion error with everything but some terms, and with them, where they act.
+
+    Args:
+        replay: Windows of the motions kept for scoring.
+        members: Indices of the terms; all of them for what they do together.
+        rng: Draws of the bootstrap.
+        late: By how much the log's torque was late before all else: no terms.
+
+    Returns:
+        Median of the RMS over joints and time, [rad], before and after, over the
+        windows in which the terms act; nothing if too few stretches are usable.
+
+    Raises:
+        EffectError: An effect cannot be simulated.
+    """
+    if replay.horizon is None:
+        return None
+    if late:
+        joints = [j for e in late for j in e.joints]
+        again = [e.at({g.name: -e.values[g.name] for g in e.gains}) for e in late]
+        without = replay.squares_of([*replay.effects, *again])
+        before, after = (_rms(x, joints) for x in (without, _with_all(replay)))
+    else:
+        joints, before, after = _errors(replay, members)
+    return Shrink(
+        float(np.median(before)),
+        float(np.median(after)),
+        float(_removed(before, after)),
+        interval(lambda k: _removed(before[k], after[k]), len(before), rng),
+        replay.horizon,
+        units(replay.scored.gap.robot, joints)[0],
     )
-    return replace(result, diagnosis=diagnosis)
+
+
+def rollout_agrees(replay: Replay, term: int, rng: np.random.Generator) -> bool | None:
+    """Whether a term lowers the motion error, as it does lower the torque's.
+
+    Args:
+        replay: Windows of the motions kept for scoring.
+        term: Index of the term.
+        rng: Draws of the bootstrap.
+
+    Returns:
+        True or False where 95 % of the resamples say so; nothing where they do not.
+    """
+    if replay.horizon is None:
+        return None
+    _, before, after = _errors(replay, [term])
+    fall = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
+    low, high = interval(lambda k: fall[k].mean(axis=1), len(fall), rng)
+    return True if low > 0 else False if high < 0 else None
+
+
+def step_warning(replay: Replay) -> list[str]:
+    """A warning if the replay at half the step says something else."""
+    if replay.horizon is None:
+        return []
+    joints = list(range(replay.scored.gap.robot.size))
+
+    def error(terms: frozenset[int], step: float) -> float:
+        return float(np.median(_rms(replay.squares(terms, step=step), joints)))
+
+    step, bare = replay.step, frozenset[int]()
+    before = error(bare, step)
+    change = max(
+        abs(error(terms, step / 2) - error(terms, step))
+        for terms in {bare, replay.all_terms}
+    )
+    if change <= _STEP_MATTERS * before:
+        return []
+    return [_HALVED.format(1e3 * step, change / before)]
+
+
+def _errors(replay: Replay, members: Sequence[int]) -> tuple[list[int], Array, Array]:
+    """Joints that some terms are about, and the errors there without and with them.
+
+    Of each window in which they act, shape (W',), [rad].
+    """
+    scored, pick = replay.scored, replay.where(members)
+    joints = acting(scored, scored.left(scored.without(*members)))
+    without = replay.squares(replay.all_terms - set(members))
+    before, after = (_rms(x, joints)[pick] for x in (without, _with_all(replay)))
+    return joints, before, after
+
+
+def _with_all(replay: Replay) -> Array:
+    return replay.squares(replay.all_terms)
+
+
+def _rms(squares: Array, joints: Sequence[int]) -> Array:
+    """RMS over joints and time in each window, shape (W,), [rad]."""
+    return np.asarray(np.sqrt(squares[:, list(joints)].mean(axis=1)))
+
+
+def _removed(before: Array, after: Array) -> Array:
+    """Part of the median over windows that is removed, shape (...,)."""
+    whole, left = np.median(before, axis=-1), np.median(after, axis=-1)
+    return np.asarray(1.0 - left / np.maximum(whole, 1e-300)) * (whole > 0)

@@ -28,8 +28,7 @@ class Result:
         effects: The effects named, with fitted values: those of the terms, then
             :attr:`late`.
         command: Those between command and torque.
-        torn: Terms of the search that are not named, and what explains as much at
-            another joint.
+        alike: Terms that are believed, and what explains as much in their place.
         healthy: Effects of the model that was the simulator, taken from the logs.
     """
 
@@ -40,7 +39,7 @@ class Result:
     account: Account
     effects: tuple[Effect, ...]
     command: tuple[Effect, ...] = ()
-    torn: Mapping[Term, Candidate] = field(default_factory=dict)
+    alike: Mapping[Term, tuple[Candidate, ...]] = field(default_factory=dict)
     healthy: tuple[Effect, ...] = ()
 
     @property

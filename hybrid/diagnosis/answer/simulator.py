@@ -20,12 +20,9 @@ from hybrid.dynamics.pseudo_inertia import (
     stacked,
 )
 from hybrid.effects import Effect
-from hybrid.effects.armature import Armature
-from hybrid.effects.backlash import Backlash
-from hybrid.effects.elasticity import Elasticity
-from hybrid.effects.payload import LinkInertia
 from hybrid.robot import Robot
 
+_NUMBERS = "damping", "frictionloss", "stiffness"  # of a file, beside rotors
 _MARGIN = 1e-4  # smallest pseudo-inertia of a link, as a share of the file's
 # A spring or a play needs a rotor before it. One that the file does not know is taken
 # to have this part of the inertia that the joint moves.
@@ -34,7 +31,7 @@ _ROTOR = 0.02
 
 def scored_effects(scored: Explanation) -> tuple[Effect, ...]:
     """The terms of an explanation with the gains that they were scored with."""
-    gains = scored.gains[_rigid(scored) :]
+    gains = scored.gains[len(scored.rigid) :]
     edges = np.cumsum([len(own) for own in scored.own])[:-1]
     parts = np.split(gains, edges) if scored.own else []
     pairs = zip(scored.terms, parts, strict=True)
@@ -59,47 +56,32 @@ def corrected(
         The arm, and the effects that are left.
     """
     robot = scored.gap.robot
-    off = scored.gains[: _rigid(scored)] if background is None else background
+    off = scored.gains[: len(scored.rigid)] if background is None else background
     links, rest = np.split(off, [10 * robot.size])
-    inertial = robot.chain.inertial + links.reshape(-1, 10)
-    declared, chain = [], robot.chain
-    numbers = chain.armature, robot.damping, robot.frictionloss, robot.stiffness
-    for values in numbers:
-        new, there = values.copy(), np.flatnonzero(values)
-        new[there] += rest[: len(there)]
-        declared.append(new)
+    chain, inertial = robot.chain, robot.chain.inertial + links.reshape(-1, 10)
+    numbers = {name: getattr(robot, name).copy() for name in _NUMBERS}
+    numbers = {"armature": chain.armature.copy(), **numbers}
+    for values in numbers.values():
+        there = np.flatnonzero(values)
+        values[there] += rest[: len(there)]
         rest = rest[len(there) :]
-    armature, damping, frictionloss, stiffness = declared
-    others = []
+    armature, others = numbers["armature"], []
     for effect in effects:
-        if isinstance(effect, LinkInertia):
-            inertial[effect.joints[-1]] += effect.gain_values
-        elif isinstance(effect, Armature):
-            armature[effect.joints[0]] += effect.values["inertia"]
+        change = effect.rigid_change(robot.size, chain.gravity)
+        if change is not None and not change[1].any():
+            inertial += change[0]
+        elif set(effect.fields.values()) == {"armature"}:
+            armature[effect.joints[0]] += effect.gain_values.sum()
         else:
             others.append(effect)
     for effect in others:
         j = effect.joints[0]
-        if isinstance(effect, (Elasticity, Backlash)) and armature[j] <= 0:
+        if effect.behind and armature[j] <= 0:
             armature[j] = _ROTOR * _moved(scored, j)
-    chain = replace(
-        chain,
-        inertial=_physical(scored, inertial),
-        armature=np.maximum(armature, 0.0),
-    )
-    fixed = replace(
-        robot,
-        chain=chain,
-        damping=np.maximum(damping, 0.0),
-        frictionloss=np.maximum(frictionloss, 0.0),
-        stiffness=np.maximum(stiffness, 0.0),
-    )
-    return fixed, tuple(others)
-
-
-def _rigid(scored: Explanation) -> int:
-    """Number of columns of the background."""
-    return len(scored.index) - sum(map(len, scored.own))
+    least = {name: np.maximum(values, 0.0) for name, values in numbers.items()}
+    rotors = least.pop("armature")
+    chain = replace(chain, inertial=_physical(scored, inertial), armature=rotors)
+    return replace(robot, chain=chain, **least), tuple(others)
 
 
 def _moved(scored: Explanation, joint: int) -> float:

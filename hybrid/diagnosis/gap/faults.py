@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import find_objects, label
 
 from hybrid.arrays import Array
 from hybrid.inspect.samples import usual_step
@@ -109,6 +110,11 @@ def _usual_run(x: Array) -> int:
     return int(_UNUSUAL * np.sort(lengths)[-3]) if len(lengths) > 2 else 0
 
 
+def stretches(flags: NDArray[np.bool_]) -> list[slice]:
+    """Where flags are set, one sample after the other."""
+    return [run for (run,) in find_objects(label(flags)[0])]
+
+
 def _runs(x: Array, least: int) -> NDArray[np.bool_]:
     """Samples within runs of equal values that are at least so long."""
     starts = np.concatenate([[0], np.flatnonzero(np.diff(x)) + 1, [len(x)]])
@@ -120,23 +126,20 @@ def _moving(q: Array, runs: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Those of some runs during which the arm moves."""
     moved = np.any(np.diff(q, axis=0, prepend=q[:1]) != 0, axis=1)
     kept = np.zeros_like(runs)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], runs, [False]])))
-    for first, last in edges.reshape(-1, 2):
-        kept[first:last] = moved[first:last].mean() > 0.5
+    for run in stretches(runs):
+        kept[run] = moved[run].mean() > 0.5
     return kept
 
 
 def _frozen(q: Array, least: int) -> NDArray[np.bool_]:
     """Runs of one position that a joint enters or leaves by a jump."""
-    runs, steps = _runs(q, least), np.abs(np.diff(q))
-    usual = usual_step(q)
+    runs, steps, usual = _runs(q, least), np.abs(np.diff(q)), usual_step(q)
     frozen = np.zeros_like(runs)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], runs, [False]])))
-    for first, last in edges.reshape(-1, 2):
-        ends = steps[[k for k in (first - 1, last - 1) if 0 <= k < len(steps)]]
-        before = steps[max(0, first - 6) : max(0, first - 1)]
+    for run in stretches(runs):
+        ends = steps[[k for k in (run.start - 1, run.stop - 1) if 0 <= k < len(steps)]]
+        before = steps[max(0, run.start - 6) : max(0, run.start - 1)]
         sudden = before.size > 0 and before.min() > 0.1 * usual
-        frozen[first:last] = sudden or np.any(ends > _JUMP * usual)
+        frozen[run] = sudden or np.any(ends > _JUMP * usual)
     return frozen
 
 

@@ -1,0 +1,61 @@
+"""Intervals by the bootstrap over blocks of time, within which samples are alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.arrays import Array
+from hybrid.diagnosis.answer.diagnosis import Interval, Shrink
+
+BLOCK_SECONDS = 1.0  # for which what is left of a torque remembers itself
+NORMAL = 1.96  # standard deviations to either side of a 95 % interval
+_RESAMPLES = 400
+
+
+def interval(
+    statistic: Callable[[NDArray[np.intp]], Array],
+    blocks: int,
+    rng: np.random.Generator,
+) -> Interval:
+    """95 % interval of a share; all of 0 to 1 where a single block tells of it.
+
+    Args:
+        statistic: The share, shape (R,), from the blocks of each resample, (R, blocks).
+        blocks: Number of blocks.
+        rng: Draws.
+    """
+    if blocks < 2:
+        return 0.0, 1.0
+    draws = statistic(rng.integers(blocks, size=(_RESAMPLES, blocks)))
+    low, high = np.quantile(draws, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def shrink(squares: Array, count: int, unit: str, rng: np.random.Generator) -> Shrink:
+    """How far a torque gap falls.
+
+    Args:
+        squares: Its squares in each block of time, before and after, shape (2, B).
+        count: Number of samples.
+        unit: Unit of the torque.
+        rng: Draws of the bootstrap.
+    """
+
+    def removed(sums: Array) -> Array:
+        before, after = sums
+        whole = np.where(before > 0, before, np.inf)
+        return np.asarray(1.0 - np.sqrt(after / whole))
+
+    squares = squares[:, squares[0] > 0]
+    whole = squares.sum(axis=1)
+    before, after = np.sqrt(whole / max(count, 1)).tolist()
+    return Shrink(
+        before,
+        after,
+        float(removed(whole)) if before else 0.0,
+        interval(lambda k: removed(squares[:, k].sum(axis=-1)), squares.shape[1], rng),
+        unit=unit,
+    )
