@@ -113,7 +113,9 @@ def test_exported_c_beside_an_exported_simulator_moves_as_the_callback(tmp_path)
     added = install(mj, data, model)
     called = roll(lambda _: None, data)
     added.remove()
-    assert np.abs(beside - called).max() < 0.1 * np.abs(alone - called).max()
+    off = np.abs(beside - called).max()
+    assert off < 3e-3  # rad, after half a second
+    assert off < 0.25 * np.abs(alone - called).max()
 
 
 def test_the_callback_is_gone_when_it_is_removed(tmp_path):

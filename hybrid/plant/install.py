@@ -14,7 +14,7 @@ from hybrid.errors import HybridError
 from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
 from hybrid.plant.laws import Laws, part
 from hybrid.plant.native import split_effects, springs
-from hybrid.robot.mjcf import knee_slope
+from hybrid.robot.mjcf import cogging, knee_slope, single_tendons
 from hybrid.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 _OWN = (
     "dof_damping", "dof_dampingpoly", "dof_frictionloss", "jnt_stiffness",
-    "qpos_spring", "dof_solref", "dof_solimp",
+    "qpos_spring", "dof_solref", "dof_solimp", "tendon_frictionloss",
+    "actuator_biasprm",
 )  # fmt: skip
 
 
@@ -84,6 +85,10 @@ class Installed:
         model.dof_frictionloss[dof] = values["frictionloss"]
         rising = [d for d in dof if np.isfinite(knee_slope(model)[d])]
         model.dof_solref[rising], model.dof_solimp[rising, :2] = _dry(model)
+        beside = [t for t, at, _ in single_tendons(model) if at in dof]
+        model.tendon_frictionloss[beside] = 0.0
+        motors = [a for a, joint, _ in cogging(model) if joint in joints]
+        model.actuator_biasprm[motors, 0] = 0.0
 
     def remove(self) -> None:
         """Leave the simulation as it was."""

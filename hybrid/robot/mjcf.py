@@ -72,6 +72,7 @@ def fields_of_mujoco(
         "kd": kd[index],
         "timestep": float(model.opt.timestep),
         **_passive(model, index, drives),
+        "ripple": _ripples(model, index),
     }
 
 
@@ -98,16 +99,30 @@ def _passive(model: Any, index: list[int], drives: list[Any]) -> dict[str, Any]:
     quadratic, cubic = damper * model.dof_dampingpoly[dofs].T
     level, slope = dry * model.dof_frictionloss[dofs], knee_slope(model)[dofs]
     soft = (level > 0) & np.isfinite(slope)
+    beside = np.zeros(model.nv)
+    for t, dof, pull in single_tendons(model):
+        beside[dof] += dry * pull * model.tendon_frictionloss[t]
     return {
         "damping": damper * damping[dofs],
         "quadratic": quadratic,
         "cubic": cubic,
-        "frictionloss": np.where(soft, 0.0, level),
+        "frictionloss": np.where(soft, 0.0, level) + beside[dofs],
         "knee": np.where(soft, level, 0.0),
         "knee_speed": np.where(soft, level / slope, 0.0),
         "stiffness": spring * model.jnt_stiffness[index],
         "springref": model.qpos_spring[model.jnt_qposadr[index]].copy(),
     }
+
+
+def _ripples(model: Any, index: list[int]) -> np.ndarray:
+    """Ripples of the joints, shape (R, 4); see :class:`~hybrid.robot.robot.Robot`."""
+    found = []
+    for a, joint, gear in cogging(model):
+        if joint in index:
+            size, k, phase = model.actuator_biasprm[a, :3]
+            sine, cosine = -gear * size * np.array([np.cos(phase), np.sin(phase)])
+            found.append((index.index(joint), sine, cosine, gear * k))
+    return np.array(found).reshape(-1, 4)
 
 
 def knee_slope(model: Any) -> np.ndarray:
@@ -120,6 +135,17 @@ def knee_slope(model: Any) -> np.ndarray:
     loose = (1.0 - model.dof_solimp[:, 0]) * model.dof_invweight0
     said = (stiffness <= 0) & (damping < 0) & (loose > 0)
     return np.where(said, -damping / np.where(said, loose, 1.0), np.inf)
+
+
+def single_tendons(model: Any) -> Iterator[tuple[int, int, float]]:
+    """Number, dof and torque per force of each tendon that is on one joint only."""
+    import mujoco
+
+    for t in np.flatnonzero(model.tendon_num == 1).tolist():
+        at = int(model.tendon_adr[t])
+        if model.wrap_type[at] == mujoco.mjtWrap.mjWRAP_JOINT:
+            dof = int(model.jnt_dofadr[model.wrap_objid[at]])
+            yield t, dof, abs(float(model.wrap_prm[at]))
 
 
 def _with_drives(model: Any, name: str, drives: list[Any]) -> np.ndarray:
@@ -273,10 +299,19 @@ def _numeric(model: Any, name: str, index: list[int], where: str) -> np.ndarray:
 
 def drives_of(model: Any) -> Iterator[tuple[int, int, float]]:
     """Number, joint and gear of each actuator that works on a joint."""
+    return (x for x in _on_joints(model) if model.actuator_ctrlnum[x[0]])
+
+
+def cogging(model: Any) -> Iterator[tuple[int, int, float]]:
+    """The same of each motor that nothing commands, which has cogging only."""
+    return (x for x in _on_joints(model) if not model.actuator_ctrlnum[x[0]])
+
+
+def _on_joints(model: Any) -> Iterator[tuple[int, int, float]]:
     import mujoco
 
     at = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
-    for a in range(model.nu):
+    for a in range(model.nactuator):
         joint = int(model.actuator_trnid[a, 0])
         if int(model.actuator_trntype[a]) in at and model.jnt_type[joint] > _BALL:
             yield a, joint, float(model.actuator_gear[a, 0])

@@ -60,6 +60,7 @@ def actuator_tags(document: Document, joint: str) -> list[Tag]:
         for tag in document.tags
         if tag.path[-2:-1] == ("actuator",)
         and tag.path[-1] in KINDS
+        and tag.attributes.get("input") != "none"
         and joint in (tag.attributes.get("joint"), tag.attributes.get("jointinparent"))
     ]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -57,6 +57,7 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
+    _ripples(document, old, new)
     _knees(document, old, new)
     return notes
 
@@ -203,7 +204,7 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
         changed.add("stiffness")
     if new.chain.armature[j] != old.chain.armature[j]:
         changed.add("armature")
-    if old.knee[j] and not new.knee[j]:
+    if bool(old.knee[j]) != bool(new.knee[j]):
         changed.add("frictionloss")
     if not changed:
         return
@@ -226,9 +227,14 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
         ]
         bent = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
         given["damping"] = friction if bent else friction[0]
-    if "frictionloss" in changed and not new.knee[j]:
-        given["frictionloss"] = new.frictionloss[j]
-        given |= {"solreffriction": (2 * model.opt.timestep, 1.0), **_DRY}
+    if "frictionloss" in changed:
+        dry = {
+            "frictionloss": new.frictionloss[j],
+            "solreffriction": (2 * model.opt.timestep, 1.0),
+            **_DRY,
+        }
+        given |= {} if new.knee[j] else dry
+        _beside(document, new.joints[j], dry if new.knee[j] else {"frictionloss": 0.0})
     if "stiffness" in changed:
         given["stiffness"] = new.stiffness[j]
         unit = turn_unit(document, not new.chain.revolute[j])
@@ -240,6 +246,41 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
                 f"actuator, which is more than was found; valid is {name} at the joint"
             )
     document.set(tag, given)
+
+
+def _beside(document: Document, joint: str, dry: Mapping[str, Any]) -> None:
+    """Dry friction of a joint whose own rises to a level: that of a tendon on it."""
+    parts = [
+        (tag, own[0])
+        for tag in document.find("tendon", "fixed")
+        if len(own := document.within(tag, "joint")) == 1
+        and own[0].attributes.get("joint") == joint
+    ]
+    for tag, its in parts:
+        pull = abs(float(its.attributes.get("coef", 1.0)))
+        document.set(tag, {**dry, "frictionloss": dry["frictionloss"] / pull})
+        dry = {"frictionloss": 0.0}
+    if not parts and dry["frictionloss"]:
+        head = element("fixed", {"name": f"{joint}/dry", **dry}).replace("/>", ">")
+        text = head + element("joint", {"joint": joint, "coef": 1.0}) + "</fixed>"
+        document.put(document.tags[0].close, f"  <tendon>{text}</tendon>\n")
+
+
+def _ripples(document: Document, old: Robot, new: Robot) -> None:
+    """Torque that repeats with position: cogging of motors that nothing commands."""
+    if np.array_equal(old.ripple, new.ripple):
+        return
+    for tag in document.find("actuator", "dcmotor", input="none"):
+        if tag.attributes.get("joint") in new.joints:
+            document.replace(tag, "")
+    # A resistance that lets no current flow: no damping by it.
+    motor = {"input": "none", "motorconst": 1.0, "resistance": 1e12}
+    for number, (j, sine, cosine, k) in enumerate(new.ripple, 1):
+        joint, size = new.joints[int(j)], np.hypot(sine, cosine)
+        given = {"name": f"{joint}/ripple_{number}", "joint": joint, **motor}
+        given["cogging"] = size, k, np.arctan2(-cosine, -sine)
+        text = f"  <actuator>{element('dcmotor', given)}</actuator>\n"
+        document.put(document.tags[0].close, text)
 
 
 def _knees(document: Document, old: Robot, new: Robot) -> None:
