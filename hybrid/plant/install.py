@@ -68,7 +68,7 @@ class Installed:
         self._resisting = [e for e in rest if overrides(e, "resist")]
         self._resisted = [np.zeros((1, len(e.joints))) for e in self._resisting]
         self._declared = model.dof_frictionloss.copy()
-        self._time = -np.inf
+        self._time, self._added, self._armature = -np.inf, 0.0, 0.0
         hooked = [e for e in rest if has_hook(e) and e not in self._resisting]
         # What a simulator's actuator has is in the file.
         self.left_out = tuple(e.id for e in hooked if not e.actuator)
@@ -123,6 +123,7 @@ class Installed:
         if self._remainder is not None:
             torque = torque + self._remainder.predict(q, v)
         data.qfrc_passive[dof] -= torque[0]
+        self._added = torque[0]
         level = self._declared[dof] + (sign * self._laws.dry)[0]
         model.dof_frictionloss[dof] = np.maximum(level, 0.0)
         self._armature = model.dof_armature[dof]
@@ -131,9 +132,8 @@ class Installed:
         """Torque transmitted to the links in the last step."""
         dof = self._dof
         driven = data.qfrc_actuator[dof] + data.qfrc_applied[dof]
-        kept = data.qfrc_passive[dof] + data.qfrc_constraint[dof]
-        armature = getattr(self, "_armature", 0.0)
-        return np.asarray((driven + kept)[None] - armature * a)
+        kept = data.qfrc_passive[dof] + data.qfrc_constraint[dof] - self._added
+        return np.asarray((driven + kept)[None] - self._armature * a)
 
 
 def _dry(model: Any) -> tuple[tuple[float, float], float]:

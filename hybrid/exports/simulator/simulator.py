@@ -188,16 +188,12 @@ def _sorted(
     rest = [effect for effect in left if not is_friction(effect)]
     drives = dict[int, Actuator]()
     structure = []
-    ripple = np.zeros((0, 4))
+    waves = [e for e in rest if isinstance(e, TorqueRipple) and kind == "mjcf"]
+    rest = [e for e in rest if e not in waves]
+    ripple = np.array(
+        [(e.joints[0], *e.gain_values, e.values["periods"]) for e in waves]
+    ).reshape(-1, 4)
     if kind == "mjcf":
-        ripple = np.array(
-            [
-                (e.joints[0], *e.gain_values, e.values["periods"])
-                for e in rest
-                if isinstance(e, TorqueRipple)
-            ]
-        ).reshape(-1, 4)
-        rest = [e for e in rest if not isinstance(e, TorqueRipple)]
         for effect in [e for e in rest if e.actuator]:
             (j,) = effect.joints
             drives[j] = drives.get(j, Actuator()).and_then(effect.actuator)
@@ -206,7 +202,7 @@ def _sorted(
         structure = [e.edit_spec for e in shaped]
         rest = [e for e in rest if e not in shaped]
     new = _with_fields(replace(robot, chain=chain, ripple=ripple), values, fitted)
-    missing = list(_missing(rubbing, values, fitted, n))
+    missing = [*_missing(rubbing, values, fitted, n), *_faded(waves)]
     change = Edit(new, drives, structure)
     return _Sorted(change, fitted, (*rest, *missing), tuple(rest))
 
@@ -282,6 +278,15 @@ def _missing(
     for each in fitted:
         if level := each.values.get("knee", 0.0):
             yield knee(each.joint, -level, each.values["knee_speed"])
+
+
+def _faded(waves: Sequence[TorqueRipple]) -> Iterator[Effect]:
+    """Ripples that fade at high speed, less those of a file, which do not."""
+    for wave in waves:
+        endless = TorqueRipple(wave.joints, {"periods": wave.values["periods"]})
+        if wave.values["fastest"] < endless.values["fastest"]:
+            yield wave
+            yield endless.at({g.name: -wave.values[g.name] for g in wave.gains})
 
 
 def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -13,8 +15,11 @@ from hybrid.robot.spatial import central_inertia
 
 
 def mjcf_skeleton(robot: Robot) -> str:
-    """Links, joints and limits as MJCF, with a motor of unit gear at each joint."""
-    spec = robot.mujoco_spec()
+    """Links, joints and limits as MJCF, with a motor of unit gear at each joint.
+
+    Dry friction is left to the edit, which makes it hard.
+    """
+    spec = replace(robot, frictionloss=0.0 * robot.frictionloss).mujoco_spec()
     add_motors(spec, robot)
     spec.compile()
     return spec_text(spec)
