@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import MODELS, public_arm, random_arm, random_states
-from learners import RandomFeatureRegression
 from test_files import killed_at
 
 import hybrid
@@ -434,21 +433,6 @@ def test_a_torch_module_hands_its_memory_back():
         expected, ours = program.run(q, v, a, memory=ours)
         known = torch.ones(1, 1).double()
         np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-9)
-
-
-# --- other learners -------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ["c", "onnx"])
-def test_a_learner_without_a_counterpart_is_refused_in_one_line(kind, tmp_path):
-    x = np.random.default_rng(0).normal(size=(300, 2))
-    learned = RandomFeatureRegression.fit(x, x[:, :1], features=20)
-    part = JointRemainder(0, (0,), (0,), learned)
-    model = model_of(full_model().robot, remainder=ArmRemainder(6, (part,)))
-    with pytest.raises(HybridError, match="kind random_features has no .* torchscript"):
-        export(model, tmp_path / "out", format=kind)
-    assert not (tmp_path / "out").exists()
-    export(model, tmp_path / "torch", format="torchscript")
 
 
 # --- manifest and command -------------------------------------------------------------

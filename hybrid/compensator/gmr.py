@@ -12,10 +12,11 @@ doi:10.1007/s11370-015-0187-9. Away from its data the mixture hands over to a pr
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Self
+from functools import cached_property, reduce
+from operator import mul
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,11 +26,6 @@ from hybrid.compensator.checks import check_matrix, check_mixture
 from hybrid.compensator.conditional import FARTHEST as FARTHEST
 from hybrid.compensator.conditional import Conditional, soft_minimum
 from hybrid.errors import HybridError, ModelFileError
-from hybrid.extras import check_extra
-
-if TYPE_CHECKING:
-    from hybrid.compensator.gmr_module import GmrModule
-
 
 # Size of the largest temporary of one chunk of samples, so that it stays in the cache.
 CHUNK_BYTES = 2**20
@@ -228,12 +224,40 @@ class GaussianMixtureRegression:
         except (HybridError, ValueError, TypeError) as error:
             raise ModelFileError(f"mixture is damaged: {error}") from error
 
-    def to_torch(self) -> GmrModule:
-        """The same regression as a float64 torch module (loads torch)."""
-        check_extra("torch", "learn", "A torch module")
-        from hybrid.compensator.gmr_module import GmrModule
+    def at_instant(self, x: Sequence[Any]) -> tuple[Any, Any]:
+        """Mean [N·m] and variance [(N·m)²] of the first output, of scalars.
 
-        return GmrModule(self)
+        The same in arithmetic alone, as :meth:`Effect.at_instant`: for exports.
+
+        Args:
+            x: The inputs: numbers, arrays, or symbols.
+        """
+        c, offset = self.conditional, self.input_offset.tolist()
+        z = [
+            np.clip((value - mean) / size, -FARTHEST, FARTHEST)
+            for value, mean, size in zip(
+                x, offset, self.input_scale.tolist(), strict=True
+            )
+        ]
+        distance, reply = [], []
+        for k in range(self.components):
+            w = [
+                _dot(row[: i + 1], z[: i + 1]) - float(c.centre[k, i])
+                for i, row in enumerate(c.whitening[k])
+            ]
+            distance.append(sum(r * r for r in w))
+            reply.append(float(c.output_mean[k, 0]) + _dot(c.gain[k, 0], w))
+        nearest = reduce(np.minimum, distance)
+        close = [np.exp(0.5 * (nearest - d)) for d in distance]
+        weight = np.exp(c.log_weight - c.log_weight.max())
+        total, bound = _dot(weight, close), float(self.bound[0])
+        mean = np.clip(_dot(weight, map(mul, close, reply)) / total, -bound, bound)
+        noise = c.output_variance[:, 0].tolist()
+        off = [s + (y - mean) * (y - mean) for s, y in zip(noise, reply, strict=True)]
+        spread = _dot(weight, map(mul, close, off)) / total
+        trust = _fade(nearest - 2.0 * np.log(sum(close)), *self.fade.tolist())
+        doubt, prior = 1.0 - trust, float(self.prior_variance[0])
+        return trust * mean, trust * (spread + doubt * mean * mean) + doubt * prior
 
     @cached_property
     def conditional(self) -> Conditional:
@@ -257,6 +281,15 @@ class GaussianMixtureRegression:
         return np.clip(mixed, -limit, limit)
 
     def _trust(self, distance: Array) -> Array:
-        start, end = self.fade
-        u: Array = np.clip((end - soft_minimum(distance)) / (end - start), 0.0, 1.0)
-        return u * u * (3.0 - 2.0 * u)
+        return np.asarray(_fade(soft_minimum(distance), *self.fade.tolist()))
+
+
+def _fade(distance: Any, start: float, end: float) -> Any:
+    """One up to a squared distance, zero from another on."""
+    u = np.clip((end - distance) / (end - start), 0.0, 1.0)
+    return u * u * (3.0 - 2.0 * u)
+
+
+def _dot(factors: Array, values: Iterable[Any]) -> Any:
+    """Sum of products of numbers with scalars."""
+    return sum(x * y for x, y in zip(factors.tolist(), values, strict=True))

@@ -10,7 +10,6 @@ import numpy as np
 
 from hybrid.dynamics.tape import Symbol
 from hybrid.errors import HybridError
-from hybrid.exports.onnx_remainder import regression_nodes
 from hybrid.exports.program import Program
 
 _OPSET, _FORMAT = 18, 9  # operators and file format, of 2023: old runtimes read them
@@ -52,11 +51,6 @@ class Graph:
             name = f"c{len(self.constants)}"
             self.constants[key] = numpy_helper.from_array(array, name)
         return str(self.constants[key].name)
-
-    def sum(self, x: str, axis: int, keepdims: int = 1) -> str:
-        """Sum over an axis."""
-        axes = self.constant([axis], np.int64)
-        return self.node("ReduceSum", x, axes, keepdims=keepdims)
 
     def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int]) -> Any:
         """The whole graph; ``inputs`` and ``outputs`` are names with their columns."""
@@ -105,16 +99,10 @@ def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
     def columns(values: Sequence[Any]) -> list[str]:
         return [_column(graph, names, x) for x in values]
 
-    torque, state = columns(program.torque), columns(program.state)
-    variance = [_column(graph, names, np.nan)] * n
-    if program.remainder is not None:
-        for part in program.remainder.parts:
-            seen = [*part.positions, *(n + j for j in part.speeds)]
-            x = graph.node("Concat", *(state[i] for i in seen), axis=1)
-            mean, spread = regression_nodes(graph, part.regression, x)
-            torque[part.joint] = graph.node("Add", torque[part.joint], mean)
-            variance[part.joint] = spread
-    outputs = {"tau": (torque, n), "variance": (variance, n)}
+    outputs = {
+        "tau": (columns(program.torque), n),
+        "variance": (columns(program.variance), n),
+    }
     if s:
         outputs["memory_out"] = (columns(program.memory), s)
     for name, (parts, _) in outputs.items():

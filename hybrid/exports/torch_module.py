@@ -48,9 +48,6 @@ class ProgramModule(torch.nn.Module):
         self.program = program
         self.names: list[str] = [x for x in ("t", "step", "known") if x in program.uses]
         self.names += ["memory"] if program.memory else []
-        parts = program.remainder.parts if program.remainder else ()
-        modules = [part.regression.to_torch() for part in parts]
-        self.learned = torch.nn.ModuleList(modules)
 
     def forward(self, q: Tensor, v: Tensor, a: Tensor, *others: Tensor) -> Any:
         """Torque [N·m], variance [(N·m)²] of its learned part, and memory."""
@@ -60,19 +57,10 @@ class ProgramModule(torch.nn.Module):
         values = self._run(given)
         zero = torch.zeros_like(q[:, :1])
         columns = [zero + x for x in values]
-        torque, state = columns[:n], columns[n : 3 * n]
-        variance = [zero + torch.nan] * n
-        parts = program.remainder.parts if program.remainder else ()
-        for part, module in zip(parts, self.learned, strict=True):
-            seen = [*part.positions, *(n + j for j in part.speeds)]
-            x = torch.cat([state[i] for i in seen], dim=1)
-            mean, spread = module(x)
-            torque[part.joint] = torque[part.joint] + mean
-            variance[part.joint] = spread
-        found = (torch.cat(torque, dim=1), torch.cat(variance, dim=1))
+        found = torch.cat(columns[:n], dim=1), torch.cat(columns[n : 2 * n], dim=1)
         if not program.memory:
             return found
-        return (*found, torch.cat(columns[3 * n :], dim=1))
+        return (*found, torch.cat(columns[2 * n :], dim=1))
 
     def _run(self, given: Mapping[str, Tensor]) -> list[Any]:
         """Results of the tape, shape (N, 1) each, or plain numbers."""
