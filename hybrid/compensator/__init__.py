@@ -49,8 +49,8 @@ class Remainder(Protocol):
     def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Any:
         """The inverse of ``arrays``."""
 
-    def at_instant(self, x: Sequence[Any]) -> tuple[Any, Any]:
-        """Mean and variance of the first output by arithmetic on scalars."""
+    def at_instant(self, x: Sequence[Any]) -> tuple[Sequence[Any], Sequence[Any]]:
+        """Mean and variance of each output by arithmetic on scalars."""
 
 
 # Kind, as written in a model file -> the class whose ``from_arrays`` reads it.

@@ -75,7 +75,7 @@ class ArmRemainder:
         for part in self.parts:
             if isinstance(part.regression, GaussianMixtureRegression):
                 seen = [*part.positions, *(self.size + j for j in part.speeds)]
-                mean, _ = part.regression.at_instant([given[k] for k in seen])
+                (mean,), _ = part.regression.at_instant([given[k] for k in seen])
                 torque[part.joint] = mean
         return Law(tape, tuple(torque), names)
 

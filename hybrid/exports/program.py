@@ -151,7 +151,7 @@ def program_from_model(model: DynamicModel) -> Program:
     variance = [np.nan] * n
     for part in model.remainder.parts if model.remainder else ():
         seen = [*(q[j] for j in part.positions), *(v[j] for j in part.speeds)]
-        mean, variance[part.joint] = part.regression.at_instant(seen)
+        (mean,), (variance[part.joint],) = part.regression.at_instant(seen)
         torque[part.joint] = torque[part.joint] + mean
     return Program(
         joints=robot.joints,
