@@ -29,8 +29,7 @@ from hybrid.names import xml_comment
 from hybrid.plant.arm import overrides
 from hybrid.plant.native import effects_of_fields, knee, knees, split_effects, springs
 from hybrid.robot import Robot
-from hybrid.robot.edit.actuator import Actuator
-from hybrid.robot.edit.change import Edit
+from hybrid.robot.edit.change import Actuator, Edit
 from hybrid.robot.edit.mjcf import edit_mjcf, move_assets
 from hybrid.robot.edit.source import read, source
 from hybrid.robot.edit.urdf import edit_urdf, move_meshes

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.robot.edit.actuator import Actuator
+from hybrid.robot.edit.change import Actuator
 from hybrid.robot.edit.document import Document, Tag
 from hybrid.robot.mjcf import drives_of, joint_names
 
