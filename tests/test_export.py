@@ -19,7 +19,7 @@ import hybrid
 from hybrid.cli import main
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
-from hybrid.dynamics import BaseParameters, regressor
+from hybrid.dynamics import BaseParameters, Law, regressor
 from hybrid.dynamics.base import inertial_labels
 from hybrid.dynamics.tape import OPERATIONS, Tape
 from hybrid.effects import Effect, Port, effect_class, effect_classes
@@ -157,7 +157,7 @@ def test_a_tape_folds_constants_and_writes_nothing_twice():
     before = np.sin(x) * np.sin(x)
     assert (np.sin(x) * np.sin(x)).line == before.line
     assert np.clip(tape.input("x"), None, None).line == x.line
-    (value,) = tape.run([before + x**3], {"x": 0.5})
+    (value,) = Law(tape, (before + x**3,), ("x",)).at([0.5])
     assert value == pytest.approx(np.sin(0.5) ** 2 + 0.125)
 
 

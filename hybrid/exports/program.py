@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.dynamics.law import Law
 from hybrid.dynamics.newton_euler import newton_euler
 from hybrid.dynamics.tape import Tape
 from hybrid.effects import Effect, JointState
 from hybrid.errors import EffectError, HybridError
 from hybrid.model.dynamic_model import DynamicModel
-
-_ROWS = 2048  # samples at a time, so that what is on the tape stays in the cache
 
 
 @dataclass(frozen=True)
@@ -78,24 +78,15 @@ class Program:
         """
         past = np.zeros((len(q), len(self.memory))) if memory is None else memory
         known = 0.0 if memory is None else 1.0
-        torque, remembered = np.empty(q.shape), np.empty(past.shape)
-        for start in range(0, len(q), _ROWS):
-            part = slice(start, start + _ROWS)
-            given = {"q": q[part], "v": v[part], "a": a[part], "memory": past[part]}
-            torque[part], remembered[part] = self._run(given, t, step, known)
-        return torque, remembered
+        found = self._law.along((q, v, a, past), (t, step, known))
+        return found[:, : len(self.joints)], found[:, len(self.joints) :]
 
-    def _run(
-        self, given: Mapping[str, Array], t: float, step: float, known: float
-    ) -> tuple[Array, Array]:
-        inputs: dict[str, Any] = {"t": t, "step": step, "known": known}
-        for name, x in given.items():
-            inputs |= {f"{name}[{j}]": column.copy() for j, column in enumerate(x.T)}
-        values = self.tape.run((*self.torque, *self.memory), inputs)
-        out = [np.broadcast_to(x, len(given["q"])) for x in values]
-        n = len(self.joints)
-        torque, remembered = np.stack(out[:n], axis=1), out[n:]
-        return torque, np.stack(remembered, 1) if remembered else given["memory"]
+    @cached_property
+    def _law(self) -> Law:
+        n, slots = len(self.joints), range(len(self.memory))
+        names = [f"{x}[{j}]" for x in "qva" for j in range(n)]
+        names += [*(f"memory[{i}]" for i in slots), "t", "step", "known"]
+        return Law(self.tape, (*self.torque, *self.memory), tuple(names))
 
 
 def program_from_model(model: DynamicModel) -> Program:
