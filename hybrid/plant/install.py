@@ -14,7 +14,8 @@ from hybrid.errors import HybridError
 from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
 from hybrid.plant.laws import Laws, part
 from hybrid.plant.native import split_effects, springs
-from hybrid.robot.mjcf import cogging, knee_slope, single_tendons
+from hybrid.robot.actuators import cogging
+from hybrid.robot.mjcf import knee_slope, single_tendons
 from hybrid.robot.robot import Robot
 
 if TYPE_CHECKING:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.robot.actuators import cogging
 from hybrid.robot.compiled import compiled
-from hybrid.robot.mjcf import cogging, joint_names, start
+from hybrid.robot.mjcf import joint_names, start
 from hybrid.signals import Motion
 
 

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.robot.actuators import drives_of
 from hybrid.robot.edit.change import Actuator
 from hybrid.robot.edit.document import Document, Tag
-from hybrid.robot.mjcf import drives_of, joint_names
+from hybrid.robot.mjcf import joint_names
 
 KINDS = (
     "general", "motor", "position", "velocity", "intvelocity", "damper", "dcmotor",

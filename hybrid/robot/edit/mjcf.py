@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,15 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
+from hybrid.robot.actuators import drives_of
 from hybrid.robot.build import simulable, spec_text
 from hybrid.robot.compiled import compiled_spec
+from hybrid.robot.edit.beside import put_dry, put_ripples
 from hybrid.robot.edit.change import Edit, Structure
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.part import Part, changed_parts, mjcf_parts
-from hybrid.robot.mjcf import drives_of, joint_names
+from hybrid.robot.mjcf import joint_names
 from hybrid.robot.read import read_robot
 from hybrid.robot.robot import Robot
 
@@ -57,7 +59,7 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
-    _ripples(document, old, new)
+    put_ripples(document, old, new)
     _knees(document, old, new)
     return notes
 
@@ -234,7 +236,7 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
             **_DRY,
         }
         given |= {} if new.knee[j] else dry
-        _beside(document, new.joints[j], dry if new.knee[j] else {"frictionloss": 0.0})
+        put_dry(document, new.joints[j], dry if new.knee[j] else {"frictionloss": 0.0})
     if "stiffness" in changed:
         given["stiffness"] = new.stiffness[j]
         unit = turn_unit(document, not new.chain.revolute[j])
@@ -246,41 +248,6 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
                 f"actuator, which is more than was found; valid is {name} at the joint"
             )
     document.set(tag, given)
-
-
-def _beside(document: Document, joint: str, dry: Mapping[str, Any]) -> None:
-    """Dry friction of a joint whose own rises to a level: that of a tendon on it."""
-    parts = [
-        (tag, own[0])
-        for tag in document.find("tendon", "fixed")
-        if len(own := document.within(tag, "joint")) == 1
-        and own[0].attributes.get("joint") == joint
-    ]
-    for tag, its in parts:
-        pull = abs(float(its.attributes.get("coef", 1.0)))
-        document.set(tag, {**dry, "frictionloss": dry["frictionloss"] / pull})
-        dry = {"frictionloss": 0.0}
-    if not parts and dry["frictionloss"]:
-        head = element("fixed", {"name": f"{joint}/dry", **dry}).replace("/>", ">")
-        text = head + element("joint", {"joint": joint, "coef": 1.0}) + "</fixed>"
-        document.put(document.tags[0].close, f"  <tendon>{text}</tendon>\n")
-
-
-def _ripples(document: Document, old: Robot, new: Robot) -> None:
-    """Torque that repeats with position: cogging of motors that nothing commands."""
-    if np.array_equal(old.ripple, new.ripple):
-        return
-    for tag in document.find("actuator", "dcmotor", input="none"):
-        if tag.attributes.get("joint") in new.joints:
-            document.replace(tag, "")
-    # A resistance that lets no current flow: no damping by it.
-    motor = {"input": "none", "motorconst": 1.0, "resistance": 1e12}
-    for number, (j, sine, cosine, k) in enumerate(new.ripple, 1):
-        joint, size = new.joints[int(j)], np.hypot(sine, cosine)
-        given = {"name": f"{joint}/ripple_{number}", "joint": joint, **motor}
-        given["cogging"] = size, k, np.arctan2(-cosine, -sine)
-        text = f"  <actuator>{element('dcmotor', given)}</actuator>\n"
-        document.put(document.tags[0].close, text)
 
 
 def _knees(document: Document, old: Robot, new: Robot) -> None:
