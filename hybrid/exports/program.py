@@ -81,12 +81,16 @@ class Program:
         found = self._law.along((q, v, a, past), (t, step, known))
         return found[:, : len(self.joints)], found[:, len(self.joints) :]
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of all inputs, in the order of q, v, a, memory, t, step and known."""
+        names = [f"{x}[{j}]" for x in "qva" for j in range(len(self.joints))]
+        names += [f"memory[{i}]" for i in range(len(self.memory))]
+        return (*names, "t", "step", "known")
+
     @cached_property
     def _law(self) -> Law:
-        n, slots = len(self.joints), range(len(self.memory))
-        names = [f"{x}[{j}]" for x in "qva" for j in range(n)]
-        names += [*(f"memory[{i}]" for i in slots), "t", "step", "known"]
-        return Law(self.tape, (*self.torque, *self.memory), tuple(names))
+        return Law(self.tape, (*self.torque, *self.memory), self.inputs)
 
 
 def program_from_model(model: DynamicModel) -> Program:
