@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from outputs import command_line
 from rich.console import Console
-from round_trip_cases import Case, cases, with_callback
+from round_trip_cases import Case, cases, moving, with_callback
 
 from hybrid.errors import HybridWarning
 from hybrid.exports import CompiledModel, missing_model, model_simulator
@@ -62,8 +62,7 @@ def _with_code(file: Path, case: Case, made) -> np.ndarray:  # type: ignore[no-u
     code = CompiledModel(missing_model(model, made), step=float(np.diff(motion.t)[0]))
     both = file_torque(file, model, motion)
     both += code.predict(motion.q, motion.v, motion.a)
-    moving = (np.abs(motion.v) > model.standing) & motion.mask[:, None]
-    off = np.where(moving, np.abs(both - model.predict(motion)), 0.0)
+    off = np.where(moving(model, motion), np.abs(both - model.predict(motion)), 0.0)
     return np.asarray(off.max(axis=0))
 
 

@@ -82,6 +82,23 @@ def _model(robot: Robot, logs: Sequence[Recording | Motion], **given) -> Dynamic
         return identify(robot, logs, consistent=True, **given).model
 
 
+def moving(model: DynamicModel, motion: Motion, *, ahead: float = 0.0) -> Array:
+    """Where joints, and couplings of joints, move and do not turn soon, shape (N, n).
+
+    Args:
+        model: A model.
+        motion: Motion of N samples.
+        ahead: What is soon, [s].
+    """
+    fast = (np.abs(motion.v) > model.standing) & motion.mask[:, None]
+    for effect in model.effects:
+        if effect.scope == "coupling":
+            j = list(effect.joints)
+            v, a = (np.abs(x[:, j].sum(axis=1)) for x in (motion.v, motion.a))
+            fast[:, j] &= (v > model.standing[j].max() + ahead * a)[:, None]
+    return np.asarray(fast)
+
+
 def with_callback(file: Path, case: Case) -> Array:
     """Torque by which file and callback differ from the model, shape (n,), [N·m].
 
@@ -98,6 +115,7 @@ def with_callback(file: Path, case: Case) -> Array:
         j = list(effect.joints)
         slowest[j] = np.maximum(slowest[j], effect.values.get("width", 0.0))
     fast = np.abs(motion.v) > np.maximum(slowest, 2 * np.abs(motion.a) / _DRY)
+    fast &= moving(model, motion, ahead=2 / _DRY)
     samples, off = np.flatnonzero(fast.all(axis=1) & motion.mask), []
     added = install(mj, data, model)
     for k in samples[:: max(1, len(samples) // _SAMPLES)]:

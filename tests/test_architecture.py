@@ -58,8 +58,8 @@ HOMES = {
     ),
     "pinocchio": (("robot", "dynamics"), "use hybrid.dynamics"),
     "torch": (
-        ("compensator", "exports"),
-        "compute with NumPy, or go through the compensator",
+        ("exports",),
+        "compute with NumPy",
     ),
     "matplotlib": (("report",), "return numbers, and draw them in hybrid.report"),
     "plotly": (("report",), "return numbers, and draw them in hybrid.report"),

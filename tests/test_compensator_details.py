@@ -51,7 +51,6 @@ def test_an_arms_mixtures_together_are_each_of_them_apart():
         for j, p, v, k in sizes
     )
     arm = ArmRemainder(4, parts)
-    assert not arm._together[2]  # that are worked out by themselves
     q, v = 3 * np.random.default_rng(1).normal(size=(2, 1700, 4))
     tau = arm.predict(q, v)
     away = [p.regression.distance(p.inputs(q, v)) for p in parts]
@@ -65,18 +64,6 @@ def test_an_arms_mixtures_together_are_each_of_them_apart():
     assert np.isfinite(arm.predict(far, far)).all()
     with pytest.raises(HybridError, match="finite"):
         arm.predict(q[:1] * np.nan, v[:1])
-
-
-def test_a_mixture_that_fades_late_is_worked_out_by_itself():
-    near, late = (
-        GaussianMixtureRegression(
-            **{**random_mixture(0).arrays(), "fade": np.array([end / 4, end])}
-        )
-        for end in (1000.0, 1001.0)
-    )
-    for model, alone in ((near, 0), (late, 1)):
-        arm = ArmRemainder(1, (JointRemainder(0, (0,), (), model),))
-        assert len(arm._together[2]) == alone
 
 
 def test_numbers_of_inputs_that_do_not_match_are_refused():

@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-import torch
 from learners import NetworkRegression, RandomFeatureRegression, SymmetricRegression
 from learners.em import fit_structured
 from learners.network import groups
@@ -118,16 +117,6 @@ def test_it_refuses_numbers_that_are_not_finite(kind, bad):
     x[1, 0] = bad
     with pytest.raises(HybridError, match="at row 1, column 0; valid are finite"):
         model.predict(x)
-
-
-@each
-def test_the_torch_module_has_the_same_mean_and_variance(kind):
-    model = learned(kind)
-    x = np.concatenate([samples(kind, 200, seed=2)[0] * s for s in (1.0, 3.0)])
-    mean, variance = model.predict_distribution(x)
-    found = [y.detach().numpy() for y in model.to_torch()(torch.tensor(x))]
-    np.testing.assert_allclose(found[0], mean, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found[1], variance, rtol=1e-9, atol=1e-14)
 
 
 @each

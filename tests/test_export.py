@@ -13,14 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import MODELS, public_arm, random_arm, random_states
-from learners import RandomFeatureRegression
 from test_files import killed_at
 
 import hybrid
 from hybrid.cli import main
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
-from hybrid.dynamics import BaseParameters, regressor
+from hybrid.dynamics import BaseParameters, Law, regressor
 from hybrid.dynamics.base import inertial_labels
 from hybrid.dynamics.tape import OPERATIONS, Tape
 from hybrid.effects import Effect, Port, effect_class, effect_classes
@@ -158,7 +157,7 @@ def test_a_tape_folds_constants_and_writes_nothing_twice():
     before = np.sin(x) * np.sin(x)
     assert (np.sin(x) * np.sin(x)).line == before.line
     assert np.clip(tape.input("x"), None, None).line == x.line
-    (value,) = tape.run([before + x**3], {"x": 0.5})
+    (value,) = Law(tape, (before + x**3,), ("x",)).at([0.5])
     assert value == pytest.approx(np.sin(0.5) ** 2 + 0.125)
 
 
@@ -434,21 +433,6 @@ def test_a_torch_module_hands_its_memory_back():
         expected, ours = program.run(q, v, a, memory=ours)
         known = torch.ones(1, 1).double()
         np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-9)
-
-
-# --- other learners -------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ["c", "onnx"])
-def test_a_learner_without_a_counterpart_is_refused_in_one_line(kind, tmp_path):
-    x = np.random.default_rng(0).normal(size=(300, 2))
-    learned = RandomFeatureRegression.fit(x, x[:, :1], features=20)
-    part = JointRemainder(0, (0,), (0,), learned)
-    model = model_of(full_model().robot, remainder=ArmRemainder(6, (part,)))
-    with pytest.raises(HybridError, match="kind random_features has no .* torchscript"):
-        export(model, tmp_path / "out", format=kind)
-    assert not (tmp_path / "out").exists()
-    export(model, tmp_path / "torch", format="torchscript")
 
 
 # --- manifest and command -------------------------------------------------------------

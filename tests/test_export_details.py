@@ -243,10 +243,11 @@ def test_a_urdf_holds_every_number_to_the_last_bit(tmp_path):
     assert export(model_of(robot, effects), tmp_path, format="urdf") == ()
     root = ElementTree.parse(tmp_path / f"{robot.name}.urdf").getroot()
     joints = [j for j in root.iter("joint") if j.find("limit") is not None]
+    links = root.findall("link")
     for k, joint in enumerate(joints):
         assert joint.get("name") == robot.joints[k]
-        assert joint.find("parent").get("link") == f"link_{k}"
-        assert joint.find("child").get("link") == f"link_{k + 1}"
+        assert joint.find("parent").get("link") == links[k].get("name")
+        assert joint.find("child").get("link") == links[k + 1].get("name")
         limit, dynamics = joint.find("limit"), joint.find("dynamics")
         assert float(limit.get("lower")) == robot.q_min[k]
         assert float(limit.get("upper")) == robot.q_max[k]
@@ -256,7 +257,6 @@ def test_a_urdf_holds_every_number_to_the_last_bit(tmp_path):
         assert float(dynamics.get("friction")) == 0.2 * (k + 1)
         rotor = joint_rotors(root)[robot.joints[k]]
         assert float(rotor) == 0.3 * (k + 1)
-    links = root.findall("link")
     assert links[0].find("inertial") is None
     masses = [float(x.find("inertial/mass").get("value")) for x in links[1:]]
     np.testing.assert_array_equal(masses, robot.chain.inertial[:, 0])

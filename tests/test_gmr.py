@@ -1,8 +1,7 @@
-"""Gaussian-mixture regression against closed forms, quadrature, and torch."""
+"""Gaussian-mixture regression against closed forms and quadrature."""
 
 import subprocess
 import sys
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -246,7 +245,7 @@ def test_a_bound_given_by_the_user_holds():
 def test_chunks_do_not_show(model, monkeypatch):
     x, _ = sample(3, n=1000)
     whole = model.predict_distribution(x)
-    monkeypatch.setattr("hybrid.compensator.gmr.CHUNK_BYTES", 8 * 64 * 7)
+    monkeypatch.setattr("hybrid.compensator.gmr._ROWS", 7)
     for a, b in zip(whole, model.predict_distribution(x), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15)
     assert model.predict(np.empty((0, 2))).shape == (0, 1)
@@ -366,51 +365,6 @@ def spread_of(model, x):
     rng = np.random.default_rng(0)
     far = model.input_offset + model.input_scale * rng.normal(size=(2000, x.shape[1]))
     return np.vstack([x[:2000], model.input_offset + 3 * (far - model.input_offset)])
-
-
-def test_torch_computes_the_same_numbers(wide):
-    import torch
-
-    model, x = wide
-    probe = np.vstack([spread_of(model, x), np.full((1, 3), 1e300)])
-    trust = np.abs(model.predict(probe)).max(axis=1)
-    assert (trust == 0).any() and (trust > 0).any()
-    mean, variance = model.predict_distribution(probe)
-    mean_here, variance_here = model.to_torch()(torch.tensor(probe))
-    np.testing.assert_allclose(mean_here, mean, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(variance_here, variance, rtol=1e-10)
-
-
-def test_torch_in_single_precision_is_close(wide):
-    import torch
-
-    model, x = wide
-    probe = spread_of(model, x)
-    mean, variance = model.predict_distribution(probe)
-    module = model.to_torch().to(torch.float32)
-    answers = module(torch.tensor(probe, dtype=torch.float32))
-    mean_here, variance_here = (answer.numpy() for answer in answers)
-    assert mean_here.dtype == np.float32
-    scale = np.sqrt(model.prior_variance)
-    np.testing.assert_allclose(mean_here / scale, mean / scale, atol=1e-3)
-    np.testing.assert_allclose(variance_here, variance, rtol=1e-3)
-
-
-def test_torch_module_compiles_and_has_gradients(wide):
-    import torch
-
-    model, x = wide
-    module = model.to_torch()
-    probe = torch.tensor(x[:7])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # torch announces the end of TorchScript
-        scripted = torch.jit.script(module)
-    for a, b in zip(scripted(probe), module(probe), strict=True):
-        torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12)
-    assert scripted(probe[:1])[0].shape == (1, 2)
-    inputs = probe.requires_grad_()
-    module(inputs)[0].sum().backward()
-    assert torch.isfinite(inputs.grad).all()
 
 
 def test_importing_the_regression_loads_neither_torch_nor_scikit_learn():

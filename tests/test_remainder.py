@@ -169,17 +169,6 @@ def test_variance_is_that_of_the_noise_and_unknown_where_nothing_was_learned(
     assert np.mean(variance[:, 1]) < 0.1 * np.mean(data.tau[:, 1] ** 2)
 
 
-def test_torch_computes_the_same_torque(data, learned):
-    import torch
-
-    (part,), (data,) = learned.remainder.parts, data.motions
-    x = part.inputs(1.5 * data.q, 1.5 * data.v)  # in and outside the data
-    mean, variance = part.regression.to_torch()(torch.tensor(x))
-    expected = part.regression.predict_distribution(x)
-    for found, value in zip((mean, variance), expected, strict=True):
-        np.testing.assert_allclose(found.numpy(), value, rtol=1e-9, atol=1e-12)
-
-
 def test_arrays_and_description_give_the_same_remainder_back(data, learned):
     remainder, (data,) = learned.remainder, data.motions
     again = ArmRemainder.from_dict(3, remainder.as_dict(), remainder.arrays())

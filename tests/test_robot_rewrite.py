@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from hybrid.errors import RobotError
 from hybrid.robot import Robot
-from hybrid.robot.rewrite import write_placements
+from hybrid.robot.edit.placements import write_placements
 
 ODD = """<mujoco><compiler angle="degree"/><worldbody>
 <body name="a" pos="0 0 .1" euler="10 20 30"><joint name="j1" axis="0 1 .2"

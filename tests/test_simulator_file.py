@@ -25,6 +25,7 @@ from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
+from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, RobotError
@@ -360,9 +361,11 @@ def test_a_xacro_file_is_expanded_and_edited(tmp_path):
     assert made.robot.path == robot.path and made.text.count(b"<geom") > 0
 
 
-def test_friction_that_rises_to_a_level_is_written_and_read_back(tmp_path):
+@pytest.mark.parametrize("dry", [0.0, 1.5])
+def test_friction_that_rises_to_a_level_is_written_and_read_back(dry, tmp_path):
     robot = Robot.load(MODELS / "planar.xml")
     rising = {"rising": 2.0, "threshold": 0.2, "width": 0.0, "viscous": 0.4}
+    rising |= {"coulomb_positive": dry, "coulomb_negative": 0.9 * dry}
     own = [*declared_effects(robot), ThresholdFriction((1,), rising)]
     bare = replace(robot, damping=0 * robot.damping, frictionloss=0 * robot.damping)
     bare = replace(bare, chain=replace(robot.chain, armature=0 * robot.damping))
@@ -371,14 +374,16 @@ def test_friction_that_rises_to_a_level_is_written_and_read_back(tmp_path):
     made = build_simulator(bare, own, motions=moved, folder=tmp_path)
     made.write(tmp_path / "arm.xml")
     again = Robot.load(tmp_path / "arm.xml")
-    assert again.knee[1] > 1.5 and again.frictionloss[1] == 0.0
+    assert again.knee[1] == pytest.approx(2.0, rel=0.05)
+    assert again.frictionloss[1] == pytest.approx(0.95 * dry, abs=0.1)
     (friction,) = made.friction
     assert friction.missed < 0.02 * friction.torque
     ours = torque(again, moved[0])[:, 1]
     theirs = file_inverse_dynamics(tmp_path / "arm.xml", robot.joints, moved[0], {})[
         :, 1
     ]
-    np.testing.assert_allclose(theirs, ours, atol=1e-6)
+    moving = np.abs(moved[0].v[:, 1]) > 1e-3
+    np.testing.assert_allclose(theirs[moving], ours[moving], atol=1e-6)
     # Nothing new: nothing changes, also where mass moves and softness has to.
     same = build_simulator(again)
     assert same.diff() == ""
@@ -386,3 +391,33 @@ def test_friction_that_rises_to_a_level_is_written_and_read_back(tmp_path):
     np.testing.assert_allclose(
         build_simulator(heavier).robot.knee_speed, again.knee_speed, rtol=1e-9
     )
+
+
+def test_ripple_is_cogging_of_a_motor_that_nothing_commands(tmp_path):
+    robot = Robot.load(MODELS / "planar.xml")
+    waves = [
+        TorqueRipple((1,), {"sine": 0.5, "cosine": -0.2, "periods": 7.0}),
+        TorqueRipple((0,), {"sine": -0.4, "cosine": 0.3, "periods": 1.0}),
+    ]
+    made = build_simulator(robot, waves, folder=tmp_path)
+    assert made.notes == () and made.rest == ()
+    model, again = read_again(tmp_path, made, robot)
+    assert model.nu == robot.size  # commands stay what they were
+    (motion,) = motions(robot, count=1, duration=3.0)
+    wanted = torque(robot, motion)
+    for wave in waves:
+        (j,) = wave.joints
+        wanted[:, j] += wave.torque(motion, RigidBody(robot.chain, motion))[:, 0]
+    np.testing.assert_allclose(torque(again, motion), wanted, atol=1e-9)
+    theirs = file_inverse_dynamics(tmp_path / "sim.xml", robot.joints, motion, {})
+    moving = (np.abs(motion.v) > 0.1).all(axis=1)
+    np.testing.assert_allclose(theirs[moving], wanted[moving], atol=1e-6)
+    # How the reader has it change with position.
+    q = motion.q[::100]
+    slope = (again.joint_torque(q + 1e-6, 0 * q, 0 * q)
+             - again.joint_torque(q - 1e-6, 0 * q, 0 * q)) / 2e-6  # fmt: skip
+    np.testing.assert_allclose(again.position_slope(q), slope, atol=1e-6)
+    # Without it the file is what it was.
+    bare = replace(again, ripple=np.zeros((0, 4)))
+    assert b"dcmotor" not in build_simulator(bare).text
+    assert build_simulator(again).diff() == ""

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from hybrid.compensator.checks import check_matrix
-from hybrid.compensator.conditional import FARTHEST
-from hybrid.compensator.gmr import GaussianMixtureRegression
+from hybrid.compensator.gmr import FARTHEST, GaussianMixtureRegression
 from hybrid.errors import HybridError, ModelFileError
 
 LOG_VARIANCE = (-14.0, 6.0)  # range of a network's log variance, standardised

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,10 +21,6 @@ from hybrid.compensator.checks import check_pair, draw
 from hybrid.errors import HybridError, ModelFileError
 from hybrid.extras import check_extra
 from learners.envelope import LOG_VARIANCE, Envelope
-
-if TYPE_CHECKING:
-    from learners.modules import NetworkModule
-
 
 _ROWS = 4096  # samples at a time
 _KERNEL = 4  # samples that a convolution joins
@@ -75,7 +71,7 @@ class NetworkRegression:
             max_samples: Rows to learn from at most.
         """
         check_extra("torch", "learn", "Training a network")
-        from learners.modules import train
+        from learners.training import train
 
         rng = np.random.default_rng(seed)
         x, y = draw(*check_pair(x, y), max_samples, rng)
@@ -163,13 +159,6 @@ class NetworkRegression:
         except (KeyError, ValueError, TypeError, IndexError, HybridError) as error:
             raise ModelFileError(f"network is damaged: {error}") from error
         return found
-
-    def to_torch(self) -> NetworkModule:
-        """The same regression as a float64 torch module (loads torch)."""
-        check_extra("torch", "learn", "A torch module")
-        from learners.modules import NetworkModule
-
-        return NetworkModule(self)
 
 
 def groups(history: int) -> list[int] | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,10 +17,6 @@ from hybrid.arrays import Array
 from hybrid.compensator.checks import check_pair, draw
 from hybrid.errors import ModelFileError
 from learners.envelope import Envelope
-
-if TYPE_CHECKING:
-    from learners.modules import RandomFeatureModule
-
 
 _LENGTHS = (0.3, 0.6, 1.2, 2.5)  # training deviations
 _NOISES = (0.03, 0.1, 0.3, 1.0)  # share of the outputs' deviation
@@ -154,12 +150,6 @@ class RandomFeatureRegression:
         except (KeyError, ValueError, TypeError) as error:
             raise ModelFileError(f"random features are damaged: {error}") from error
         return cls(envelope, **own)
-
-    def to_torch(self) -> RandomFeatureModule:
-        """The same regression as a float64 torch module (loads torch)."""
-        from learners.modules import RandomFeatureModule
-
-        return RandomFeatureModule(self)
 
 
 def _features(z: Array, directions: Array, phases: Array) -> Array:

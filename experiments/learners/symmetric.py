@@ -15,7 +15,6 @@ from hybrid.errors import HybridError, ModelFileError
 
 if TYPE_CHECKING:
     from hybrid.compensator import Remainder
-    from learners.modules import SymmetricModule
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,9 +124,3 @@ class SymmetricRegression:
             raise
         except (KeyError, ValueError, TypeError, HybridError) as error:
             raise ModelFileError(f"symmetry is damaged: {error}") from error
-
-    def to_torch(self) -> SymmetricModule:
-        """The same regression as a torch module (loads torch)."""
-        from learners.modules import SymmetricModule
-
-        return SymmetricModule(self.inner.to_torch(), self.signs, self.parity)

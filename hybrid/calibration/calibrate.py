@@ -26,7 +26,7 @@ from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError, HybridWarning, RobotError
 from hybrid.parameters import Parameter
 from hybrid.robot import Robot
-from hybrid.robot.rewrite import write_placements
+from hybrid.robot.edit.placements import write_placements
 from hybrid.shown import Shown
 
 GROUPS = ("base", "tool", "geometry", "compliance", "scale")

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hybrid.compensator.gmr import GaussianMixtureRegression
-
-if TYPE_CHECKING:
-    import torch
 
 __all__ = [
     "REMAINDERS",
@@ -52,8 +49,8 @@ class Remainder(Protocol):
     def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Any:
         """The inverse of ``arrays``."""
 
-    def to_torch(self) -> torch.nn.Module:
-        """The same numbers as a module from x to mean and variance."""
+    def at_instant(self, x: Sequence[Any]) -> tuple[Sequence[Any], Sequence[Any]]:
+        """Mean and variance of each output by arithmetic on scalars."""
 
 
 # Kind, as written in a model file -> the class whose ``from_arrays`` reads it.

@@ -8,11 +8,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.arrays import Array
+from hybrid.compensator.checks import check_matrix
 from hybrid.compensator.gmr import GaussianMixtureRegression
-from hybrid.compensator.mixtures import FARTHEST_FADE, Mixtures
+from hybrid.dynamics import Law, Tape
 from hybrid.errors import ModelFileError
 
 if TYPE_CHECKING:
@@ -59,33 +59,25 @@ class ArmRemainder:
             q: Positions, shape (N, n), [rad].
             v: Speeds, shape (N, n), [rad/s].
         """
-        tau = np.zeros((len(q), self.size))
-        mixtures, joints, others = self._together
-        if mixtures is not None:
-            tau[:, joints] = mixtures.predict(q, v)
-        for part in others:
-            tau[:, part.joint] = part.regression.predict(part.inputs(q, v))[:, 0]
+        check_matrix("state", np.concatenate([q, v], axis=1), 2 * self.size)
+        tau = self._law.along((q, v))
+        for part in self.parts:
+            if not isinstance(part.regression, GaussianMixtureRegression):
+                tau[:, part.joint] = part.regression.predict(part.inputs(q, v))[:, 0]
         return tau
 
     @cached_property
-    def _together(
-        self,
-    ) -> tuple[Mixtures | None, NDArray[np.intp], tuple[JointRemainder, ...]]:
-        """Mixtures, the joints they belong to, and parts that are none."""
-        mixtures, joints, inputs, others = [], [], [], []
+    def _law(self) -> Law:
+        """All mixtures as one function of positions and speeds."""
+        tape, torque = Tape(), [0.0] * self.size
+        names = tuple(f"{x}[{j}]" for x in "qv" for j in range(self.size))
+        given = [tape.input(name) for name in names]
         for part in self.parts:
-            regression = part.regression
-            if (
-                isinstance(regression, GaussianMixtureRegression)
-                and regression.fade[1] <= FARTHEST_FADE
-            ):
-                mixtures.append(regression)
-                joints.append(part.joint)
-                inputs.append([*part.positions, *(self.size + j for j in part.speeds)])
-            else:
-                others.append(part)
-        stacked = Mixtures.of(mixtures, inputs, 2 * self.size) if mixtures else None
-        return stacked, np.array(joints, dtype=np.intp), tuple(others)
+            if isinstance(part.regression, GaussianMixtureRegression):
+                seen = [*part.positions, *(self.size + j for j in part.speeds)]
+                (mean,), _ = part.regression.at_instant([given[k] for k in seen])
+                torque[part.joint] = mean
+        return Law(tape, tuple(torque), names)
 
     def predict_distribution(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Mean [N·m] and variance [(N·m)²] of the torque, shapes (N, n).

@@ -8,10 +8,6 @@ import numpy as np
 
 from hybrid.arrays import Array
 
-# Inputs are cut off this many deviations from the training mean, where every component
-# has long faded: squares of larger numbers could overflow, in single precision first.
-FARTHEST = 1e6
-
 
 class Conditional(NamedTuple):
     """The mixture conditioned on standardised inputs z, as matrices to multiply by.
@@ -66,35 +62,3 @@ class Conditional(NamedTuple):
             output_variance=(factor[:, d:, d:] ** 2).sum(2),
             log_weight=np.log(weights) - log_volume,
         )
-
-    def at(self, z: Array) -> tuple[Array, Array, Array]:
-        """Every component's answer at given inputs.
-
-        Args:
-            z: Standardised inputs, samples last so that sums run along contiguous
-                memory, shape (d, N).
-
-        Returns:
-            Squared Mahalanobis distance, shape (K, N); responsibility h_k, shape
-            (K, N); output m_k, shape (K, m, N), [N·m].
-        """
-        w = self.whitening @ z - self.centre[..., None]  # (K, d, N)
-        distance = np.einsum("kdn,kdn->kn", w, w)
-        share = self.log_weight[:, None] - 0.5 * distance
-        share = np.exp(share - share.max(axis=0))
-        share /= share.sum(axis=0)
-        return distance, share, self.output_mean[..., None] + self.gain @ w
-
-
-def soft_minimum(distance: Array) -> Array:
-    """``−2 log Σ_k exp(−d_k²/2)``, the smooth minimum of squared distances.
-
-    Args:
-        distance: Squared Mahalanobis distances, shape (K, N).
-
-    Returns:
-        Between the minimum and the minimum − 2 log K, shape (N,).
-    """
-    nearest: Array = distance.min(axis=0)
-    excess: Array = np.exp(0.5 * (nearest - distance)).sum(axis=0)
-    return nearest - 2.0 * np.log(excess)

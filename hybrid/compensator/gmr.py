@@ -12,27 +12,24 @@ doi:10.1007/s11370-015-0187-9. Away from its data the mixture hands over to a pr
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Self
+from functools import cached_property, reduce
+from operator import mul
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from hybrid.compensator.checks import check_matrix, check_mixture
-from hybrid.compensator.conditional import FARTHEST as FARTHEST
-from hybrid.compensator.conditional import Conditional, soft_minimum
+from hybrid.compensator.conditional import Conditional
 from hybrid.errors import HybridError, ModelFileError
-from hybrid.extras import check_extra
 
-if TYPE_CHECKING:
-    from hybrid.compensator.gmr_module import GmrModule
-
-
-# Size of the largest temporary of one chunk of samples, so that it stays in the cache.
-CHUNK_BYTES = 2**20
+_ROWS = 4096  # samples at a time, so that what is worked on stays in the cache
+# Inputs are cut off this many deviations from the training mean, where every component
+# has long faded: squares of larger numbers could overflow, in single precision first.
+FARTHEST = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,12 +150,7 @@ class GaussianMixtureRegression:
         Raises:
             HybridError: ``x`` has the wrong shape or holds NaN or infinity.
         """
-        x = check_matrix("x", x, self.inputs)
-        mean = np.empty((len(x), self.outputs))
-        for rows in self._chunks(len(x)):
-            distance, share, outputs = self._condition(x[rows])
-            mean[rows] = (self._trust(distance) * self._mix(share, outputs)).T
-        return mean
+        return self.predict_distribution(x)[0]
 
     def predict_distribution(self, x: ArrayLike) -> tuple[Array, Array]:
         """Expected remaining torque and its variance.
@@ -174,20 +166,11 @@ class GaussianMixtureRegression:
             HybridError: ``x`` has the wrong shape or holds NaN or infinity.
         """
         x = check_matrix("x", x, self.inputs)
-        mean = np.empty((len(x), self.outputs))
-        variance = np.empty_like(mean)
-        prior = self.prior_variance[:, None]
-        noise = self.conditional.output_variance[..., None]
-        for rows in self._chunks(len(x)):
-            distance, share, outputs = self._condition(x[rows])
-            trust = self._trust(distance)  # (n,)
-            mixed = self._mix(share, outputs)  # (m, n)
-            spread = np.einsum("kn,kmn->mn", share, noise + (outputs - mixed) ** 2)
-            mean[rows] = (trust * mixed).T
-            # Total variance of: the mixture with probability trust, else N(0, prior).
-            doubt = 1.0 - trust
-            variance[rows] = (trust * (spread + doubt * mixed**2) + doubt * prior).T
-        return mean, variance
+        found = np.empty((2, self.outputs, len(x)))
+        for start in range(0, len(x), _ROWS):
+            rows = slice(start, start + _ROWS)
+            found[:, :, rows] = self.at_instant(list(x[rows].T))
+        return found[0].T, found[1].T
 
     def distance(self, x: ArrayLike) -> Array:
         """Squared Mahalanobis distance to the components' inputs, soft minimum.
@@ -202,10 +185,7 @@ class GaussianMixtureRegression:
             Squared distance, below zero where components overlap, shape (N,).
         """
         x = check_matrix("x", x, self.inputs)
-        distance = np.empty(len(x))
-        for rows in self._chunks(len(x)):
-            distance[rows] = soft_minimum(self._condition(x[rows])[0])
-        return distance
+        return np.asarray(_soft_minimum(self._parts(list(x.T))[0])[0])
 
     def arrays(self) -> dict[str, Array]:
         """Every array by field name, to be saved; ``from_arrays`` is the inverse."""
@@ -228,35 +208,71 @@ class GaussianMixtureRegression:
         except (HybridError, ValueError, TypeError) as error:
             raise ModelFileError(f"mixture is damaged: {error}") from error
 
-    def to_torch(self) -> GmrModule:
-        """The same regression as a float64 torch module (loads torch)."""
-        check_extra("torch", "learn", "A torch module")
-        from hybrid.compensator.gmr_module import GmrModule
+    def at_instant(self, x: Sequence[Any]) -> tuple[list[Any], list[Any]]:
+        """Mean [N·m] and variance [(N·m)²] of each output, in arithmetic alone.
 
-        return GmrModule(self)
+        Args:
+            x: The inputs: numbers, arrays, or symbols of a tape.
+        """
+        c, replies = self.conditional, []
+        distance, outputs = self._parts(x)
+        soft, close = _soft_minimum(distance)
+        start, end = self.fade.tolist()
+        u = np.clip((end - soft) / (end - start), 0.0, 1.0)
+        trust = u * u * (3.0 - 2.0 * u)
+        doubt = 1.0 - trust
+        weight = np.exp(c.log_weight - c.log_weight.max())
+        total = _dot(weight, close)
+        for m, reply in enumerate(outputs):
+            bound, prior = float(self.bound[m]), float(self.prior_variance[m])
+            mean = np.clip(_dot(weight, map(mul, close, reply)) / total, -bound, bound)
+            noise = c.output_variance[:, m].tolist()
+            off = [
+                s + (y - mean) * (y - mean) for s, y in zip(noise, reply, strict=True)
+            ]
+            spread = _dot(weight, map(mul, close, off)) / total
+            # Total variance of: the mixture with probability trust, else N(0, prior).
+            variance = trust * (spread + doubt * mean * mean) + doubt * prior
+            replies.append((trust * mean, variance))
+        means, variances = zip(*replies, strict=True)
+        return list(means), list(variances)
+
+    def _parts(self, x: Sequence[Any]) -> tuple[list[Any], list[list[Any]]]:
+        """Squared distance to each component, and what each replies at each output."""
+        c = self.conditional
+        units = self.input_offset.tolist(), self.input_scale.tolist()
+        z = [
+            (np.clip(value, mean - FARTHEST * size, mean + FARTHEST * size) - mean)
+            / size
+            for value, mean, size in zip(x, *units, strict=True)
+        ]
+        distance, outputs = [], [list[Any]() for _ in self.bound]
+        for k in range(self.components):
+            w = [
+                _dot(row[: i + 1], z[: i + 1]) - float(c.centre[k, i])
+                for i, row in enumerate(c.whitening[k])
+            ]
+            distance.append(sum(r * r for r in w))
+            for m, output in enumerate(outputs):
+                output.append(float(c.output_mean[k, m]) + _dot(c.gain[k, m], w))
+        return distance, outputs
 
     @cached_property
     def conditional(self) -> Conditional:
         """The mixture conditioned on its inputs, computed once."""
         return Conditional.of(self.weights, self.means, self.covariances, self.inputs)
 
-    def _chunks(self, samples: int) -> Iterator[slice]:
-        width = self.components * max(self.inputs, self.outputs)
-        step = max(1, CHUNK_BYTES // (8 * width))
-        for start in range(0, samples, step):
-            yield slice(start, start + step)
 
-    def _condition(self, x: Array) -> tuple[Array, Array, Array]:
-        reach = FARTHEST * self.input_scale
-        x = np.clip(x, self.input_offset - reach, self.input_offset + reach)
-        return self.conditional.at(((x - self.input_offset) / self.input_scale).T)
+def _soft_minimum(distance: Sequence[Any]) -> tuple[Any, list[Any]]:
+    """``−2 log Σ_k exp(−d_k²/2)`` of squared distances, and each term by the largest.
 
-    def _mix(self, share: Array, outputs: Array) -> Array:
-        limit = self.bound[:, None]
-        mixed: Array = np.einsum("kn,kmn->mn", share, outputs)
-        return np.clip(mixed, -limit, limit)
+    It lies between the minimum and the minimum − 2 log K.
+    """
+    nearest = reduce(np.minimum, distance)
+    close = [np.exp(0.5 * (nearest - d)) for d in distance]
+    return nearest - 2.0 * np.log(sum(close)), close
 
-    def _trust(self, distance: Array) -> Array:
-        start, end = self.fade
-        u: Array = np.clip((end - soft_minimum(distance)) / (end - start), 0.0, 1.0)
-        return u * u * (3.0 - 2.0 * u)
+
+def _dot(factors: Array, values: Iterable[Any]) -> Any:
+    """Sum of products of numbers with scalars."""
+    return sum(x * y for x, y in zip(factors.tolist(), values, strict=True))

@@ -79,6 +79,14 @@ class Law:
                 out[part, k] = x
         return out
 
+    def by(self, operations: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
+        """Results from the inputs, as a list, by the operations of another library.
+
+        Args:
+            operations: By the names of ``OPERATIONS``.
+        """
+        return self._function({}, operations)
+
     @cached_property
     def _numbers(self) -> Callable[..., Any]:
         names = {x: getattr(math, _MATH.get(x, x), None) for x in OPERATIONS}

@@ -82,23 +82,6 @@ class Tape:
                         marked[x] = True
         return [line for line, needed in enumerate(marked) if needed]
 
-    def run(self, results: Sequence[Any], inputs: Mapping[str, Any]) -> list[Any]:
-        """Values of some results.
-
-        Args:
-            results: Symbols of this tape, and numbers.
-            inputs: Value of each input, numbers or arrays of one shape.
-        """
-        values: dict[int, Any] = {}
-        for line in self.needed(results):
-            name, arguments = self.lines[line].name, self.lines[line].arguments
-            if name == "input":
-                values[line] = inputs[str(arguments[0])]
-            else:
-                given = [values[x] if isinstance(x, int) else x for x in arguments]
-                values[line] = OPERATIONS[name](*given)
-        return [values[x.line] if isinstance(x, Symbol) else x for x in results]
-
     def _line(self, name: str, arguments: tuple[Any, ...]) -> int:
         key = (name, *((type(x), x) for x in arguments))
         if key not in self._known:

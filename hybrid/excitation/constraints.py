@@ -227,7 +227,7 @@ class TorqueLimits:
         out = np.stack([*by, np.zeros_like(path.q)], axis=1)
         turn = 1.0 / np.cosh(np.clip(path.v[samples, j] / TURNING_SPEED, -50, 50)) ** 2
         speed = np.abs(path.v[samples, j])
-        out[samples, 0, j] += robot.stiffness[j]
+        out[samples, 0, j] += robot.position_slope(path.q)[samples, j]
         out[samples, 1, j] += robot.damping[j] + 2 * robot.quadratic[j] * speed
         out[samples, 1, j] += 3 * robot.cubic[j] * speed**2
         out[samples, 1, j] += robot.frictionloss[j] * turn / TURNING_SPEED

@@ -12,7 +12,6 @@ from typing import Any
 
 from hybrid.dynamics.tape import Operation, Symbol
 from hybrid.errors import HybridError
-from hybrid.exports.c_remainder import function_name, remainder_code
 from hybrid.exports.manifest import UNITS_OF_KIND
 from hybrid.exports.program import Program
 from hybrid.names import c_comment, c_identifier
@@ -172,7 +171,7 @@ def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> st
         version: Version of this package.
 
     Raises:
-        HybridError: The learned remainder has no C, or a number is not finite.
+        HybridError: A number is not finite.
     """
     p, n, size = c_identifier(robot.name), robot.size, len(program.memory)
     marks: dict[str, Any] = {"p": p, "P": p.upper(), "n": n, "size": size}
@@ -189,10 +188,6 @@ def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> st
         memory=memory if size else "",
         forget=_FORGET.format(**marks) if size else "",
     )
-    remainder = ""
-    if _has_remainder(program):
-        assert program.remainder is not None
-        remainder = remainder_code(program.remainder, marks)
     body = _TORQUE.format(
         **marks,
         room=f"    {p}_real keep[{size}];\n" if size else "",
@@ -200,7 +195,7 @@ def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> st
         outputs="\n".join(_outputs(program, marks)),
         kept=_KEPT.format(**marks) if size else "",
     )
-    return head + remainder + body
+    return head + body
 
 
 def _joint(robot: Robot, k: int) -> str:
@@ -228,10 +223,7 @@ def _wrapped(numbers: Sequence[str]) -> str:
 
 def _lines(program: Program, marks: dict[str, Any]) -> Iterator[str]:
     P = str(marks["P"])
-    wanted = program.results if _has_remainder(program) else (
-        *program.torque, *program.memory
-    )  # fmt: skip
-    for line in program.tape.needed(wanted):
+    for line in program.tape.needed(program.results):
         text = _expression(program.tape.lines[line], P)
         yield f"    const {marks['p']}_real x{line} = {text};"
 
@@ -264,27 +256,18 @@ def _expression(operation: Operation, P: str) -> str:
 
 
 def _outputs(program: Program, marks: dict[str, Any]) -> Iterator[str]:
-    p, P, n = marks["p"], str(marks["P"]), len(program.joints)
+    P = str(marks["P"])
 
     def value(x: Any) -> str:
         return f"x{x.line}" if isinstance(x, Symbol) else c_number(float(x), P)
 
     for j, x in enumerate(program.torque):
         yield f"    out[{j}] = {value(x)};"
-    for k, part in enumerate(program.remainder.parts if program.remainder else ()):
-        seen = [*part.positions, *(n + j for j in part.speeds)]
-        inputs = ", ".join(value(program.state[i]) for i in seen)
-        law, j = function_name(part.regression), part.joint
-        yield "    {"
-        yield f"        const {p}_real x[{len(seen)}] = {{{inputs}}};"
-        yield f"        out[{j}] += {p}_{law}(&{p}_part_{k}, x, &spread[{j}]);"
-        yield "    }"
+    for j, x in enumerate(program.variance):
+        if isinstance(x, Symbol):
+            yield f"    spread[{j}] = {value(x)};"
     for i, x in enumerate(program.memory):
         yield f"    keep[{i}] = {value(x)};"
-
-
-def _has_remainder(program: Program) -> bool:
-    return program.remainder is not None and bool(program.remainder.parts)
 
 
 def c_number(x: float, P: str, *, finite: bool = True) -> str:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from hybrid.dynamics.tape import Symbol
+from hybrid.dynamics import Law
 from hybrid.errors import HybridError
-from hybrid.exports.onnx_remainder import regression_nodes
 from hybrid.exports.program import Program
 
 _OPSET, _FORMAT = 18, 9  # operators and file format, of 2023: old runtimes read them
@@ -52,11 +52,6 @@ class Graph:
             name = f"c{len(self.constants)}"
             self.constants[key] = numpy_helper.from_array(array, name)
         return str(self.constants[key].name)
-
-    def sum(self, x: str, axis: int, keepdims: int = 1) -> str:
-        """Sum over an axis."""
-        axes = self.constant([axis], np.int64)
-        return self.node("ReduceSum", x, axes, keepdims=keepdims)
 
     def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int]) -> Any:
         """The whole graph; ``inputs`` and ``outputs`` are names with their columns."""
@@ -100,23 +95,10 @@ def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
     inputs = {"q": n, "v": n, "a": n}
     inputs |= {x: 1 for x in ("t", "step", "known") if x in program.uses}
     inputs |= {"memory": s} if s else {}
-    names = _operations(graph, program)
-
-    def columns(values: Sequence[Any]) -> list[str]:
-        return [_column(graph, names, x) for x in values]
-
-    torque, state = columns(program.torque), columns(program.state)
-    variance = [_column(graph, names, np.nan)] * n
-    if program.remainder is not None:
-        for part in program.remainder.parts:
-            seen = [*part.positions, *(n + j for j in part.speeds)]
-            x = graph.node("Concat", *(state[i] for i in seen), axis=1)
-            mean, spread = regression_nodes(graph, part.regression, x)
-            torque[part.joint] = graph.node("Add", torque[part.joint], mean)
-            variance[part.joint] = spread
-    outputs = {"tau": (torque, n), "variance": (variance, n)}
+    columns = _results(graph, program)
+    outputs = {"tau": (columns[:n], n), "variance": (columns[n : 2 * n], n)}
     if s:
-        outputs["memory_out"] = (columns(program.memory), s)
+        outputs["memory_out"] = (columns[2 * n :], s)
     for name, (parts, _) in outputs.items():
         graph.node("Concat", *parts, axis=1)
         graph.nodes[-1].output[0] = name
@@ -127,37 +109,36 @@ def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
     return model
 
 
-def _operations(graph: Graph, program: Program) -> dict[int, str]:
-    """A node for each line of the tape, shape (N, 1); their names."""
-    names: dict[int, str] = {}
-    for line in program.tape.needed(program.results):
-        operation = program.tape.lines[line]
-        if operation.name == "input":
-            whole, _, index = str(operation.arguments[0]).partition("[")
-            names[line] = whole
-            if index:
-                at = graph.constant([int(index.rstrip("]"))], np.int64)
-                names[line] = graph.node("Gather", whole, at, axis=1)
-            continue
-        given = [
-            names[x] if isinstance(x, int) else graph.constant([float(x)])
-            for x in operation.arguments
-        ]
-        if operation.name == "where":
-            given[0] = graph.node("Greater", given[0], graph.constant([0.5]))
-        result = graph.node(_NAMES[operation.name], *given)
-        if operation.name in ("less", "less_equal", "greater", "greater_equal"):
+def _results(graph: Graph, program: Program) -> list[str]:
+    """A node for each line of the tape, shape (N, 1); names of the results."""
+
+    def put(operator: str, name: str, *given: str | float) -> str:
+        x = [y if isinstance(y, str) else graph.constant([y]) for y in given]
+        if name == "where":
+            x[0] = graph.node("Greater", x[0], graph.constant([0.5]))
+        result = graph.node(operator, *x)
+        if operator.startswith(("Less", "Greater")):
             from onnx import TensorProto
 
             result = graph.node("Cast", result, to=TensorProto.DOUBLE)
-        names[line] = result
-    return names
+        return result
+
+    def gathered(name: str) -> str:
+        whole, _, index = name.partition("[")
+        if not index or name not in program.uses:
+            return whole
+        at = graph.constant([int(index.rstrip("]"))], np.int64)
+        return graph.node("Gather", whole, at, axis=1)
+
+    law = Law(program.tape, program.results, program.inputs)
+    found = law.by({name: partial(put, x, name) for name, x in _NAMES.items()})
+    return [_column(graph, x) for x in found(*map(gathered, program.inputs))]
 
 
-def _column(graph: Graph, names: Mapping[int, str], x: Any) -> str:
+def _column(graph: Graph, x: str | float) -> str:
     """A result as a column, shape (N, 1), also if it is a plain number."""
-    if isinstance(x, Symbol):
-        return names[x.line]
+    if isinstance(x, str):
+        return x
     first = graph.node("Gather", "q", graph.constant([0], np.int64), axis=1)
     zero = graph.node("Mul", first, graph.constant([0.0]))
-    return graph.node("Add", zero, graph.constant([float(x)]))
+    return graph.node("Add", zero, graph.constant([x]))

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.compensator.arm_remainder import ArmRemainder
+from hybrid.dynamics.law import Law
 from hybrid.dynamics.newton_euler import newton_euler
 from hybrid.dynamics.tape import Tape
 from hybrid.effects import Effect, JointState
 from hybrid.errors import EffectError, HybridError
 from hybrid.model.dynamic_model import DynamicModel
-
-_ROWS = 2048  # samples at a time, so that what is on the tape stays in the cache
 
 
 @dataclass(frozen=True)
@@ -30,27 +29,26 @@ class Program:
     Attributes:
         joints: Joint names.
         tape: The operations.
-        torque: Rigid body and effects, length n, [N·m].
-        state: Positions, then speeds, as the learned remainder gets them, length 2n.
+        torque: Torque of the drives, length n, [N·m].
+        variance: Variance of its learned part, length n, [(N·m)²]; NaN where nothing
+            was learned.
         memory: What to remember, length s.
         memory_names: What each is.
-        remainder: The learned part, whose torque comes on top; None without one.
         left_out: Effects that are not in it, and why.
     """
 
     joints: tuple[str, ...]
     tape: Tape
     torque: tuple[Any, ...]
-    state: tuple[Any, ...]
+    variance: tuple[Any, ...]
     memory: tuple[Any, ...]
     memory_names: tuple[str, ...]
-    remainder: ArmRemainder | None
     left_out: tuple[str, ...]
 
     @property
     def results(self) -> tuple[Any, ...]:
         """Everything that the tape works out."""
-        return (*self.torque, *self.state, *self.memory)
+        return (*self.torque, *self.variance, *self.memory)
 
     @property
     def uses(self) -> frozenset[str]:
@@ -80,28 +78,19 @@ class Program:
         """
         past = np.zeros((len(q), len(self.memory))) if memory is None else memory
         known = 0.0 if memory is None else 1.0
-        torque, remembered = np.empty(q.shape), np.empty(past.shape)
-        for start in range(0, len(q), _ROWS):
-            part = slice(start, start + _ROWS)
-            given = {"q": q[part], "v": v[part], "a": a[part], "memory": past[part]}
-            torque[part], remembered[part] = self._run(given, t, step, known)
-        return torque, remembered
+        found = self._law.along((q, v, a, past), (t, step, known))
+        return found[:, : len(self.joints)], found[:, len(self.joints) :]
 
-    def _run(
-        self, given: Mapping[str, Array], t: float, step: float, known: float
-    ) -> tuple[Array, Array]:
-        inputs: dict[str, Any] = {"t": t, "step": step, "known": known}
-        for name, x in given.items():
-            inputs |= {f"{name}[{j}]": column.copy() for j, column in enumerate(x.T)}
-        values = self.tape.run(self.results, inputs)
-        out = [np.broadcast_to(x, len(given["q"])) for x in values]
-        n = len(self.joints)
-        torque = np.stack(out[:n], axis=1)
-        if self.remainder is not None:
-            state = np.stack(out[n : 3 * n], axis=1)
-            torque += self.remainder.predict(state[:, :n], state[:, n:])
-        remembered = out[3 * n :]
-        return torque, np.stack(remembered, 1) if remembered else given["memory"]
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of all inputs, in the order of q, v, a, memory, t, step and known."""
+        names = [f"{x}[{j}]" for x in "qva" for j in range(len(self.joints))]
+        names += [f"memory[{i}]" for i in range(len(self.memory))]
+        return (*names, "t", "step", "known")
+
+    @cached_property
+    def _law(self) -> Law:
+        return Law(self.tape, (*self.torque, *self.memory), self.inputs)
 
 
 def program_from_model(model: DynamicModel) -> Program:
@@ -154,14 +143,18 @@ def program_from_model(model: DynamicModel) -> Program:
             memory.keep(effect, now)
             for j, x in zip(effect.joints, values, strict=True):
                 torque[j] = x
+    variance = [np.nan] * n
+    for part in model.remainder.parts if model.remainder else ():
+        seen = [*(q[j] for j in part.positions), *(v[j] for j in part.speeds)]
+        (mean,), (variance[part.joint],) = part.regression.at_instant(seen)
+        torque[part.joint] = torque[part.joint] + mean
     return Program(
         joints=robot.joints,
         tape=tape,
         torque=tuple(torque),
-        state=(*q, *v),
+        variance=tuple(variance),
         memory=tuple(memory.now),
         memory_names=tuple(memory.names),
-        remainder=model.remainder,
         left_out=tuple(_why_not(robot.joints, e) for e in out),
     )
 

@@ -19,8 +19,17 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from hybrid.dynamics.tape import Symbol
+from hybrid.dynamics import Law
 from hybrid.exports.program import Program
+
+
+def _of_tensors(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """A function that takes numbers, too."""
+    return lambda *given: function(
+        *(torch.as_tensor(x, dtype=None if isinstance(x, Tensor) else torch.float64)
+          for x in given)
+    )  # fmt: skip
+
 
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": operator.add, "subtract": operator.sub, "multiply": operator.mul,
@@ -29,9 +38,9 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "greater": operator.gt, "greater_equal": operator.ge,
     "absolute": torch.abs, "sign": torch.sign, "sqrt": torch.sqrt, "exp": torch.exp,
     "log": torch.log, "sin": torch.sin, "cos": torch.cos, "tanh": torch.tanh,
-    "minimum": torch.minimum, "maximum": torch.maximum, "where": torch.where,
+    "minimum": _of_tensors(torch.minimum), "maximum": _of_tensors(torch.maximum),
+    "where": _of_tensors(torch.where),
 }  # fmt: skip
-_OF_TENSORS = ("minimum", "maximum", "where")  # a number has to be made one
 _BATCH = 3  # rows of the example; any number goes
 
 
@@ -48,51 +57,27 @@ class ProgramModule(torch.nn.Module):
         self.program = program
         self.names: list[str] = [x for x in ("t", "step", "known") if x in program.uses]
         self.names += ["memory"] if program.memory else []
-        parts = program.remainder.parts if program.remainder else ()
-        modules = [part.regression.to_torch() for part in parts]
-        self.learned = torch.nn.ModuleList(modules)
+        self.law = Law(program.tape, program.results, program.inputs).by(_OPERATIONS)
 
     def forward(self, q: Tensor, v: Tensor, a: Tensor, *others: Tensor) -> Any:
         """Torque [N·m], variance [(N·m)²] of its learned part, and memory."""
         program, n = self.program, len(self.program.joints)
         given = {"q": q, "v": v, "a": a}
         given |= dict(zip(self.names, others, strict=True))
-        values = self._run(given)
+        values = self.law(*(_column(given, name) for name in self.program.inputs))
         zero = torch.zeros_like(q[:, :1])
         columns = [zero + x for x in values]
-        torque, state = columns[:n], columns[n : 3 * n]
-        variance = [zero + torch.nan] * n
-        parts = program.remainder.parts if program.remainder else ()
-        for part, module in zip(parts, self.learned, strict=True):
-            seen = [*part.positions, *(n + j for j in part.speeds)]
-            x = torch.cat([state[i] for i in seen], dim=1)
-            mean, spread = module(x)
-            torque[part.joint] = torque[part.joint] + mean
-            variance[part.joint] = spread
-        found = (torch.cat(torque, dim=1), torch.cat(variance, dim=1))
+        found = torch.cat(columns[:n], dim=1), torch.cat(columns[n : 2 * n], dim=1)
         if not program.memory:
             return found
-        return (*found, torch.cat(columns[3 * n :], dim=1))
+        return (*found, torch.cat(columns[2 * n :], dim=1))
 
-    def _run(self, given: Mapping[str, Tensor]) -> list[Any]:
-        """Results of the tape, shape (N, 1) each, or plain numbers."""
-        tape, results = self.program.tape, self.program.results
-        values: dict[int, Any] = {}
-        for line in tape.needed(results):
-            name, arguments = tape.lines[line].name, tape.lines[line].arguments
-            if name == "input":
-                whole, _, index = str(arguments[0]).partition("[")
-                j = int(index.rstrip("]")) if index else 0
-                values[line] = given[whole][:, j : j + 1]
-                continue
-            taken = [values[x] if isinstance(x, int) else x for x in arguments]
-            if name in _OF_TENSORS:
-                taken = [
-                    x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64)
-                    for x in taken
-                ]
-            values[line] = _OPERATIONS[name](*taken)
-        return [values[x.line] if isinstance(x, Symbol) else float(x) for x in results]
+
+def _column(given: Mapping[str, Tensor], name: str) -> Tensor | None:
+    """An input of the tape, shape (N, 1); None if it does not matter."""
+    whole, _, index = name.partition("[")
+    j = int(index.rstrip("]")) if index else 0
+    return given[whole][:, j : j + 1] if whole in given else None
 
 
 def write_torchscript(

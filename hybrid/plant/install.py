@@ -14,7 +14,8 @@ from hybrid.errors import HybridError
 from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
 from hybrid.plant.laws import Laws, part
 from hybrid.plant.native import split_effects, springs
-from hybrid.robot.mjcf import knee_slope
+from hybrid.robot.actuators import cogging
+from hybrid.robot.mjcf import knee_slope, single_tendons
 from hybrid.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 
 _OWN = (
     "dof_damping", "dof_dampingpoly", "dof_frictionloss", "jnt_stiffness",
-    "qpos_spring", "dof_solref", "dof_solimp",
+    "qpos_spring", "dof_solref", "dof_solimp", "tendon_frictionloss",
+    "actuator_biasprm",
 )  # fmt: skip
 
 
@@ -67,7 +69,7 @@ class Installed:
         self._resisting = [e for e in rest if overrides(e, "resist")]
         self._resisted = [np.zeros((1, len(e.joints))) for e in self._resisting]
         self._declared = model.dof_frictionloss.copy()
-        self._time = -np.inf
+        self._time, self._added, self._armature = -np.inf, 0.0, 0.0
         hooked = [e for e in rest if has_hook(e) and e not in self._resisting]
         # What a simulator's actuator has is in the file.
         self.left_out = tuple(e.id for e in hooked if not e.actuator)
@@ -84,6 +86,10 @@ class Installed:
         model.dof_frictionloss[dof] = values["frictionloss"]
         rising = [d for d in dof if np.isfinite(knee_slope(model)[d])]
         model.dof_solref[rising], model.dof_solimp[rising, :2] = _dry(model)
+        beside = [t for t, at, _ in single_tendons(model) if at in dof]
+        model.tendon_frictionloss[beside] = 0.0
+        motors = [a for a, joint, _ in cogging(model) if joint in joints]
+        model.actuator_biasprm[motors, 0] = 0.0
 
     def remove(self) -> None:
         """Leave the simulation as it was."""
@@ -118,6 +124,7 @@ class Installed:
         if self._remainder is not None:
             torque = torque + self._remainder.predict(q, v)
         data.qfrc_passive[dof] -= torque[0]
+        self._added = torque[0]
         level = self._declared[dof] + (sign * self._laws.dry)[0]
         model.dof_frictionloss[dof] = np.maximum(level, 0.0)
         self._armature = model.dof_armature[dof]
@@ -126,9 +133,8 @@ class Installed:
         """Torque transmitted to the links in the last step."""
         dof = self._dof
         driven = data.qfrc_actuator[dof] + data.qfrc_applied[dof]
-        kept = data.qfrc_passive[dof] + data.qfrc_constraint[dof]
-        armature = getattr(self, "_armature", 0.0)
-        return np.asarray((driven + kept)[None] - armature * a)
+        kept = data.qfrc_passive[dof] + data.qfrc_constraint[dof] - self._added
+        return np.asarray((driven + kept)[None] - self._armature * a)
 
 
 def _dry(model: Any) -> tuple[tuple[float, float], float]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.robot.actuators import cogging
 from hybrid.robot.compiled import compiled
 from hybrid.robot.mjcf import joint_names, start
 from hybrid.signals import Motion
@@ -39,6 +40,7 @@ def file_inverse_dynamics(
     model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
     data, names = mujoco.MjData(model), joint_names(model)
     index = [names.index(name) for name in joints]
+    motors = list(cogging(model))
     places, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]
     data.qpos[:] = start(model, held)
     torque = np.empty_like(motion.q)
@@ -49,5 +51,8 @@ def file_inverse_dynamics(
         dry = data.qfrc_constraint[dofs].copy()
         data.qacc[dofs] = motion.a[k]
         mujoco.mj_inverse(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        for a, joint, gear in motors:
+            data.qfrc_inverse[model.jnt_dofadr[joint]] -= gear * data.actuator_force[a]
         torque[k] = (data.qfrc_inverse + data.qfrc_constraint)[dofs] - dry
     return torque

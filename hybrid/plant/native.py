@@ -13,6 +13,7 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.spring import Spring
 from hybrid.effects.threshold_friction import ThresholdFriction
+from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.robot import Robot
 
@@ -90,6 +91,14 @@ def knees(robot: Robot) -> list[Effect]:
     return [
         knee(int(j), float(robot.knee[j]), float(robot.knee_speed[j]))
         for j in np.flatnonzero(robot.knee)
+    ]
+
+
+def ripples(robot: Robot) -> list[Effect]:
+    """Torque of a robot file that repeats with position."""
+    return [
+        TorqueRipple((int(j),), {"sine": sine, "cosine": cosine, "periods": k})
+        for j, sine, cosine, k in robot.ripple.tolist()
     ]
 
 

@@ -13,6 +13,13 @@ from typing import Any
 import numpy as np
 
 from hybrid.errors import HybridWarning, RobotError
+from hybrid.robot.actuators import (
+    drives_of,
+    ripples,
+    servo_gains,
+    torque_limit,
+    with_drives,
+)
 from hybrid.robot.chain import Chain
 from hybrid.robot.selection import Tree, serial_joints
 from hybrid.robot.spatial import (
@@ -59,7 +66,7 @@ def fields_of_mujoco(
     low, high = model.jnt_range[index].T
     limited = model.jnt_limited[index].astype(bool)
     drives = list(drives_of(model))
-    kp, kd = _servo_gains(model, drives)
+    kp, kd = servo_gains(model, drives)
     return {
         "chain": _chain(model, index, names, held, wanting, drives),
         "held": dict(held),
@@ -67,11 +74,12 @@ def fields_of_mujoco(
         "q_max": np.where(limited, high, np.inf),
         "v_max": _numeric(model, "velocity_limit", index, where),
         "a_max": _numeric(model, "acceleration_limit", index, where),
-        "tau_max": _torque_limit(model, drives)[index],
+        "tau_max": torque_limit(model, drives)[index],
         "kp": kp[index],
         "kd": kd[index],
         "timestep": float(model.opt.timestep),
         **_passive(model, index, drives),
+        "ripple": ripples(model, index),
     }
 
 
@@ -91,18 +99,21 @@ def start(model: Any, held: Mapping[str, float]) -> np.ndarray:
 def _passive(model: Any, index: list[int], drives: list[Any]) -> dict[str, Any]:
     """Friction and springs of the joints."""
     dofs = model.jnt_dofadr[index]
-    damping = _with_drives(model, "damping", drives)
+    damping = with_drives(model, "damping", drives)
     damper, spring, dry = (
         _on(model, name) for name in ("DAMPER", "SPRING", "FRICTIONLOSS")
     )
     quadratic, cubic = damper * model.dof_dampingpoly[dofs].T
     level, slope = dry * model.dof_frictionloss[dofs], knee_slope(model)[dofs]
     soft = (level > 0) & np.isfinite(slope)
+    beside = np.zeros(model.nv)
+    for t, dof, pull in single_tendons(model):
+        beside[dof] += dry * pull * model.tendon_frictionloss[t]
     return {
         "damping": damper * damping[dofs],
         "quadratic": quadratic,
         "cubic": cubic,
-        "frictionloss": np.where(soft, 0.0, level),
+        "frictionloss": np.where(soft, 0.0, level) + beside[dofs],
         "knee": np.where(soft, level, 0.0),
         "knee_speed": np.where(soft, level / slope, 0.0),
         "stiffness": spring * model.jnt_stiffness[index],
@@ -122,13 +133,15 @@ def knee_slope(model: Any) -> np.ndarray:
     return np.where(said, -damping / np.where(said, loose, 1.0), np.inf)
 
 
-def _with_drives(model: Any, name: str, drives: list[Any]) -> np.ndarray:
-    """Armature or damping of each dof, with that of actuators behind their gears."""
-    values = getattr(model, f"dof_{name}").copy()
-    for a, joint, gear in drives:
-        own = getattr(model, f"actuator_{name}")[a]
-        values[model.jnt_dofadr[joint]] += gear**2 * own
-    return np.asarray(values)
+def single_tendons(model: Any) -> Iterator[tuple[int, int, float]]:
+    """Number, dof and torque per force of each tendon that is on one joint only."""
+    import mujoco
+
+    for t in np.flatnonzero(model.tendon_num == 1).tolist():
+        at = int(model.tendon_adr[t])
+        if model.wrap_type[at] == mujoco.mjtWrap.mjWRAP_JOINT:
+            dof = int(model.jnt_dofadr[model.wrap_objid[at]])
+            yield t, dof, abs(float(model.wrap_prm[at]))
 
 
 def _on(model: Any, flag: str) -> float:
@@ -201,7 +214,7 @@ def _chain(
         revolute=model.jnt_type[index] == _HINGE,
         inertial=inertial,
         gravity=_gravity(model, index, moved),
-        armature=_with_drives(model, "armature", drives)[model.jnt_dofadr[index]],
+        armature=with_drives(model, "armature", drives)[model.jnt_dofadr[index]],
     )
 
 
@@ -269,65 +282,3 @@ def _numeric(model: Any, name: str, index: list[int], where: str) -> np.ndarray:
             f"of the {model.njnt} joints is needed"
         )
     return np.array(values)[index]
-
-
-def drives_of(model: Any) -> Iterator[tuple[int, int, float]]:
-    """Number, joint and gear of each actuator that works on a joint."""
-    import mujoco
-
-    at = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
-    for a in range(model.nu):
-        joint = int(model.actuator_trnid[a, 0])
-        if int(model.actuator_trntype[a]) in at and model.jnt_type[joint] > _BALL:
-            yield a, joint, float(model.actuator_gear[a, 0])
-
-
-def _torque_limit(model: Any, drives: list[Any]) -> np.ndarray:
-    """The tightest of joint, actuator and control ranges, at each joint."""
-    import mujoco
-
-    limit = np.full(model.njnt, np.inf)
-    for j in np.flatnonzero(model.jnt_actfrclimited):
-        limit[j] = np.abs(model.jnt_actfrcrange[j]).max()
-    for a, joint, gear in drives:
-        plain = (
-            model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
-            and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
-        )
-        if plain and model.actuator_ctrllimited[a]:  # a motor: force is gain times ctrl
-            force = np.abs(model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a])
-            limit[joint] = min(limit[joint], abs(gear) * force.max())
-        if model.actuator_forcelimited[a]:
-            force = np.abs(model.actuator_forcerange[a]).max()
-            limit[joint] = min(limit[joint], abs(gear) * force)
-    limit[limit <= 0] = np.inf
-    return limit
-
-
-def _servo_gains(model: Any, drives: list[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness and damping of position servos at the joint; NaN without one.
-
-    A servo pulls back by as much as its control pulls: ``position`` by position,
-    ``velocity`` by speed. Both at one joint, as PD control is often put, add up.
-    """
-    import mujoco
-
-    kp, kd = np.zeros((2, model.njnt))
-    for a, joint, gear in drives:
-        gain, (constant, stiffness, damping) = (
-            model.actuator_gainprm[a, 0],
-            model.actuator_biasprm[a, :3],
-        )
-        servo = (
-            model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
-            and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
-            and gain > 0
-            and constant == 0
-        )
-        position = servo and np.isclose(gain, -stiffness)
-        velocity = servo and stiffness == 0 and np.isclose(gain, -damping)
-        if position or velocity:
-            kp[joint] -= gear**2 * stiffness
-            kd[joint] -= gear**2 * damping
-    there = kp > 0
-    return np.where(there, kp, np.nan), np.where(there, kd, np.nan)

@@ -34,7 +34,8 @@ class Robot:
 
     Its drives need the torque of the links, and at each joint that of rotor, friction
     and spring: armature·a + damping·v + quadratic·v|v| + cubic·v³ +
-    stiffness·(q − springref) + frictionloss·sgn v + knee·clip(v / knee_speed).
+    stiffness·(q − springref) + frictionloss·sgn v + knee·clip(v / knee_speed), and
+    ripples sine·sin(k q) + cosine·cos(k q).
 
     Attributes:
         name: Name in the file.
@@ -57,6 +58,8 @@ class Robot:
         springref: Position at which they are relaxed, shape (n,), [rad or m].
         knee: Declared level of friction that rises to it from rest, shape (n,), [N·m].
         knee_speed: Speed at which it is there, shape (n,), [rad/s].
+        ripple: Declared ripples, shape (R, 4): joint, sine [N·m], cosine [N·m] and k,
+            [1/rad].
         held: Positions at which joints off the arm are held, [rad or m], where those
             are not the file's.
     """
@@ -80,6 +83,7 @@ class Robot:
     springref: Array = field(default_factory=lambda: np.zeros(0))
     knee: Array = field(default_factory=lambda: np.zeros(0))
     knee_speed: Array = field(default_factory=lambda: np.zeros(0))
+    ripple: Array = field(default_factory=lambda: np.zeros((0, 4)))
     held: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -165,7 +169,7 @@ class Robot:
         )
 
     def joint_torque(self, q: Array, v: Array, a: Array) -> Array:
-        """Torque of rotors, springs and friction, but for dry friction.
+        """Torque of rotors, springs, ripple and friction, but for dry friction.
 
         Args:
             q: Position, shape (N, n), [rad].
@@ -180,7 +184,19 @@ class Robot:
         bend = np.where(self.knee > 0, self.knee_speed, 1.0)
         friction = friction + self.knee * np.clip(v / bend, -1.0, 1.0)
         spring = self.stiffness * (q - self.springref)
-        return np.asarray(self.chain.armature * a + friction + spring)
+        torque = np.asarray(self.chain.armature * a + friction + spring)
+        for joint, sine, cosine, k in self.ripple:
+            angle = k * q[:, int(joint)]
+            torque[:, int(joint)] += sine * np.sin(angle) + cosine * np.cos(angle)
+        return torque
+
+    def position_slope(self, q: Array) -> Array:
+        """Derivative of :meth:`joint_torque` by position, shape (N, n), [N·m/rad]."""
+        slope = np.tile(self.stiffness, (len(q), 1))
+        for joint, sine, cosine, k in self.ripple:
+            angle = k * q[:, int(joint)]
+            slope[:, int(joint)] += k * (sine * np.cos(angle) - cosine * np.sin(angle))
+        return slope
 
     def with_inertial(self, inertial: Array) -> Robot:
         """This arm with other link parameters, shape (n, 10)."""
@@ -211,7 +227,8 @@ class Robot:
         names = (*_VECTORS, *_SERVO)
         content |= {name: _plain(getattr(self, name)) for name in names}
         step = None if np.isnan(self.timestep) else self.timestep
-        return content | {"timestep": step, "held": dict(self.held)}
+        ripple = self.ripple.tolist()
+        return content | {"timestep": step, "held": dict(self.held), "ripple": ripple}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Robot:
@@ -239,6 +256,7 @@ class Robot:
                 chain=Chain(joints=joints, revolute=np.array(turning), **arrays),
                 **own,
                 timestep=float(step[0]),
+                ripple=_numbers("ripple", content.get("ripple", [])).reshape(-1, 4),
                 held=held,
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -16,7 +16,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.mjcf import joint_names, start
+from hybrid.robot.mjcf import joint_names, single_tendons, start
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
@@ -51,6 +51,7 @@ def check_modelled(robot: Robot, model: Any) -> None:
     off = mujoco.mjtDisableBit
     model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
     model.dof_frictionloss[:] = 0.0
+    model.tendon_frictionloss[[t for t, _, _ in single_tendons(model)]] = 0.0
     names, home = joint_names(model), start(model, robot.held)
     index = [names.index(name) for name in robot.joints]
     states = np.random.default_rng(0).uniform(-1.0, 1.0, (3, _STATES, robot.size))
@@ -79,7 +80,7 @@ def _ours(robot: Robot, states: Array) -> Array:
     body = [pin.rnea(model, data, *state) for state in states.transpose(1, 0, 2)]
     # pinocchio's model has the rotors already.
     q, v, a = states
-    frictionless = replace(robot, knee=np.zeros(robot.size))
+    frictionless = replace(robot, knee=np.zeros(robot.size), ripple=np.zeros((0, 4)))
     return np.array(body) + frictionless.joint_torque(q, v, np.zeros_like(a))
 
 

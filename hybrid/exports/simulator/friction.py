@@ -4,8 +4,8 @@ Friction is fitted as frictionloss·sgn v + damping·v + quadratic·v|v| + cubic
 two levels of dry friction where a joint may have a preload, over the samples of
 motions, each of which weighs the same. It is a sum of parts that each take energy at
 every speed, none below zero: v(1 − |v|/w)² for some w is what makes the sum bend
-downwards. Where a joint may have it, dry friction may rise to its level as
-knee·clip(v/w), for the w that leaves least.
+downwards. Where a joint may have it, knee·clip(v/w) is added, for the w that leaves
+least.
 """
 
 from __future__ import annotations
@@ -91,14 +91,15 @@ def _least(
     fastest = float(np.abs(v).max())
     smooth = list(_smooth(fastest, fields))
     speeds = fastest * _KNEES if "knee" in fields and fastest > 0 else np.zeros(0)
-    dry = [list(_dry(w, fields)) for w in (0.0, *[known] * (known > 0), *speeds)]
-    parts = [*smooth, *(part for own in dry for part in own)]
+    smooth += _dry(0.0, fields)
+    rising = [list(_dry(w, fields)) for w in (*[known] * (known > 0), *speeds)]
+    parts = [*smooth, *(part for own in rising for part in own)]
     A = np.stack([curve(x, v) for x in parts], axis=1)  # (N, parts)
     size = np.linalg.norm(A, axis=0)
     size[size == 0.0] = 1.0
     R = np.linalg.qr(np.c_[A / size, torque], mode="reduced").R
     found, at = [], len(smooth)
-    for own in dry:
+    for own in rising or [[]]:
         columns = [*range(len(smooth)), *range(at, at + len(own))]
         share, left = nnls(R[:, columns], R[:, -1])
         found.append((left, columns, share / size[columns]))

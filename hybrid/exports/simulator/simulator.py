@@ -19,6 +19,7 @@ from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.instant import FIELDS
+from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.errors import HybridError, RobotError
 from hybrid.exports.simulator.friction import StandIn, is_friction, stand_in
 from hybrid.exports.simulator.typical import typical_motion
@@ -28,8 +29,7 @@ from hybrid.names import xml_comment
 from hybrid.plant.arm import overrides
 from hybrid.plant.native import effects_of_fields, knee, knees, split_effects, springs
 from hybrid.robot import Robot
-from hybrid.robot.edit.actuator import Actuator
-from hybrid.robot.edit.change import Edit
+from hybrid.robot.edit.change import Actuator, Edit
 from hybrid.robot.edit.mjcf import edit_mjcf, move_assets
 from hybrid.robot.edit.source import read, source
 from hybrid.robot.edit.urdf import edit_urdf, move_meshes
@@ -181,12 +181,17 @@ def _sorted(
     values, left = split_effects(acting, _JOINT[kind], n)
     chain = replace(robot.chain, inertial=inertial, gravity=gravity)
     rubbing = [effect for effect in left if is_friction(effect)]
-    robot, own = _with_knees(robot, values, rubbing, "knee" in _CURVE[kind])
+    robot, own = _with_knees(robot, rubbing, "knee" in _CURVE[kind])
     rubbing += own
     fitted = _stand_ins(replace(robot, chain=chain), rubbing, values, kind, motions)
     rest = [effect for effect in left if not is_friction(effect)]
     drives = dict[int, Actuator]()
     structure = []
+    waves = [e for e in rest if isinstance(e, TorqueRipple) and kind == "mjcf"]
+    rest = [e for e in rest if e not in waves]
+    ripple = np.array(
+        [(e.joints[0], *e.gain_values, e.values["periods"]) for e in waves]
+    ).reshape(-1, 4)
     if kind == "mjcf":
         for effect in [e for e in rest if e.actuator]:
             (j,) = effect.joints
@@ -195,21 +200,17 @@ def _sorted(
         shaped = [e for e in rest if overrides(e, "edit_spec") and not e.fields]
         structure = [e.edit_spec for e in shaped]
         rest = [e for e in rest if e not in shaped]
-    new = _with_fields(replace(robot, chain=chain), values, fitted)
-    missing = list(_missing(rubbing, values, fitted, n))
+    new = _with_fields(replace(robot, chain=chain, ripple=ripple), values, fitted)
+    missing = [*_missing(rubbing, values, fitted, n), *_faded(waves)]
     change = Edit(new, drives, structure)
     return _Sorted(change, fitted, (*rest, *missing), tuple(rest))
 
 
 def _with_knees(
-    robot: Robot, values: dict[str, Array], rubbing: Sequence[Effect], has: bool
+    robot: Robot, rubbing: Sequence[Effect], has: bool
 ) -> tuple[Robot, list[Effect]]:
-    """The arm with the knees that stay as they are, and the others as effects.
-
-    A joint has dry friction that rises to its level or not: not both.
-    """
+    """The arm with the knees that stay as they are, and the others as effects."""
     more = {j for effect in rubbing for j in effect.joints}
-    more |= {int(j) for j in np.flatnonzero(values["frictionloss"])}
     fitted = [e for e in knees(robot) if not has or e.joints[0] in more]
     level = robot.knee.copy()
     level[[e.joints[0] for e in fitted]] = 0.0
@@ -278,6 +279,15 @@ def _missing(
             yield knee(each.joint, -level, each.values["knee_speed"])
 
 
+def _faded(waves: Sequence[TorqueRipple]) -> Iterator[Effect]:
+    """Ripples that fade at high speed, less those of a file, which do not."""
+    for wave in waves:
+        endless = TorqueRipple(wave.joints, {"periods": wave.values["periods"]})
+        if wave.values["fastest"] < endless.values["fastest"]:
+            yield wave
+            yield endless.at({g.name: -wave.values[g.name] for g in wave.gains})
+
+
 def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
     """Hold the file that was written against what it should say.
 
@@ -285,13 +295,15 @@ def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
         RobotError: They differ.
     """
     names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"} & {*fields}
+    names |= {"ripple"} if "preload" in fields else set()
     names |= {"knee", "knee_speed"} if wanted.knee.any() else set()
     pairs = {x: (getattr(found, x), getattr(wanted, x)) for x in names}
     chains = ["armature", "inertial", *(["gravity"] if "preload" in fields else [])]
     for x in chains:
         pairs[x] = getattr(found.chain, x), getattr(wanted.chain, x)
     for name, (x, y) in pairs.items():
-        if np.abs(x - y).max() > _SAME * max(np.abs(y).max(), 1e-3):
+        most = max(np.abs(y).max(initial=0.0), 1e-3)
+        if x.shape != y.shape or np.abs(x - y).max(initial=0.0) > _SAME * most:
             raise RobotError(
                 f"{wanted.path}: {name} comes out as {x.tolist()} instead of "
                 f"{y.tolist()}; something else in the file sets it"

@@ -17,7 +17,7 @@ from hybrid.arrays import Array
 from hybrid.exports.simulator.model import model_simulator
 from hybrid.exports.simulator.ranges import Ranges
 from hybrid.model.dynamic_model import DynamicModel
-from hybrid.robot.edit.actuator import Actuator
+from hybrid.robot.edit.change import Actuator
 from hybrid.signals import Motion
 
 _STEP = 0.005  # s, of a simulation whose step is not known

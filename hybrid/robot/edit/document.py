@@ -201,10 +201,9 @@ def tags(content: bytes, path: str | Path) -> Iterator[Tag]:
     def close_tag(_: str) -> None:
         names.pop()
         start, at = starts.pop(), parser.CurrentByteIndex
-        if content[at : at + 2] == b"</":
-            closed[start] = at, end_of(at)
-        else:
-            closed[start] = (end_of(start),) * 2
+        end = end_of(start)
+        empty = content[end - 2 : end] == b"/>"
+        closed[start] = (end, end) if empty else (at, end_of(at))
 
     parser.StartElementHandler, parser.EndElementHandler = open_tag, close_tag
     try:

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.robot.edit.actuator import Actuator
+from hybrid.robot.actuators import drives_of
+from hybrid.robot.edit.change import Actuator
 from hybrid.robot.edit.document import Document, Tag
-from hybrid.robot.mjcf import drives_of, joint_names
+from hybrid.robot.mjcf import joint_names
 
 KINDS = (
     "general", "motor", "position", "velocity", "intvelocity", "damper", "dcmotor",
@@ -60,6 +61,7 @@ def actuator_tags(document: Document, joint: str) -> list[Tag]:
         for tag in document.tags
         if tag.path[-2:-1] == ("actuator",)
         and tag.path[-1] in KINDS
+        and tag.attributes.get("input") != "none"
         and joint in (tag.attributes.get("joint"), tag.attributes.get("jointinparent"))
     ]
 

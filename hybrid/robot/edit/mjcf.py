@@ -12,13 +12,15 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
+from hybrid.robot.actuators import drives_of
 from hybrid.robot.build import simulable, spec_text
 from hybrid.robot.compiled import compiled_spec
+from hybrid.robot.edit.beside import put_dry, put_ripples
 from hybrid.robot.edit.change import Edit, Structure
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.part import Part, changed_parts, mjcf_parts
-from hybrid.robot.mjcf import drives_of, joint_names
+from hybrid.robot.mjcf import joint_names
 from hybrid.robot.read import read_robot
 from hybrid.robot.robot import Robot
 
@@ -57,6 +59,7 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
+    put_ripples(document, old, new)
     _knees(document, old, new)
     return notes
 
@@ -203,7 +206,7 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
         changed.add("stiffness")
     if new.chain.armature[j] != old.chain.armature[j]:
         changed.add("armature")
-    if old.knee[j] and not new.knee[j]:
+    if bool(old.knee[j]) != bool(new.knee[j]):
         changed.add("frictionloss")
     if not changed:
         return
@@ -226,9 +229,14 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
         ]
         bent = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
         given["damping"] = friction if bent else friction[0]
-    if "frictionloss" in changed and not new.knee[j]:
-        given["frictionloss"] = new.frictionloss[j]
-        given |= {"solreffriction": (2 * model.opt.timestep, 1.0), **_DRY}
+    if "frictionloss" in changed:
+        dry = {
+            "frictionloss": new.frictionloss[j],
+            "solreffriction": (2 * model.opt.timestep, 1.0),
+            **_DRY,
+        }
+        given |= {} if new.knee[j] else dry
+        put_dry(document, new.joints[j], dry if new.knee[j] else {"frictionloss": 0.0})
     if "stiffness" in changed:
         given["stiffness"] = new.stiffness[j]
         unit = turn_unit(document, not new.chain.revolute[j])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,12 +38,6 @@ class Part:
     rotation: Array
     position: Array
     inertial: Array
-
-    def with_inertial(self, inertial: Array) -> Part:
-        """The same body with other parameters."""
-        return Part(
-            self.body, self.link, self.own, self.rotation, self.position, inertial
-        )
 
     @property
     def central(self) -> tuple[float, Array, Array]:
@@ -136,6 +130,6 @@ def changed_parts(parts: Sequence[Part], old: Robot, new: Robot) -> Iterator[Par
             mass, _, about = central_inertia(main)
             if mass > 0 and not inertia_fault(mass, about):
                 break
-        yield own[0].with_inertial(main)
+        yield replace(own[0], inertial=main)
         if share < 1.0:
-            yield from (p.with_inertial(share * p.inertial) for p in others)
+            yield from (replace(p, inertial=share * p.inertial) for p in others)

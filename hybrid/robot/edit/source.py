@@ -11,7 +11,7 @@ from hybrid.errors import HybridWarning, RobotError
 from hybrid.robot.build import spec_text
 from hybrid.robot.edit.document import Document
 from hybrid.robot.edit.mjcf import check_mjcf
-from hybrid.robot.edit.skeleton import add_motors, mjcf_skeleton, urdf_skeleton
+from hybrid.robot.edit.skeleton import add_motors, mjcf_skeleton
 from hybrid.robot.edit.urdf import check_urdf
 from hybrid.robot.edit.urdf_from_mjcf import urdf_from_mjcf
 from hybrid.robot.read import expanded
@@ -68,7 +68,7 @@ def source(robot: Robot, kind: str) -> Source:
         text, notes = urdf_from_mjcf(robot)
         document = Document(text.encode(), path)
         return Source(document, read(document, robot, kind), True, notes)
-    text = mjcf_skeleton(robot) if kind == "mjcf" else urdf_skeleton(robot)
+    text = mjcf_skeleton(robot) if kind == "mjcf" else urdf_from_mjcf(robot)[0]
     document = Document(text.encode(), path)
     return Source(document, read(document, replace(robot, held={}), kind), False)
 

@@ -1,4 +1,4 @@
-"""An MJCF file as URDF: its whole tree, with the shapes that URDF has words for."""
+"""MJCF as URDF: the whole tree, with the shapes that URDF has words for."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.robot.compiled import compiled_spec, spec_from_file
 from hybrid.robot.edit.document import element, text_of
+from hybrid.robot.edit.skeleton import mjcf_skeleton
 from hybrid.robot.edit.urdf import DRAKE
 from hybrid.robot.mjcf import joint_names, moved_to
 from hybrid.robot.robot import Robot
@@ -29,13 +30,13 @@ _UNSAID = {
 
 
 def urdf_from_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
-    """A robot's MJCF file as URDF.
+    """A robot's MJCF file as URDF; without a file, links and joints.
 
     Links are bodies, named as they are; a body with several joints has a link for each.
     Positions of joints count from where they do in the file.
 
     Args:
-        robot: An arm; ``path`` is its MJCF file.
+        robot: An arm; ``path`` is its MJCF file, if it has one.
 
     Returns:
         The URDF file, and what it does not have, in words.
@@ -43,7 +44,13 @@ def urdf_from_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
     Raises:
         RobotError: A joint is none that URDF has.
     """
-    spec = spec_from_file(Path(robot.path))
+    import mujoco
+
+    path = Path(robot.path)
+    if path.suffix.lower() in (".xml", ".mjcf") and path.is_file():
+        spec = spec_from_file(path)
+    else:
+        spec = mujoco.MjSpec.from_string(mjcf_skeleton(robot))
     spec.compiler.discardvisual = False
     model, _ = compiled_spec(spec, robot.path)
     return _Writer(model, spec, robot).written()
