@@ -52,8 +52,7 @@ class Effect(InPlant, Instant, ABC):
     ``steep`` effects, nonlinear in the shapes. Effects that change signals rather than
     add torque override :meth:`observe` or :meth:`report`; their columns are first
     order, for screening, and their :meth:`torque` is nothing. Effects between command
-    and torque leave no trace in the torque that is logged: their columns are zero, and
-    what they do is seen in :func:`hybrid.effects.loop.commanded_torque`.
+    and torque leave no trace in the torque that is logged: their columns are zero.
 
     Attributes:
         joints: Indices of the joints it acts on: one (scope ``joint``), two or more
@@ -214,7 +213,8 @@ class Effect(InPlant, Instant, ABC):
     @classmethod
     def declared(cls, nominal: Nominal) -> Array | None:
         """The number of a file that it is a change of, shape (n,), or nothing."""
-        return None
+        fields = [cls.fields.get(g.name, "") for g in cls.gains]
+        return getattr(nominal, fields[0], None) if len(fields) == 1 else None
 
     def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
         """What is known of its gains before any recording.
