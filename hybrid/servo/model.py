@@ -139,6 +139,16 @@ def bristle_damping(drive: Drive) -> Array:
     return np.asarray(np.sqrt(drive.bristle * drive["armature"]))
 
 
+def weight(model: Any, q: Array, v: Array) -> Array:
+    """Torque of gravity and of speed in a compiled model, shape (n,), [N·m]."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = q, v
+    mujoco.mj_forward(model, data)
+    return np.array(data.qfrc_bias)
+
+
 def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:
     """Deflections that hold what servo and weight leave, shape (n,), [rad]."""
     off = first - stretch.q[0]
