@@ -197,13 +197,8 @@ class Effect(InPlant, Instant, ABC):
     @classmethod
     def places(cls, size: int) -> Iterator[tuple[int, ...]]:
         """Joints that it may act on, on an arm of some joints."""
-        match cls.scope:
-            case "joint":
-                yield from ((j,) for j in range(size))
-            case "arm":
-                yield tuple(range(size))
-            case "coupling":
-                yield from ((j, j + 1) for j in range(size - 1))
+        span = {"joint": 1, "coupling": 2, "arm": size}[cls.scope]
+        yield from (tuple(range(j, j + span)) for j in range(size - span + 1))
 
     @property
     def at_joints(self) -> tuple[int, ...]:
@@ -286,10 +281,6 @@ class Effect(InPlant, Instant, ABC):
             The value of every shape in its unit, by name; nothing by default.
         """
         return {}
-
-    def holds(self, motion: Motion) -> bool:
-        """Whether a motion agrees with what the law implies besides its torque."""
-        return True
 
     @property
     def observes(self) -> bool:
