@@ -22,6 +22,18 @@ FAR = 7.0  # logarithms: a thousandth to a thousand times what the file says
 STEP = 0.005  # s
 
 
+def _spec(robot: Robot) -> mujoco.MjSpec:
+    """The arm with sensors of its joints, without contacts."""
+    spec = declared_spec(robot)
+    spec.option.timestep = STEP
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    for name in robot.joints:
+        kind = mujoco.mjtSensor.mjSENS_JOINTPOS
+        target = mujoco.mjtObj.mjOBJ_JOINT
+        spec.add_sensor(name=f"{name}_q", type=kind, objtype=target, objname=name)
+    return spec
+
+
 def by_sysid(
     robot: Robot, parts: Sequence[Stretch], iterations: int = 30
 ) -> tuple[Robot, float]:
@@ -31,13 +43,7 @@ def by_sysid(
     begun, names = time.process_time(), robot.joints
     damping = np.nan_to_num(robot.kd) + robot.damping
     robot = replace(robot, kd=np.zeros(robot.size), damping=damping)
-    spec = declared_spec(robot)
-    spec.option.timestep = STEP
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    for name in names:
-        kind = mujoco.mjtSensor.mjSENS_JOINTPOS
-        target = mujoco.mjtObj.mjOBJ_JOINT
-        spec.add_sensor(name=f"{name}_q", type=kind, objtype=target, objname=name)
+    spec = _spec(robot)
     model, runs = spec.compile(), []
     for part in parts:
         clock = np.arange(len(part.q)) * part.step

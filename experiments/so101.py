@@ -18,8 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from outputs import command_line
-from servo_cma import by_cma
-from servo_sysid import by_sysid
+from servo_peers import by_peers
 
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
@@ -29,7 +28,7 @@ from hybrid.report.servo import findings_table, replay_figure
 from hybrid.robot import Robot
 from hybrid.servo.fit import fit_servo
 from hybrid.servo.simulator import ServoSimulator, missed
-from hybrid.servo.stretch import chosen, stretches_of
+from hybrid.servo.stretch import stretches_of
 
 ARM = 5  # joints; the sixth is the gripper
 THIRDS = 3
@@ -56,16 +55,11 @@ def main() -> None:
         learn, start = [x for x in logs if x not in unseen], time.process_time()
         fit = fit_servo(robot, learn)
         seconds = time.process_time() - start
-        errors = {"public file": (error(robot, unseen, None), 0.0)}
-        parts = chosen(stretches_of(learn), 60.0, 5.0)
-        if args.cma:
-            other, cpu = by_cma(robot, parts, args.cma, seed=third)
-            errors["plain, CMA-ES"] = error(robot, unseen, other), cpu
-        if args.sysid:
-            arm, cpu = by_sysid(robot, parts)
-            errors["plain, mujoco.sysid"] = error(arm, unseen, None), cpu
-        errors["plain fit"] = error(robot, unseen, fit.plain_drive), np.nan
-        errors["found"] = error(robot, unseen, fit.drive), seconds
+        servos = {"public file": (robot, None, 0.0)}
+        servos |= by_peers(robot, learn, args, third)
+        servos["plain fit"] = robot, fit.plain_drive, np.nan
+        servos["found"] = robot, fit.drive, seconds
+        errors = {k: (error(x, unseen, y), cpu) for k, (x, y, cpu) in servos.items()}
         for name, (x, cpu) in errors.items():
             cells = (f"{v:.1f}" for v in (*x, x[:ARM].mean()))
             took = "" if np.isnan(cpu) else f"{cpu:.0f}"

@@ -19,7 +19,7 @@ from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
 from hybrid.servo.evidence import Explanation
 from hybrid.servo.noise import resolution
-from hybrid.servo.problem import Problem
+from hybrid.servo.problem import Estimate, Problem
 from hybrid.servo.search import Search
 from hybrid.servo.servo_fit import ServoFinding, ServoFit
 from hybrid.servo.simulator import ServoSimulator, converged, missed
@@ -68,14 +68,10 @@ def fit_servo(
     learn, unseen = _split(stretches_of([x.in_order(robot.joints) for x in recordings]))
     problem, start = _problem(robot, learn, prior)
     allowed = np.tile(~problem.resting, (len(NAMES), 1))
-    for k, j in struck:
-        allowed[k, j] = False
+    for at in struck:
+        allowed[at] = False
     progress("servos: plain fit")
-    plain = problem.at(
-        np.where(allowed, start, prior.coordinates),
-        np.isin(NAMES, PLAIN)[:, None] & allowed,
-    )
-    plain = problem.fitted(plain, None, _TURNS)
+    plain = _plain(problem, start, allowed)
     parts = chosen(learn, _SECONDS + _WEIGHED, _EACH)
     rest = parts[len(problem.stretches) :]
     aside = problem.over(rest) if rest else None
@@ -122,6 +118,13 @@ def _result(
         scale=tuple(known),
         notes=(*notes, *_unsaid(robot, drives[1], after, less)),
     )
+
+
+def _plain(problem: Problem, start: Array, allowed: NDArray[np.bool_]) -> Estimate:
+    """Stiffness, damping, friction, rotor, offset and delay of every servo."""
+    x = np.where(allowed, start, problem.prior.coordinates)
+    free = np.isin(NAMES, PLAIN)[:, None] & allowed
+    return problem.fitted(problem.at(x, free), None, _TURNS)
 
 
 def _problem(
