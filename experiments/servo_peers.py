@@ -1,106 +1,20 @@
-"""Other searches for the plain numbers of servos, on stretches of logs.
-
-`by_cma` seeks stiffness, damping, friction, rotor and offset of every servo and one
-delay by CMA-ES; `by_sysid` all but the delay and the offset by `mujoco.sysid`, in
-logarithms, with MuJoCo's own friction.
-"""
+"""Servos as other searches find them, on the stretches of logs that ours has."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
-from contextlib import redirect_stdout
-from dataclasses import replace
-from io import StringIO
+from servo_cma import by_cma
+from servo_sysid import by_sysid
 
-import mujoco
-import numpy as np
-
-from hybrid.robot import Robot
-from hybrid.servo.drive import NAMES, PLAIN, Drive
-from hybrid.servo.model import declared_spec
-from hybrid.servo.simulator import ServoSimulator
-from hybrid.servo.stretch import Stretch
-
-FAR = 7.0  # logarithms: a thousandth to a thousand times what the file says
-STEP = 0.005  # s
+from hybrid.servo.stretch import chosen, stretches_of
 
 
-def by_cma(
-    robot: Robot, parts: Sequence[Stretch], seconds: float, seed: int
-) -> tuple[Drive, float]:
-    """Servos after some seconds of processor time, and how many."""
-    import cma
-
-    simulator, start = ServoSimulator(robot), Drive.declared(robot)
-    rows = [NAMES.index(name) for name in PLAIN if name != "delay"]
-    center, unit = start.coordinates, start.spread[rows]
-
-    def drive(x: np.ndarray) -> Drive:
-        y = center.copy()
-        y[rows] = center[rows] + unit * x[1:].reshape(len(rows), -1)
-        return start.moved(y).at(delay=abs(x[0]) * 0.05)
-
-    begun, options = time.process_time(), {"seed": seed, "verbose": -9}
-    search = cma.CMAEvolutionStrategy(np.zeros(1 + unit.size), 0.5, options)
-    measured = np.concatenate([x.q for x in parts])
-    while time.process_time() < begun + seconds:
-        tried = search.ask()
-        replays = simulator.replay(parts, [drive(x) for x in tried])
-        errors = [np.concatenate(own) - measured for own in replays]
-        search.tell(tried, [np.nan_to_num(x**2, nan=9.0).mean() for x in errors])
-    return drive(search.result.xbest), time.process_time() - begun
-
-
-def by_sysid(
-    robot: Robot, parts: Sequence[Stretch], iterations: int = 30
-) -> tuple[Robot, float]:
-    """The arm with the servos that `mujoco.sysid` finds, and seconds of it."""
-    from mujoco import sysid
-
-    begun, names = time.process_time(), robot.joints
-    damping = np.nan_to_num(robot.kd) + robot.damping
-    robot = replace(robot, kd=np.zeros(robot.size), damping=damping)
-    spec = declared_spec(robot)
-    spec.option.timestep = STEP
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    for name in names:
-        kind = mujoco.mjtSensor.mjSENS_JOINTPOS
-        target = mujoco.mjtObj.mjOBJ_JOINT
-        spec.add_sensor(name=f"{name}_q", type=kind, objtype=target, objname=name)
-    model, runs = spec.compile(), []
-    for part in parts:
-        clock = np.arange(len(part.q)) * part.step
-        # Its rollout stamps what sensors show before a step with the time after it.
-        seen = sysid.TimeSeries.from_names(clock + STEP, part.q, model)
-        start = sysid.create_initial_state(model, part.q[0], part.v)
-        runs.append((start, sysid.TimeSeries(clock, part.command), seen))
-    sequence = sysid.ModelSequences(
-        "arm",
-        spec,
-        [f"{k}" for k in range(len(parts))],
-        *map(list, zip(*runs, strict=True)),
-    )
-    nominal = robot.kp, damping, robot.frictionloss, robot.chain.armature
-    params = sysid.ParameterDict()
-    for j, name in enumerate(names):
-        for k, column in enumerate(nominal):
-
-            def apply(s, p, j=j, k=k, value=float(column[j])) -> None:
-                x = value * float(np.exp(p.value[0]))
-                if k == 0:
-                    s.actuators[-len(names) + j].set_to_position(kp=x, kv=0.0)
-                elif k == 1:
-                    s.joint(names[j]).damping = [x, 0, 0]
-                else:
-                    field = ("frictionloss", "armature")[k - 2]
-                    setattr(s.joint(names[j]), field, x)
-
-            params.add(sysid.Parameter(f"{name} {k}", 0.0, -FAR, FAR, modifier=apply))
-    with redirect_stdout(StringIO()):  # it reports its steps, asked to or not
-        residual = sysid.build_residual_fn(models_sequences=[sequence])
-        found, _ = sysid.optimize(params, residual, verbose=False, max_iters=iterations)
-    x = np.exp(found.as_vector()).reshape(len(names), 4).T * np.array(nominal)
-    chain = replace(robot.chain, armature=x[3])
-    arm = replace(robot, kp=x[0], damping=x[1], frictionloss=x[2], chain=chain)
-    return arm, time.process_time() - begun
+def by_peers(robot, learn, args, seed) -> dict:
+    """Arms with the servos that other searches find, and their processor time."""
+    parts, found = chosen(stretches_of(learn), 60.0, 5.0), {}
+    if args.cma:
+        other, cpu = by_cma(robot, parts, args.cma, seed=seed)
+        found["plain, CMA-ES"] = robot, other, cpu
+    if args.sysid:
+        arm, cpu = by_sysid(robot, parts)
+        found["plain, mujoco.sysid"] = arm, None, cpu
+    return found

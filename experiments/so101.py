@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from outputs import command_line
-from servo_peers import by_cma, by_sysid
+from servo_peers import by_peers
 
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
@@ -27,19 +27,16 @@ from hybrid.report import Table, markdown_table, provenance, save_figure, write_
 from hybrid.report.servo import findings_table, replay_figure
 from hybrid.robot import Robot
 from hybrid.servo.fit import fit_servo
-from hybrid.servo.simulator import ServoSimulator
-from hybrid.servo.stretch import chosen, stretches_of
+from hybrid.servo.simulator import ServoSimulator, missed
+from hybrid.servo.stretch import stretches_of
 
 ARM = 5  # joints; the sixth is the gripper
 THIRDS = 3
 
 
-def missed(robot, logs, drive) -> np.ndarray:
+def error(robot, logs, drive) -> np.ndarray:
     """RMS error of replays, shape (n,), [mrad]."""
-    stretches = stretches_of(logs)
-    (moved,) = ServoSimulator(robot).replay(stretches, [drive])
-    errors = [q - x.q for q, x in zip(moved, stretches, strict=True)]
-    return 1000 * np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+    return 1000 * missed(ServoSimulator(robot), stretches_of(logs), [drive])[0]
 
 
 def main() -> None:
@@ -55,25 +52,18 @@ def main() -> None:
     rows, results = [], []
     for third in range(THIRDS):
         unseen = logs[third::THIRDS]
-        learn = [x for x in logs if x not in unseen]
-        start = time.process_time()
+        learn, start = [x for x in logs if x not in unseen], time.process_time()
         fit = fit_servo(robot, learn)
         seconds = time.process_time() - start
-        errors = {"public file": (missed(robot, unseen, None), 0.0)}
-        parts = chosen(stretches_of(learn), 60.0, 5.0)
-        if args.cma:
-            other, cpu = by_cma(robot, parts, args.cma, seed=third)
-            errors["plain, CMA-ES"] = missed(robot, unseen, other), cpu
-        if args.sysid:
-            arm, cpu = by_sysid(robot, parts)
-            errors["plain, mujoco.sysid"] = missed(arm, unseen, None), cpu
-        errors["plain fit"] = missed(robot, unseen, fit.plain_drive), np.nan
-        errors["found"] = missed(robot, unseen, fit.drive), seconds
+        servos = {"public file": (robot, None, 0.0)}
+        servos |= by_peers(robot, learn, args, third)
+        servos["plain fit"] = robot, fit.plain_drive, np.nan
+        servos["found"] = robot, fit.drive, seconds
+        errors = {k: (error(x, unseen, y), cpu) for k, (x, y, cpu) in servos.items()}
         for name, (x, cpu) in errors.items():
             cells = (f"{v:.1f}" for v in (*x, x[:ARM].mean()))
-            rows.append(
-                (f"{third + 1}: {name}", *cells, "" if np.isnan(cpu) else f"{cpu:.0f}")
-            )
+            took = "" if np.isnan(cpu) else f"{cpu:.0f}"
+            rows.append((f"{third + 1}: {name}", *cells, took))
         results.append({name: x.tolist() for name, (x, _) in errors.items()})
         results[-1] |= {"seconds": seconds, "fit": fit.as_dict()}
         print(*rows[-len(errors) :], sep="\n", flush=True)
@@ -82,11 +72,9 @@ def main() -> None:
     table = Table(header, tuple(rows), caption)
     replay = fit.replayed(max(unseen, key=lambda x: x.duration))
     save_figure(replay_figure(replay, robot.joints), args.out / "replay.png")
-    parts = [markdown_table(table), "Third 3:\n", markdown_table(findings_table(fit))]
-    text = "\n".join(parts)
-    how = provenance(
-        command=f"python experiments/so101.py --data DIR --cma {args.cma:g} --sysid"
-    )
+    text = f"{markdown_table(table)}\nThird 3:\n\n{markdown_table(findings_table(fit))}"
+    asked = f" --cma {args.cma:g}" * bool(args.cma) + " --sysid" * args.sysid
+    how = provenance(command=f"python experiments/so101.py --data DIR{asked}")
     write_results(args.out / "results.json", {"thirds": results, "provenance": how})
     with atomic_path(args.out / "table.md") as path:
         path.write_text(text, encoding="utf-8")

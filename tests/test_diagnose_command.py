@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from arms import LIFT
+from loop import Loop, commanded_torque
 from simulated import arm
 
 from hybrid.diagnosis.answer.command import command_link
@@ -21,7 +22,6 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.elasticity import Elasticity
 from hybrid.effects.encoder_eccentricity import EncoderEccentricity
-from hybrid.effects.loop import Loop, commanded_torque
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.identification import DynamicModel

@@ -9,6 +9,7 @@ import pytest
 from arms import MODELS, random_arm
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loop import Loop, commanded_torque
 from test_effect_laws import effect, motion_of
 
 from hybrid.dynamics import RigidBody
@@ -17,7 +18,6 @@ from hybrid.effects.backlash import _fall, _flight
 from hybrid.effects.effect import Scale
 from hybrid.effects.elasticity import _swing
 from hybrid.effects.gravity_tilt import level_axes
-from hybrid.effects.loop import Loop, commanded_torque
 from hybrid.errors import EffectError
 from hybrid.robot import Robot
 from hybrid.signals import Motion

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loop import Loop, commanded_torque
 
 from hybrid.dynamics import RigidBody
 from hybrid.effects import (
@@ -28,7 +29,6 @@ from hybrid.effects import (
     effects_from_text,
     registry,
 )
-from hybrid.effects.loop import Loop, commanded_torque
 from hybrid.errors import EffectError
 from hybrid.plant import Noise, Plant, Reference, random_fourier
 from hybrid.plant.arm import build_arm

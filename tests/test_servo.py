@@ -19,6 +19,9 @@ from hybrid.robot import Robot
 from hybrid.servo import Drive, fit_servo
 from hybrid.servo.drive import NAMES, QUANTITIES, known_masses
 from hybrid.servo.model import bristles
+from hybrid.servo.noise import Noise
+from hybrid.servo.problem import Problem
+from hybrid.servo.search import Search
 from hybrid.servo.simulator import ServoSimulator, slowed
 from hybrid.servo.start import first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
@@ -165,6 +168,45 @@ def test_a_file_says_a_dead_band_as_far_as_it_can(folder):
     less = re.search(r"by ([\d.]+) instead of ([\d.]+) mrad", said)
     assert less is not None and float(less[1]) > float(less[2])
     assert float(less[2]) == pytest.approx(1000 * fit.after[0], abs=0.06)
+
+
+def test_a_number_known_to_be_right_is_never_fitted(folder):
+    gain = np.zeros((2, 10))
+    gain[:, 0] = 25.0, 12.0
+    logs = [log(k, seconds=6.0, actuator_gainprm=gain) for k in range(2)]
+    k = NAMES.index("stiffness")
+    fit = fit_servo(arm(folder), logs, without=[(k, 0), (k, 1)])
+    for drive in (fit.drive, fit.plain_drive, fit.written):
+        assert drive["stiffness"] == pytest.approx([25.0, 20.0])
+    assert "controller_gain" not in {x.effect for x in fit.findings}
+
+
+def test_evidence_of_fitted_parts_does_not_outweigh_parts_that_are_not(robot):
+    gain = np.zeros((2, 10))
+    gain[:, 0] = 25.0, 12.0
+    (soft,) = stretches_of([log(0, seconds=5.0, actuator_gainprm=gain)])
+    (stiff,) = stretches_of([log(1, seconds=5.0)])
+    file, none = Drive.declared(robot), np.zeros(2, dtype=bool)
+    problem = Problem(ServoSimulator(robot), [soft], file, none, np.zeros((2, 2)))
+    free = np.zeros((len(NAMES), 2), dtype=bool)
+    plain = problem.at(file.coordinates, free)
+    causes = free.copy()
+    causes[NAMES.index("stiffness"), 1] = True
+    for aside, sign in ((problem.over([soft]), 1.0), (problem.over([stiff]), -1.0)):
+        search = Search(problem, plain, aside, ~free)
+        search.met.append(search.plain)
+        softer = search.of(file.at(stiffness=[25.0, 12.0]).coordinates, causes)
+        ((_, elbow),) = search.gain(search.plain, [softer], search.noise)
+        assert sign * elbow > 1.0
+
+
+def test_errors_last_as_many_seconds_at_any_rate():
+    weights = []
+    for rate in (50.0, 400.0):
+        t = np.arange(0.0, 5.0, 1 / rate)
+        errors = [np.sin(2 * np.pi * 0.1 * t + x)[:, None] for x in range(3)]
+        weights.append(rate * Noise.of(errors, np.zeros(1), np.zeros(1)).weight)
+    assert weights[0] == pytest.approx(weights[1], rel=0.05)
 
 
 def replay(robot, stretch, **changed) -> np.ndarray:

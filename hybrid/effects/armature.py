@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from hybrid.arrays import Array
 from hybrid.effects.effect import JointState, Port, Quantity
 from hybrid.effects.joint_effect import JointEffect
-from hybrid.effects.nominal import Nominal
 
 if TYPE_CHECKING:
     import mujoco
@@ -28,11 +27,6 @@ class Armature(JointEffect):
     source = "Siciliano et al. 2009, doi 10.1007/978-1-84628-642-1, section 7.2"
     sentence = "The rotor of {joints} is heavier or lighter than the simulator says."
     remedy = "Set the joint's armature to rotor inertia times the gear ratio squared."
-
-    @classmethod
-    def declared(cls, nominal: Nominal) -> Array:
-        """See :meth:`.Effect.declared`."""
-        return nominal.armature
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:

@@ -14,8 +14,7 @@ from hybrid.signals import Motion
 class CommandLatency(Effect):
     """The controller follows the command of T ago.
 
-    It shows between command and torque, not between motion and torque; see
-    :func:`hybrid.effects.loop.commanded_torque`.
+    It shows between command and torque, not between motion and torque.
     """
 
     id = "command_latency"

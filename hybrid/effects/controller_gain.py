@@ -15,8 +15,7 @@ from hybrid.signals import Motion
 class ControllerGain(Effect):
     """Stiffness and damping of the servo are off by a factor.
 
-    It shows between command and torque, not between motion and torque; see
-    :func:`hybrid.effects.loop.commanded_torque`.
+    It shows between command and torque, not between motion and torque.
     """
 
     id = "controller_gain"

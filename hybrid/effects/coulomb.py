@@ -8,7 +8,6 @@ from typing import Any
 from hybrid.arrays import Array
 from hybrid.effects.effect import JointState, Port, Quantity
 from hybrid.effects.joint_effect import JointEffect
-from hybrid.effects.nominal import Nominal
 
 
 class Coulomb(JointEffect):
@@ -24,11 +23,6 @@ class Coulomb(JointEffect):
     source = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
     sentence = "Dry friction of {joints} differs from the simulator's."
     remedy = "Set the joint's frictionloss to the fitted level."
-
-    @classmethod
-    def declared(cls, nominal: Nominal) -> Array:
-        """See :meth:`.Effect.declared`."""
-        return nominal.frictionloss
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:

@@ -52,8 +52,7 @@ class Effect(InPlant, Instant, ABC):
     ``steep`` effects, nonlinear in the shapes. Effects that change signals rather than
     add torque override :meth:`observe` or :meth:`report`; their columns are first
     order, for screening, and their :meth:`torque` is nothing. Effects between command
-    and torque leave no trace in the torque that is logged: their columns are zero, and
-    what they do is seen in :func:`hybrid.effects.loop.commanded_torque`.
+    and torque leave no trace in the torque that is logged: their columns are zero.
 
     Attributes:
         joints: Indices of the joints it acts on: one (scope ``joint``), two or more
@@ -203,13 +202,8 @@ class Effect(InPlant, Instant, ABC):
     @classmethod
     def places(cls, size: int) -> Iterator[tuple[int, ...]]:
         """Joints that it may act on, on an arm of some joints."""
-        match cls.scope:
-            case "joint":
-                yield from ((j,) for j in range(size))
-            case "arm":
-                yield tuple(range(size))
-            case "coupling":
-                yield from ((j, j + 1) for j in range(size - 1))
+        span = {"joint": 1, "coupling": 2, "arm": size}[cls.scope]
+        yield from (tuple(range(j, j + span)) for j in range(size - span + 1))
 
     @property
     def at_joints(self) -> tuple[int, ...]:
@@ -219,7 +213,8 @@ class Effect(InPlant, Instant, ABC):
     @classmethod
     def declared(cls, nominal: Nominal) -> Array | None:
         """The number of a file that it is a change of, shape (n,), or nothing."""
-        return None
+        fields = [cls.fields.get(g.name, "") for g in cls.gains]
+        return getattr(nominal, fields[0], None) if len(fields) == 1 else None
 
     def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
         """What is known of its gains before any recording.
@@ -291,10 +286,6 @@ class Effect(InPlant, Instant, ABC):
             The value of every shape in its unit, by name; nothing by default.
         """
         return {}
-
-    def holds(self, motion: Motion) -> bool:
-        """Whether a motion agrees with what the law implies besides its torque."""
-        return True
 
     @property
     def observes(self) -> bool:

@@ -7,9 +7,9 @@ import importlib.util
 import pkgutil
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from inspect import isabstract
 from pathlib import Path
 from types import ModuleType
@@ -35,31 +35,31 @@ def _shipped() -> dict[str, type[Effect]]:
     for info in pkgutil.iter_modules([str(Path(__file__).parent)]):
         found |= _classes_in(importlib.import_module(f"{__package__}.{info.name}"))
     for point in entry_points(group=_ENTRY_POINT_GROUP):
-        found |= _classes_of(point, known=found)
+        where = f"entry point {point.name} = {point.value}"
+        found |= _loaded(where, point.load, found)
     return found
 
 
-def _classes_of(
-    point: EntryPoint, known: Mapping[str, type[Effect]]
+def _loaded(
+    where: str, load: Callable[[], Any], known: Mapping[str, type[Effect]]
 ) -> dict[str, type[Effect]]:
-    """Effects of another package, which names a module of effects or one effect.
+    """Effects of a module that names several, or of what is one effect itself.
 
     Raises:
-        EffectError: It cannot be loaded, holds no effect, or one that exists already.
+        EffectError: It cannot be loaded, defines no effect, or one that exists already.
     """
-    where = f"entry point {point.name} = {point.value}"
     try:
-        target = point.load()
-        found = _classes_in(target)
+        found = _classes_in(load())
     except EffectError as error:
         raise EffectError(f"{where}: {error}") from error
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise EffectError(f"{where}: {reason}") from error
     if not found:
-        raise EffectError(f"{where}: no concrete subclass of Effect")
+        raise EffectError(f"{where}: defines no concrete subclass of hybrid.Effect")
     if taken := sorted(found.keys() & known.keys()):
-        raise EffectError(f"{where}: {', '.join(taken)} exists already")
+        # Saved models name effects by id: what an id means must not change.
+        raise EffectError(f"{where}: {', '.join(taken)} exists already; rename it")
     return found
 
 
@@ -93,27 +93,20 @@ def effects_from_file(path: str | Path) -> tuple[str, ...]:
     path = Path(path)
     if not path.is_file():
         raise EffectError(f"{path}: no such file of effects")
+    found = _loaded(str(path), lambda: _module(path), _shipped())
+    _added.update(found)
+    return tuple(found)
+
+
+def _module(path: Path) -> ModuleType:
     name = f"hybrid_user_effects_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise EffectError(f"{path}: not a Python file")
+        raise EffectError("not a Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up
-    try:
-        spec.loader.exec_module(module)
-        found = _classes_in(module)
-    except EffectError as error:
-        raise EffectError(f"{path}: {error}") from error
-    except Exception as error:
-        raise EffectError(f"{path}: {type(error).__name__}: {error}") from error
-    if not found:
-        raise EffectError(f"{path}: defines no concrete subclass of hybrid.Effect")
-    shipped = [effect_id for effect_id in found if effect_id in _shipped()]
-    if shipped:
-        # Saved models name effects by id: what an id means must not change.
-        raise EffectError(f"{path}: {', '.join(shipped)} exists already; rename it")
-    _added.update(found)
-    return tuple(found)
+    spec.loader.exec_module(module)
+    return module
 
 
 def effect_class(effect_id: str) -> type[Effect]:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from hybrid.arrays import Array
 from hybrid.effects.effect import JointState, Port, Quantity
 from hybrid.effects.joint_effect import JointEffect
-from hybrid.effects.nominal import Nominal
 
 if TYPE_CHECKING:
     import mujoco
@@ -26,11 +25,6 @@ class Viscous(JointEffect):
     source = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
     sentence = "Viscous friction of {joints} differs from the simulator's."
     remedy = "Set the joint's damping to the fitted coefficient."
-
-    @classmethod
-    def declared(cls, nominal: Nominal) -> Array:
-        """See :meth:`.Effect.declared`."""
-        return nominal.damping
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:

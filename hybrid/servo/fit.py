@@ -29,8 +29,8 @@ from hybrid.threads import one_thread
 
 _SECONDS, _EACH = 60.0, 5.0  # s of motion to fit, and of a part of it
 _TURNS = 20  # Gauss–Newton steps of a plain fit
-_NEAR = 2  # causes of a joint, up to which the file is looked at before a plain fit
-_WEIGHED = 120.0  # s of other motion, on which single numbers are weighed
+_LAST = 2  # of the fit of all parts of the logs
+_WEIGHED = 120.0  # s of other motion, on which explanations and numbers are weighed
 _UNSEEN = 4  # one recording in so many is kept aside
 _TAIL = 0.3  # of a single recording is kept aside
 _STILL = 3.0  # steps of the encoder: a joint that goes less far rests
@@ -67,33 +67,39 @@ def fit_servo(
     struck = [*without, *((NAMES.index("mass"), robot.joints.index(x)) for x in known)]
     learn, unseen = _split(stretches_of([x.in_order(robot.joints) for x in recordings]))
     problem, start = _problem(robot, learn, prior)
+    allowed = np.tile(~problem.resting, (len(NAMES), 1))
+    for at in struck:
+        allowed[at] = False
     progress("servos: plain fit")
-    simple = np.isin(NAMES, PLAIN)[:, None] & ~problem.resting
-    plain = problem.fitted(problem.at(start, simple), None, _TURNS)
-    aside = chosen(learn, _SECONDS + _WEIGHED, _EACH)[len(problem.stretches) :]
-    search = Search(
-        problem, plain.errors, aside, struck, hint=plain.x, progress=progress
-    )
-    return _result(robot, known, search, plain, _best(search, plain, simple), unseen)
+    plain = _plain(problem, start, allowed)
+    parts = chosen(learn, _SECONDS + _WEIGHED, _EACH)
+    rest = parts[len(problem.stretches) :]
+    aside = problem.over(rest) if rest else None
+    search = Search(problem, plain, aside, allowed, progress)
+    every = problem.over(parts) if rest else problem
+    return _result(robot, known, search, every, search.best(), unseen)
 
 
 def _result(
     robot: Robot,
     known: Mapping[str, float],
     search: Search,
-    plain: Estimate,
+    problem: Problem,
     best: Explanation,
     unseen: Sequence[Stretch],
 ) -> ServoFit:
-    """What was found, weighed on unseen motion."""
-    problem, found = search.problem, best.found
+    """What was found, fitted to all parts of the logs, and weighed on unseen motion."""
+    plain, found, written = (
+        problem.fitted(problem.at(x.found.x, x.found.free), None, _LAST)
+        for x in (search.plain, best, _written(search, best))
+    )
+    best = replace(best, found=found)
     simulator, std = problem.simulator, np.zeros_like(problem.prior.values)
     covariance = problem.covariance(found, search.noise)
     std[found.free] = np.sqrt(np.diagonal(covariance))
-    estimates = plain, found, _written(search, best)
-    drives = [problem.prior.moved(each.x) for each in estimates]
+    drives = [problem.prior.moved(each.x) for each in (plain, found, written)]
     (before,) = missed(simulator, unseen, [None])
-    between, after, written = missed(simulator, unseen, drives)
+    between, after, less = missed(simulator, unseen, drives)
     notes = _notes(robot, problem.resting, known)
     return ServoFit(
         robot=robot,
@@ -110,8 +116,15 @@ def _result(
         unseen=tuple(x.source for x in unseen),
         resting=tuple(robot.joints[j] for j in np.flatnonzero(problem.resting)),
         scale=tuple(known),
-        notes=(*notes, *_unsaid(robot, drives[1], after, written)),
+        notes=(*notes, *_unsaid(robot, drives[1], after, less)),
     )
+
+
+def _plain(problem: Problem, start: Array, allowed: NDArray[np.bool_]) -> Estimate:
+    """Stiffness, damping, friction, rotor, offset and delay of every servo."""
+    x = np.where(allowed, start, problem.prior.coordinates)
+    free = np.isin(NAMES, PLAIN)[:, None] & allowed
+    return problem.fitted(problem.at(x, free), None, _TURNS)
 
 
 def _problem(
@@ -132,26 +145,13 @@ def _problem(
     return Problem(simulator, parts, prior, resting, reached), start.coordinates
 
 
-def _best(search: Search, plain: Estimate, simple: NDArray[np.bool_]) -> Explanation:
-    """The best explanation of each joint, from the file or from a plain fit."""
-    near = search.grown(search.file(), _NEAR)
-    far = search.of(plain.x, simple & search.allowed)
-    noise = search.noise.reaching(np.minimum(near.found.rms, far.found.rms))
-    better = search.evidence(far, noise) > search.evidence(near, noise)
-    if better.any():
-        x = np.where(better, far.found.x, near.found.x)
-        mixed = search.of(x, np.where(better, far.causes, near.causes))
-        near = replace(mixed, equals=near.equals)
-    return search.pruned(search.grown(near))
-
-
-def _written(search: Search, best: Explanation) -> Estimate:
+def _written(search: Search, best: Explanation) -> Explanation:
     """The most probable servos of those that MJCF has a place for."""
     unsaid = np.array([x.unsaid for x in QUANTITIES])[:, None]
     if not (best.causes & unsaid).any():
-        return best.found
+        return best
     x = np.where(unsaid, search.problem.prior.coordinates, best.found.x)
-    return search.of(x, best.causes & ~unsaid, _TURNS).found
+    return search.of(x, best.causes & ~unsaid, _LAST)
 
 
 def _split(logs: list[Stretch]) -> tuple[list[Stretch], list[Stretch]]:

@@ -14,8 +14,8 @@ from hybrid.servo.stretch import Stretch
 if TYPE_CHECKING:
     import mujoco
 
-# N·m/A at 1 Ω: so small that speed takes nothing off the torque at the limit.
-CONSTANT = 1e-3
+# N·m/A and Ω: so small a constant that speed takes nothing off the torque at the limit.
+_CONSTANT, _RESISTANCE = 1e-3, 1.0
 _SOFT = 1e-6  # N·m/rad
 _CREEPS = 0.05  # rad/s: below, friction holds a joint
 
@@ -45,8 +45,8 @@ def servo_spec(
         own.limited, own.range = True, np.array([-1.0, 1.0])
         # Any values: they are set in the compiled model.
         _actuator(spec, joint).set_to_dcmotor(
-            motorconst=[CONSTANT, CONSTANT],
-            resistance=1.0,
+            motorconst=[_CONSTANT, _CONSTANT],
+            resistance=_RESISTANCE,
             controller=[1.0, 0, 0, 0, 0, 0],
             saturation=[1.0, 0, 0],
             lugre=[1.0, 1.0, 1.0, 1.0, 1.0],
@@ -83,19 +83,12 @@ def install(model: Any, robot: Robot, drive: Drive) -> None:
         robot: The arm.
         drive: The servos.
     """
-    model.actuator_gainprm[:, 1] = CONSTANT
-    model.actuator_gainprm[:, 4] = drive["stiffness"]
-    model.actuator_gainprm[:, 7] = drive["stall"] / CONSTANT
+    for name, x in motors(robot, drive).items():
+        getattr(model, f"actuator_{name}")[:, : x.shape[1]] = x
     model.actuator_forcelimited[:] = 0
     model.actuator_ctrllimited[:] = 0
-    model.actuator_biasprm[:, 3] = drive["coulomb"]
-    model.actuator_biasprm[:, 4] = drive["coulomb"] + drive["stiction"]
-    model.actuator_biasprm[:, 5] = drive["stribeck_speed"]
-    model.actuator_dynprm[:, 5] = drive.bristle
-    model.actuator_dynprm[:, 6] = bristle_damping(drive)
     model.dof_frictionloss[:] = 0.0
-    servo, joint = dampings(robot, drive)
-    model.actuator_gainprm[:, 6], model.dof_damping[:] = servo, joint
+    model.dof_damping[:] = dampings(robot, drive)[1]
     model.dof_armature[:] = drive["armature"]
     model.jnt_stiffness[:], model.qpos_spring[:] = springs(robot, drive)
     model.jnt_range[:] = stops(drive)
@@ -105,6 +98,18 @@ def install(model: Any, robot: Robot, drive: Drive) -> None:
         model.body_mass[1:] *= drive["mass"]
         model.body_inertia[1:] *= drive["mass"][:, None]
         mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def motors(robot: Robot, drive: Drive) -> dict[str, Array]:
+    """MuJoCo's parameters of a DC motor behind a position controller, (n, ·) each."""
+    gain, bias, dyn = (np.zeros((robot.size, k)) for k in (8, 6, 7))
+    gain[:, 0], gain[:, 1], gain[:, 4] = _RESISTANCE, _CONSTANT, drive["stiffness"]
+    gain[:, 6], gain[:, 7] = dampings(robot, drive)[0], drive["stall"] / _CONSTANT
+    bias[:, 3], bias[:, 5] = drive["coulomb"], drive["stribeck_speed"]
+    bias[:, 4] = drive["coulomb"] + drive["stiction"]
+    # With this damping a rotor on bristles comes to rest.
+    dyn[:, 5], dyn[:, 6] = drive.bristle, np.sqrt(drive.bristle * drive["armature"])
+    return {"gainprm": gain, "biasprm": bias, "dynprm": dyn}
 
 
 def dampings(robot: Robot, drive: Drive) -> tuple[Array, Array]:
@@ -134,9 +139,14 @@ def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
     return stiffness, relaxed + drive["offset"] / stiffness
 
 
-def bristle_damping(drive: Drive) -> Array:
-    """Damping σ₁ with which a rotor on bristles comes to rest, (n,), [N·m·s/rad]."""
-    return np.asarray(np.sqrt(drive.bristle * drive["armature"]))
+def weight(model: Any, q: Array, v: Array) -> Array:
+    """Torque of gravity and of speed in a compiled model, shape (n,), [N·m]."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = q, v
+    mujoco.mj_forward(model, data)
+    return np.array(data.qfrc_bias)
 
 
 def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:

@@ -6,6 +6,7 @@ changed; what else is free or known but roughly makes up for it as far as it can
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,42 +37,43 @@ class Move:
     x: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Probes:
+def probed(
+    problem: Problem, x: Array, open_: NDArray[np.bool_], hint: Array
+) -> tuple[list[Array], list[Array]]:
     """Changes of one number at all joints or at one, and what replays miss then.
 
-    Attributes:
-        changes: Of coordinates, shape (len(QUANTITIES), n) each.
-        errors: Shape (M, n) each, [rad].
+    Args:
+        problem: The logs.
+        x: Coordinates about which numbers are changed, shape (len(QUANTITIES), n).
+        open_: Numbers that may differ, of that shape.
+        hint: Coordinates that may hold, of that shape.
+
+    Returns:
+        Changes, of that shape each, and errors, shape (M, n) each, [rad].
     """
-
-    changes: list[Array]
-    errors: list[Array]
-
-    @classmethod
-    def of(
-        cls, problem: Problem, x: Array, open_: NDArray[np.bool_], hint: Array
-    ) -> Probes:
-        """Replays about coordinates, of all numbers that may differ."""
-        changes = []
-        for name, usual in _usual_changes(problem, x, hint).items():
-            k = NAMES.index(name)
-            for change in usual:
-                row = np.where(open_[k] & np.isfinite(change), change, 0.0)
-                for own in np.diag(row) if SHARED[k] else [row]:
-                    if own.any():
-                        changes.append(np.zeros_like(x))
-                        changes[-1][k] = own
-        points = [problem.prior.moved(x + each).coordinates for each in changes]
-        return cls(changes, problem.errors(points))
+    changes = []
+    for name, usual in _usual_changes(problem, x, hint).items():
+        k = NAMES.index(name)
+        for change in usual:
+            row = np.where(open_[k] & np.isfinite(change), change, 0.0)
+            for own in np.diag(row) if SHARED[k] else [row]:
+                if own.any():
+                    changes.append(np.zeros_like(x))
+                    changes[-1][k] = own
+    points = [problem.prior.moved(x + each).coordinates for each in changes]
+    return changes, problem.errors(points)
 
 
 def promising(
-    problem: Problem, found: Estimate, about: Curvature, probes: Probes
+    problem: Problem,
+    found: Estimate,
+    about: Curvature,
+    changes: Sequence[Array],
+    errors: Sequence[Array],
 ) -> list[Move]:
-    """Numbers that promise a gain, each once, the best first."""
+    """Numbers that promise a gain by what was probed, each once, the best first."""
     best: dict[tuple[int, int], Move] = {}
-    for change, after in zip(probes.changes, probes.errors, strict=True):
+    for change, after in zip(changes, errors, strict=True):
         for k, j in np.argwhere(change).tolist():
             move = _move(problem, found, about, after, (k, j, float(change[k, j])))
             if move.gain > max(0.0, best[k, j].gain if (k, j) in best else 0.0):

@@ -6,8 +6,9 @@
 the encoder.
 u is the usual pull of the servo (command less position, a torque over its stiffness);
 known laws are never exact and leave about 3 % of it, and clocks are known to a
-millisecond. All last: τ samples count as one, the integrated autocorrelation. ρ is
-Cauchy's, so that a joint that runs against something does not pull the rest.
+millisecond. All last: τ samples count as one, the integrated autocorrelation within a
+stretch. ρ is Cauchy's, so that a joint that runs against something does not pull the
+rest.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ from hybrid.servo.stretch import Stretch
 _FAR = 3.0  # usual errors, beyond which one counts less
 _INEXACT = 0.03  # of a servo's pull: what the law of a drive leaves out
 _CLOCK = 1e-3  # s
-_LONGEST = 200  # samples of autocorrelation
 _SAME = 1e-6  # rad: less is rounding
 _ROUNDS = 5  # of clipping
 
@@ -41,20 +41,17 @@ class Noise:
     far: Array
 
     @classmethod
-    def of(cls, errors: Array, floor: Array, inexact: Array) -> Noise:
-        """Noise as it shows in the errors of a good replay, (M, n), [rad].
+    def of(cls, errors: Sequence[Array], floor: Array, inexact: Array) -> Noise:
+        """Noise as it shows in the errors of a good replay.
 
         Args:
-            errors: What it misses.
+            errors: What it misses of each stretch, shape (N, n) each, [rad].
             floor: Least usual error, shape (n,), [rad].
             inexact: Density of what laws and clocks leave out, shape (n,), [rad²].
         """
-        usual = np.sqrt(np.mean(errors**2, axis=0))
-        for _ in range(_ROUNDS):
-            clipped = np.clip(errors, -_FAR * usual, _FAR * usual)
-            usual = np.sqrt(np.mean(clipped**2, axis=0))
-        usual = np.maximum(usual, floor)
-        memory = np.array([_memory(x) for x in clipped.T])
+        most = _FAR * usual_error(np.concatenate(errors))
+        memory = _memory([np.clip(x, -most, most) for x in errors])
+        usual = np.maximum(most / _FAR, floor)
         return cls(1.0 / (usual**2 * memory + inexact), _FAR * usual)
 
     def least(self, other: Noise) -> Noise:
@@ -63,13 +60,13 @@ class Noise:
         weight = np.where(better, other.weight, self.weight)
         return Noise(weight, np.where(better, other.far, self.far))
 
-    def reaching(self, rms: Array) -> Noise:
+    def reaching(self, usual: Array) -> Noise:
         """The same, but errors count in full as far as replays now usually miss.
 
         Args:
-            rms: Error of replays, shape (n,), [rad].
+            usual: Usual error of replays, shape (n,), [rad].
         """
-        return Noise(self.weight, np.maximum(self.far, _FAR * rms))
+        return Noise(self.weight, np.maximum(self.far, _FAR * usual))
 
     def cost(self, errors: Array) -> Array:
         """Negative log likelihood but for a constant, of each joint, shape (n,)."""
@@ -81,31 +78,39 @@ class Noise:
         return self.weight / (1.0 + (errors / self.far) ** 2)
 
 
-def inexactness(pulled: Array, stretches: Sequence[Stretch]) -> Array:
+def usual_error(errors: Array) -> Array:
+    """RMS of errors, of which those far beyond it are clipped, shape (n,), [rad]."""
+    clipped, usual = errors, np.sqrt(np.mean(errors**2, axis=0))
+    for _ in range(_ROUNDS):
+        clipped = np.clip(errors, -_FAR * usual, _FAR * usual)
+        usual = np.sqrt(np.mean(clipped**2, axis=0))
+    return np.asarray(usual)
+
+
+def inexactness(stretches: Sequence[Stretch]) -> Array:
     """Density of what laws and clocks leave out: (0.03 u)² τ_u + (1 ms · q̇)² τ_q̇.
 
     Args:
-        pulled: Commands less positions u, shape (M, n), [rad].
         stretches: What is replayed.
     """
-    speed = [np.gradient(x.q, x.step, axis=0) for x in stretches]
-    law = _INEXACT * (pulled - pulled.mean(axis=0))
-    density = np.zeros(pulled.shape[1])
-    for each in (law, _CLOCK * np.concatenate(speed)):
-        density += each.var(axis=0) * np.array([_memory(x) for x in each.T])
-    return density
+    pulled = [x.command - x.q for x in stretches]
+    usual = np.concatenate(pulled).mean(axis=0)
+    laws = [_INEXACT * (x - usual) for x in pulled]
+    clocks = [_CLOCK * np.gradient(x.q, x.step, axis=0) for x in stretches]
+    return sum(np.concatenate(x).var(axis=0) * _memory(x) for x in (laws, clocks))
 
 
-def _memory(x: Array) -> float:
-    """Integrated autocorrelation of errors, in samples; Sokal's window."""
-    size = len(x)
-    spectrum = np.abs(np.fft.rfft(x, 2 * size)) ** 2
-    products = np.fft.irfft(spectrum)[: min(_LONGEST, size)]
-    if products[0] <= 0:
-        return 1.0
-    tau = 1.0 + 2.0 * np.cumsum(products[1:] / products[0])
-    window = np.flatnonzero(np.arange(1, len(tau) + 1) > 5.0 * tau)
-    return float(max(1.0, tau[window[0]] if len(window) else tau.max()))
+def _memory(errors: Sequence[Array]) -> Array:
+    """Integrated autocorrelation within stretches, (n,), in samples; Sokal's window."""
+    size = max(len(x) for x in errors)
+    spectra = [np.abs(np.fft.rfft(x, 2 * size, axis=0)) ** 2 for x in errors]
+    products = np.fft.irfft(sum(spectra), axis=0)[:size]
+    out = np.ones(products.shape[1])
+    for j in np.flatnonzero(products[0] > 0).tolist():
+        tau = 1.0 + 2.0 * np.cumsum(products[1:, j] / products[0, j])
+        window = np.flatnonzero(np.arange(1, size) > 5.0 * tau)
+        out[j] = max(1.0, tau[window[0]] if len(window) else tau.max())
+    return out
 
 
 def resolution(stretches: Sequence[Stretch]) -> Array:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.servo.drive import QUANTITIES, Drive
-from hybrid.servo.noise import Noise, inexactness, resolution
+from hybrid.servo.noise import Noise, inexactness, resolution, usual_error
 from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import Stretch
 
@@ -49,10 +49,10 @@ class Estimate:
     free: NDArray[np.bool_]
     errors: Array
 
-    @property
-    def rms(self) -> Array:
-        """Error of replays, shape (n,), [rad]."""
-        return np.asarray(np.sqrt(np.mean(self.errors**2, axis=0)))
+    @cached_property
+    def usual(self) -> Array:
+        """Usual error of replays, shape (n,), [rad]."""
+        return usual_error(self.errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +74,10 @@ class Problem:
     reached: Array
     _known: dict[bytes, Array] = field(default_factory=dict)
 
+    def over(self, stretches: Sequence[Stretch]) -> Problem:
+        """The same with other stretches."""
+        return replace(self, stretches=stretches, _known={})
+
     @property
     def measured(self) -> Array:
         """Positions of all stretches, shape (M, n), [rad]."""
@@ -83,12 +87,12 @@ class Problem:
     def _limits(self) -> tuple[Array, Array]:
         """Least usual error [rad], and density of what laws leave out [rad²], (n,)."""
         floor = np.maximum(resolution(self.stretches), _LEAST)
-        pulled = np.concatenate([x.command - x.q for x in self.stretches])
-        return floor, inexactness(pulled, self.stretches)
+        return floor, inexactness(self.stretches)
 
     def noise(self, errors: Array) -> Noise:
         """Noise as it shows in what a good replay misses, shape (M, n), [rad]."""
-        return Noise.of(errors, *self._limits)
+        ends = np.cumsum([len(x.q) for x in self.stretches])
+        return Noise.of(np.split(errors, ends[:-1]), *self._limits)
 
     @property
     def step(self) -> Array:

@@ -1,9 +1,12 @@
 """Which numbers of a file are wrong: explanations of logs compete by their evidence.
 
 J is a sum over joints, and a servo moves its own joint before others, so that joints
-search side by side: the numbers that promise most by a secant of the replays are
-fitted, and the best stays. At the end every number goes back to the file's, others
-making up for it, and stays there if the evidence grows.
+search side by side. The search begins with the plain fit. The numbers that promise most
+by a secant of the replays are fitted, and the best stays. At the end every number goes
+back to the file's, others making up for it, and stays there if the evidence grows.
+
+Evidence is of the parts of the logs that are fitted. No step is taken at a joint which
+makes the other parts less probable than by any explanation met before.
 """
 
 from __future__ import annotations
@@ -17,11 +20,9 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.servo.drive import NAMES
 from hybrid.servo.evidence import COST, Curvature, Explanation, evidence
-from hybrid.servo.moves import Move, Probes, promising
+from hybrid.servo.moves import Move, probed, promising
 from hybrid.servo.noise import Noise
-from hybrid.servo.problem import SHARED, Problem
-from hybrid.servo.simulator import missed
-from hybrid.servo.stretch import Stretch
+from hybrid.servo.problem import SHARED, Estimate, Problem
 
 # Shapes of friction have no number in the file; they are no cause of their own.
 _SHAPES = np.isin(NAMES, ("stribeck_speed", "presliding"))[:, None]
@@ -31,7 +32,9 @@ _TURNS = 4  # Gauss–Newton steps of one of them
 _ROUNDS = 8
 _CLEAR = 0.2  # of the best gain: less may be another joint's doing, and waits
 _EQUAL = 3.0  # nats of likelihood: less is not told by motion
-_CLOSE = 30.0  # nats: a loss by linear algebra below it is looked at again
+_TOLD = 1.0  # nats: less is hardly worth a mention (Jeffreys)
+_NEAR = 1  # rounds from the file before it is compared with the plain fit
+_CLOSE = 3.0  # nats: a loss by linear algebra below it is looked at again
 
 Place = tuple[int, int]
 
@@ -41,30 +44,39 @@ class Search:
 
     Args:
         problem: The logs.
-        errors: What good replays miss, shape (M, n), [rad].
-        aside: Parts of the logs that are not fitted: there a number must not harm.
-        known: Numbers that are no candidates.
-        hint: Coordinates that may hold, shape (len(QUANTITIES), n).
+        plain: A plain fit of them.
+        aside: The parts that are not fitted, if there are any.
+        allowed: Numbers that may differ, shape (len(QUANTITIES), n).
         progress: Is told what is done.
     """
 
     def __init__(
         self,
         problem: Problem,
-        errors: Array,
-        aside: Sequence[Stretch] = (),
-        known: Sequence[Place] = (),
-        *,
-        hint: Array,
+        plain: Estimate,
+        aside: Problem | None,
+        allowed: NDArray[np.bool_],
         progress: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self.problem, self.hint, self.progress = problem, hint, progress
-        self.aside = aside
-        self.noise = problem.noise(errors)
-        self.shapes = _SHAPES & ~problem.resting
-        self.allowed = ~_SHAPES & ~problem.resting
-        for k, j in known:
-            self.allowed[k, j] = False
+        self.problem, self.aside, self.progress = problem, aside, progress
+        self.plain = Explanation(plain, plain.free)
+        self.met: list[Explanation] = []
+        self.noise = problem.noise(plain.errors)
+        self.shapes = _SHAPES & allowed
+        self.allowed = ~_SHAPES & allowed
+
+    def best(self) -> Explanation:
+        """The best explanation of each joint, from the file or from the plain fit."""
+        near, plain = self.grown(self.file(), _NEAR), self.plain
+        self.met = [plain]
+        tried = [near, self.of(plain.found.x, plain.causes)]
+        usual = np.minimum(near.found.usual, plain.found.usual)
+        noise = self.noise.reaching(usual)
+        gain = self.gain(plain, tried, noise)
+        which = np.where((gain > 0).any(axis=0), gain.argmax(axis=0), -1)
+        start = self._mixed(plain, tried, which, noise) or plain
+        grown = self.grown(replace(start, equals=near.equals))
+        return self.pruned(grown)
 
     def file(self) -> Explanation:
         """Nothing is wrong, but shapes of friction that a file does not state."""
@@ -76,22 +88,37 @@ class Search:
         free = self.shapes | causes
         free[_SIGN] = False
         start = self.problem.at(x, free)
-        noise = self.noise.reaching(start.rms)
+        noise = self.noise.reaching(start.usual)
         return Explanation(self.problem.fitted(start, noise, turns), causes)
 
-    def evidence(self, what: Explanation, noise: Noise) -> Array:
-        """Log evidence of each joint but for a constant, shape (n,), [nats]."""
-        return evidence(self.problem, what, noise)
+    def gain(
+        self, now: Explanation, tried: Sequence[Explanation], noise: Noise
+    ) -> Array:
+        """Evidence that trials add at each joint, shape (trials, n), [nats].
+
+        Where they make the parts set aside less probable, no more than is lost there.
+        """
+        before = evidence(self.problem, now, noise)
+        gain = np.array([evidence(self.problem, x, noise) - before for x in tried])
+        if self.aside is None:
+            return gain
+        points = [x.found.x for x in (*self.met, *tried)]
+        costs = np.array([noise.cost(x) for x in self.aside.errors(points)])
+        known = len(self.met)
+        harm = costs[known:] - costs[:known].min(axis=0)
+        return np.asarray(np.where(harm > _TOLD, np.minimum(gain, -harm), gain))
 
     def grown(self, start: Explanation, rounds: int = _ROUNDS) -> Explanation:
         """The explanation with all numbers that add to its evidence."""
         now = start
+        self.met.append(now)
         for turn in range(rounds):
             self.progress(f"servos: {int(now.causes.sum())} causes, round {turn + 1}")
             after = self._wider(now)
             if after is None:
                 break
             now = after
+            self.met.append(now)
         return now
 
     def _wider(self, now: Explanation) -> Explanation | None:
@@ -99,8 +126,7 @@ class Search:
         trials = self._trials(now)
         if not trials:
             return None
-        noise = self.noise.reaching(now.found.rms)
-        before = self.evidence(now, noise)
+        noise = self.noise.reaching(now.found.usual)
         tried = []
         for trial in trials:
             x, causes = now.found.x.copy(), now.causes.copy()
@@ -108,9 +134,8 @@ class Search:
                 seen = slice(None) if SHARED[move.k] else move.j
                 x[:, seen], causes[move.k, move.j] = move.x[:, seen], True
             tried.append(self.of(x, causes, _TURNS))
-        gain = np.array([self.evidence(x, noise) - before for x in tried])
+        gain = self.gain(now, tried, noise)
         more = [(x.causes & ~now.causes).any(axis=0) for x in tried]
-        gain = np.where(self._harmless(now, tried), gain, np.minimum(gain, 0.0))
         single = np.where(more, gain, 0.0).max(axis=0)
         if SHARED[trials[0][0].k] and gain[0].sum() > max(single.max(), 0.0):
             return tried[0]
@@ -121,25 +146,15 @@ class Search:
         after = self._mixed(now, tried, which, noise)
         return after and replace(after, equals=self._equals(now, tried, which, noise))
 
-    def _harmless(
-        self, now: Explanation, tried: Sequence[Explanation]
-    ) -> NDArray[np.bool_]:
-        """Where trials miss no more of the parts set aside, shape (trials, n)."""
-        if not self.aside:
-            return np.ones((len(tried), len(self.hint.T)), dtype=bool)
-        prior = self.problem.prior
-        drives = [prior.moved(x.found.x) for x in (now, *tried)]
-        before, *after = missed(self.problem.simulator, self.aside, drives)
-        return np.asarray(np.array(after) <= before)
-
     def _trials(self, now: Explanation) -> list[list[Move]]:
         """Numbers to be fitted: one that moves all joints, or one at every joint."""
-        problem, found = self.problem, now.found
-        probes = Probes.of(problem, found.x, self.allowed & ~now.causes, self.hint)
-        for errors in (found.errors, *probes.errors):
-            self.noise = self.noise.least(problem.noise(errors))
-        about = Curvature.of(problem, found, self.noise.reaching(found.rms))
-        moves = promising(problem, found, about, probes)
+        problem, found, hint = self.problem, now.found, self.plain.found.x
+        open_ = self.allowed & ~now.causes
+        changes, errors = probed(problem, found.x, open_, hint)
+        for each in (found.errors, *errors):
+            self.noise = self.noise.least(problem.noise(each))
+        about = Curvature.of(problem, found, self.noise.reaching(found.usual))
+        moves = promising(problem, found, about, changes, errors)
         own: dict[int, list[Move]] = {}
         for move in moves:
             if not SHARED[move.k]:
@@ -173,21 +188,20 @@ class Search:
         which: Array,
         noise: Noise,
     ) -> Explanation | None:
-        """Each joint as in one trial or as it is (−1), or only the best joint."""
-        if (which < 0).all():
-            return None
-        least = self.evidence(now, noise).sum()
-        best = int(np.argmax(which >= 0))
-        alone = np.where(np.arange(len(which)) == best, which, -1)
-        for choice in (which, alone):
+        """Each joint as in one trial or as it is (−1), where it gains by that."""
+        while (which >= 0).any():
             x, causes = now.found.x.copy(), now.causes.copy()
-            for j, k in enumerate(choice.tolist()):
+            for j, k in enumerate(which.tolist()):
                 if k >= 0:
                     x[:, j] = tried[k].found.x[:, j]
                     causes[:, j] = tried[k].causes[:, j]
             mixed = self.of(x, causes)
-            if self.evidence(mixed, noise).sum() > least:
+            (gain,) = self.gain(now, [mixed], noise)
+            if gain.sum() > 0 and (gain[which >= 0] > 0).all():
                 return mixed
+            # Joints move each other a little: those that lose, or gain least, wait.
+            least = gain[which >= 0].min()
+            which = np.where((gain > 0) & (gain > least), which, -1)
         return None
 
     def pruned(self, what: Explanation) -> Explanation:
@@ -195,7 +209,7 @@ class Search:
         now, kept = what, dict[Place, float]()
         while True:
             self.progress(f"servos: {int(now.causes.sum())} causes, fewer")
-            noise = self.noise.reaching(now.found.rms)
+            noise = self.noise.reaching(now.found.usual)
             losses, tried = self._without_one(now, noise)
             losses |= kept
             weakest = self._weakest(losses, kept)
@@ -205,12 +219,14 @@ class Search:
             for at in weakest:
                 seen = slice(None) if SHARED[at[0]] else at[1]
                 x[:, seen], causes[at] = tried[at][:, seen], False
-            less = self.of(x, causes, _TURNS)
-            gain = self.evidence(less, noise) - self.evidence(now, noise)
+            less = self.of(x, causes)
+            (gain,) = self.gain(now, [less], noise)
             if SHARED[weakest[0][0]]:
                 gain[:] = gain.sum()
+                after = less if gain[0] > 0 else None
+            else:
+                after = self._mixed(now, [less], np.where(gain > 0, 0, -1), noise)
             kept |= {at: -float(gain[at[1]]) for at in weakest}
-            after = self._mixed(now, [less], np.where(gain > 0, 0, -1), noise)
             if after is not None:
                 now = replace(after, equals=now.equals)
                 kept = {at: x for at, x in kept.items() if now.causes[at] and x > 0}

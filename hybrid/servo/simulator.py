@@ -14,7 +14,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.robot import Robot
 from hybrid.servo.drive import Drive
-from hybrid.servo.model import bristles, declared_spec, install, servo_spec
+from hybrid.servo.model import bristles, declared_spec, install, servo_spec, weight
 from hybrid.servo.stretch import Stretch
 
 _HALVINGS = 4  # of the step, at most
@@ -46,7 +46,7 @@ class ServoSimulator:
     def __init__(self, robot: Robot, step: float = _STEP) -> None:
         self.robot, self._longest = robot, step
         self._models: dict[tuple[float, bytes], Any] = {}
-        self._scratch: dict[bool, Any] = {}
+        self._weights: dict[tuple[Stretch, bytes], Array] = {}
 
     def replay(
         self, stretches: Sequence[Stretch], drives: Sequence[Drive | None]
@@ -64,18 +64,7 @@ class ServoSimulator:
         for drive in drives:
             models: dict[float, Any] = {}  # one for all stretches of a step
             runs += [self._run(drive, stretch, models) for stretch in stretches]
-        longest = max(len(x.control) for x in runs)
-        ends = [x.control[-1:].repeat(longest - len(x.control), 0) for x in runs]
-        control = [
-            np.concatenate([x.control, end]) for x, end in zip(runs, ends, strict=True)
-        ]
-        found = _rolled(
-            [x.model for x in runs],
-            np.array([x.state for x in runs]),
-            np.array(control),
-            np.array([x.dead for x in runs]),
-        )
-        moved = [self._seen(*x) for x in zip(runs, found, strict=True)]
+        moved = [self._seen(*x) for x in zip(runs, _rolled(runs), strict=True)]
         size = len(stretches)
         return [moved[i : i + size] for i in range(0, len(moved), size)]
 
@@ -102,11 +91,11 @@ class ServoSimulator:
         return np.vstack([stretch.q[:1], after])
 
     def _model(self, drive: Drive | None, step: float) -> Any:
-        turned = b"" if drive is None else np.r_[drive["zero"], drive["sign"]].tobytes()
-        key = step, turned
+        key = step, _turned(drive)
         if key not in self._models:
             if len(self._models) > _MODELS:
                 self._models.clear()
+                self._weights.clear()
             self._models[key] = self._compiled(drive, step)
         model = copy.copy(self._models[key])
         if drive is not None:
@@ -129,53 +118,53 @@ class ServoSimulator:
     def _state(
         self, model: Any, drive: Drive | None, stretch: Stretch, first: Array
     ) -> Array:
-        """Full state at the start; bristles hold what servo and weight leave."""
-        import mujoco
+        """Time, positions, speeds, and bristles that hold what servo and weight leave.
 
-        data = self._scratch.setdefault(drive is None, mujoco.MjData(model))
-        mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:], data.ctrl[:] = stretch.q[0], stretch.v, first
+        Of servos of the file there are no bristles.
+        """
+        start = [np.zeros(1), stretch.q[0], stretch.v]
         if drive is not None:
-            mujoco.mj_forward(model, data)
-            data.act[:] = bristles(drive, stretch, first, data.qfrc_bias)
-        full = mujoco.mjtState.mjSTATE_FULLPHYSICS
-        state = np.empty(mujoco.mj_stateSize(model, full))
-        mujoco.mj_getState(model, data, state, full)
-        return state
+            key = stretch, _turned(drive) + drive["mass"].tobytes()
+            if key not in self._weights:
+                self._weights[key] = weight(model, stretch.q[0], stretch.v)
+            start.append(bristles(drive, stretch, first, self._weights[key]))
+        return np.concatenate(start)
 
 
-def _rolled(models: list[Any], states: Array, control: Array, dead: Array) -> Array:
-    """States after every step, (batch, steps, size), of servos with dead bands."""
+def _turned(drive: Drive | None) -> bytes:
+    """What a model is compiled for."""
+    return b"" if drive is None else np.r_[drive["zero"], drive["sign"]].tobytes()
+
+
+def _rolled(runs: Sequence[_Run]) -> Array:
+    """States after every step, (batch, steps, size)."""
     import mujoco
     from mujoco import rollout
 
-    count, steps, n = control.shape
-    threads = min(len(os.sched_getaffinity(0)), count)
-    data = [mujoco.MjData(models[0]) for _ in range(threads)]
-    out = np.empty((count, steps, states.shape[1]))
+    steps, n = max(len(x.control) for x in runs), runs[0].control.shape[1]
+    states, dead = np.array([x.state for x in runs]), np.array([x.dead for x in runs])
+    ends = [x.control[-1:].repeat(steps - len(x.control), 0) for x in runs]
+    control = np.array([np.r_[x.control, y] for x, y in zip(runs, ends, strict=True)])
+    threads = min(len(os.sched_getaffinity(0)), len(runs))
+    data = [mujoco.MjData(runs[0].model) for _ in range(threads)]
+    out = np.empty((len(runs), steps, states.shape[1]))
     plain, zoned = np.flatnonzero(~dead.any(axis=1)), np.flatnonzero(dead.any(axis=1))
     with _quiet():  # a servo that is tried may be unstable
         if len(plain):
-            own = [models[i] for i in plain]
+            own = [runs[i].model for i in plain]
             found, _ = rollout.rollout(own, data, states[plain], control[plain])
             out[plain] = found
         if not len(zoned):
             return out
         # MuJoCo's servo has no dead band: its goal is moved at every step instead.
-        own, state, most = [models[i] for i in zoned], states[zoned], dead[zoned]
+        own, state, most = [runs[i].model for i in zoned], states[zoned], dead[zoned]
         after = np.empty((len(zoned), 1, states.shape[1]))
         with rollout.Rollout(nthread=threads) as roll:
             for k in range(steps):
                 off = control[zoned, k] - state[:, 1 : 1 + n]
-                goal = control[zoned, k] - np.clip(off, -most, most)
+                goal = (control[zoned, k] - np.clip(off, -most, most))[:, None]
                 roll.rollout(
-                    own,
-                    data,
-                    state,
-                    goal[:, None],
-                    nstep=1,
-                    state=after,
-                    skip_checks=True,
+                    own, data, state, goal, nstep=1, state=after, skip_checks=True
                 )
                 state = out[zoned, k] = after[:, 0].copy()
     return out

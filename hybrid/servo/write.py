@@ -19,15 +19,23 @@ from hybrid.robot.edit.drives import actuator_tags
 from hybrid.robot.edit.mjcf import edit_mjcf, joint_tag, turn_unit
 from hybrid.servo.drive import Drive
 from hybrid.servo.model import (
-    CONSTANT,
-    bristle_damping,
     dampings,
     file_step,
+    motors,
     servo_spec,
     springs,
     stops,
 )
 
+_MOTOR = {
+    "gear": 1.0,
+    "forcelimited": "false",
+    "actearly": "true",
+    "dyntype": "dcmotor",
+    "gaintype": "dcmotor",
+    "biastype": "dcmotor",
+    "input": "pos",
+}
 _KEPT = ("name", "joint", "jointinparent", "ctrlrange", "ctrllimited", "group")
 
 
@@ -71,7 +79,7 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
     """Change the attributes of joints and actuators."""
     step = file_step(robot)
     stiffness, relaxed = springs(robot, drive)
-    servo_damping, joint_damping = dampings(robot, drive)
+    parameters, joint_damping = motors(robot, drive), dampings(robot, drive)[1]
     limits, file = stops(drive), Drive.declared(robot)
     declared = np.stack([file["lower"], file["upper"]])
     for j, name in enumerate(robot.joints):
@@ -94,7 +102,8 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
         if drive["sign"][j] < 0 or (ends != declared[:, j]).any():
             given |= {"range": limits[j] * turn, "limited": "true"}
         document.set(joint, given)
-        motor = actuator_attributes(drive, j, step, servo_damping[j])
+        motor = _MOTOR | {name: x[j].tolist() for name, x in parameters.items()}
+        motor |= _delay(float(drive["delay"][j]), step)
         own = actuator_tags(document, name)
         sections = document.find("mujoco", "actuator")
         if own:
@@ -107,40 +116,8 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             raise RobotError(f"{robot.path}: no <actuator> section to put a servo into")
 
 
-def actuator_attributes(
-    drive: Drive, j: int, step: float, damping: float
-) -> dict[str, Any]:
-    """MJCF attributes of one servo: a DC motor behind a position controller.
-
-    Args:
-        drive: The servos.
-        j: Joint.
-        step: Step of the simulation, [s].
-        damping: Of the servo, [N·m·s/rad].
-    """
-    gain = [1.0, CONSTANT, 0, 0, drive["stiffness"][j], 0, damping]
-    coulomb, delay = drive["coulomb"][j], float(drive["delay"][j])
-    bias = [
-        0,
-        0,
-        0,
-        coulomb,
-        coulomb + drive["stiction"][j],
-        drive["stribeck_speed"][j],
-    ]
-    given = {
-        "gear": 1.0,
-        "forcelimited": "false",
-        "actearly": "true",
-        "dyntype": "dcmotor",
-        "gaintype": "dcmotor",
-        "biastype": "dcmotor",
-        "input": "pos",
-        "gainprm": [*gain, drive["stall"][j] / CONSTANT],
-        "biasprm": bias,
-        "dynprm": [0, 0, 0, 0, 0, drive.bristle[j], bristle_damping(drive)[j]],
-    }
-    if delay > 0:
-        given |= {"delay": delay, "nsample": math.ceil(delay / step) + 1}
-        given["interp"] = "linear"
-    return given
+def _delay(delay: float, step: float) -> dict[str, Any]:
+    """Attributes of a delay, [s], in steps of the simulation, [s]."""
+    if delay <= 0:
+        return {}
+    return {"delay": delay, "nsample": math.ceil(delay / step) + 1, "interp": "linear"}
