@@ -151,13 +151,17 @@ def _rolled(runs: Sequence[_Run]) -> Array:
     plain, zoned = np.flatnonzero(~dead.any(axis=1)), np.flatnonzero(dead.any(axis=1))
     with _quiet():  # a servo that is tried may be unstable
         if len(plain):
-            own = [runs[i].model for i in plain]
+            own = [runs[i].model for i in plain.tolist()]
             found, _ = rollout.rollout(own, data, states[plain], control[plain])
             out[plain] = found
         if not len(zoned):
             return out
         # MuJoCo's servo has no dead band: its goal is moved at every step instead.
-        own, state, most = [runs[i].model for i in zoned], states[zoned], dead[zoned]
+        own, state, most = (
+            [runs[i].model for i in zoned.tolist()],
+            states[zoned],
+            dead[zoned],
+        )
         after = np.empty((len(zoned), 1, states.shape[1]))
         with rollout.Rollout(nthread=threads) as roll:
             for k in range(steps):
