@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
 from hybrid.diagnosis.evidence.candidates import Candidate
+from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.evidence.logs import measured, since_first
 from hybrid.diagnosis.evidence.term import Term
 from hybrid.diagnosis.explanations.account import Account, account
@@ -110,26 +112,88 @@ def examine(
     progress: Progress | None = None,
 ) -> Result:
     """:func:`diagnose` in torque, with everything that led to the answer."""
-    healthy = None
-    if isinstance(robot, DynamicModel):
-        healthy = Baseline(robot)
-        robot, without = healthy.robot, [*without, *healthy.constant]
-    recordings = since_first(taken(robot, recordings))
     tell, rng = progress or (lambda _: None), np.random.default_rng(seed)
     tell("measuring the gap")
-    if healthy:
-        recordings = healthy.taken_from(recordings)
-    logged, recordings, gap, as_logged = measured(
-        robot, recordings, cutoff, clocks=Delay.id not in without
+    case = _Case.of(robot, recordings, cutoff, without)
+    result = _explained(case, tell, rng)
+    if result.diagnosis.verdict == "not_excited":
+        return result
+    tell("finding where the gap lies")
+    floor = np.array(result.diagnosis.noise_floor)
+    where = locate(case.as_logged, floor, rng)
+    diagnosis = replace(result.diagnosis, where=where)
+    # Torque that was taken from the logs was asked for.
+    if case.doubts or case.healthy:
+        return replace(result, diagnosis=diagnosis)
+    tell("asking whether torque follows the command")
+    distorted = {j for e in result.effects if e.reports for j in e.joints}
+    link = command_link(
+        case.gap, case.recordings, rng, without=case.without, distorted=distorted
     )
-    if healthy:
-        gap, as_logged = healthy.beside(gap), healthy.beside(as_logged)
+    diagnosis = joined(diagnosis, result.account, case.as_logged, link, rng)
+    return replace(result, diagnosis=diagnosis, command=link.effects)
+
+
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """Logs, and how they differ from a simulator.
+
+    Attributes:
+        recordings: The logs, with what their writer did taken back.
+        logged: How they were written.
+        gap: Their gap.
+        as_logged: The gap with the log taken at its word where torque in it is late.
+        without: Ids of effects to leave out of the library.
+        healthy: What is known of the arm beyond its file, if a model is the simulator.
+    """
+
+    recordings: Sequence[Recording | Motion]
+    logged: Convention
+    gap: Gap
+    as_logged: Gap
+    without: tuple[str, ...]
+    healthy: Baseline | None
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot | DynamicModel,
+        recordings: Sequence[Recording | Motion],
+        cutoff: float | None,
+        without: Sequence[str],
+    ) -> _Case:
+        """Measure the gap of logs; see :func:`diagnose`."""
+        healthy = None
+        if isinstance(robot, DynamicModel):
+            healthy = Baseline(robot)
+            robot, without = healthy.robot, [*without, *healthy.constant]
+        recordings = since_first(taken(robot, recordings))
+        if healthy:
+            recordings = healthy.taken_from(recordings)
+        logged, recordings, *gaps = measured(
+            robot, recordings, cutoff, clocks=Delay.id not in without
+        )
+        gap, as_logged = map(healthy.beside, gaps) if healthy else gaps
+        return cls(recordings, logged, gap, as_logged, tuple(without), healthy)
+
+    @cached_property
+    def doubts(self) -> list[str]:
+        """Why nothing can be said of such logs."""
+        return [x for x in (too_little(self.gap), unlike(self.gap)) if x is not None]
+
+    @property
+    def known(self) -> tuple[Effect, ...]:
+        """Effects of the model that is the simulator."""
+        return self.healthy.model.effects if self.healthy else ()
+
+
+def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
+    """What explains the torque of some logs, and what is left."""
+    gap, logged, doubts = case.gap, case.logged, list(case.doubts)
     # Torque that is late at every joint is no term: it is taken back already.
     late = [Delay.id] if logged.clocks else []
-    search = Search(gap, split(gap), without=[*without, *late])
-    doubts = [x for x in (too_little(gap), unlike(gap)) if x is not None]
-    foreign = bool(doubts)
-    if not foreign:
+    search = Search(gap, split(gap), without=[*case.without, *late])
+    if not doubts:
         tell("looking for the most probable explanation")
         search.run()
     reached = account(search).ceiling
@@ -138,42 +202,25 @@ def examine(
     search.stand_in()
     kinds = [named.get(c, ()) for c in search.known]
     tell("scoring on motions that no step has seen")
-    scored = explain(search)
-    effects, shown = refit(gap, search), unseen(search, found)
+    scored, effects = explain(search), refit(gap, search)
+    shown, left = unseen(search, found), left_unseen(scored, found, search)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
     if search.off > search.prior.file[1]:
-        far = _FAR.format(search.off) if search.off < 1.0 else _PLACEHOLDERS
-        doubts.append(far)
-    if logged.clocks and not foreign:
-        apart, others = clocks_apart(as_logged, scored, logged, rng)
+        doubts.append(_FAR.format(search.off) if search.off < 1 else _PLACEHOLDERS)
+    if logged.clocks and not case.doubts:
+        apart, others = clocks_apart(case.as_logged, scored, logged, rng)
         causes, effects = apart.joined(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
-    verdict, unexplained = _verdict(
-        gap, found, causes, left_unseen(scored, found, search)
-    )
+    verdict = _verdict(gap, found, causes, left)
     diagnosis = replace(
-        _diagnosis(as_logged, search, found, causes, verdict, unexplained),
+        _diagnosis(case.as_logged, search, found, causes, *verdict),
         unseen=shown,
-        events=events_at_rest(as_logged),
+        events=events_at_rest(case.as_logged),
         warnings=(*gap.notes, *logged.notes, *doubts),
     )
-    command: tuple[Effect, ...] = ()
-    if verdict != "not_excited":
-        tell("finding where the gap lies")
-        where = locate(as_logged, np.array(diagnosis.noise_floor), rng)
-        diagnosis = replace(diagnosis, where=where)
-    # Torque that was taken from the logs was asked for.
-    if verdict != "not_excited" and not foreign and not healthy:
-        tell("asking whether torque follows the command")
-        distorted = {j for e in effects if e.reports for j in e.joints}
-        link = command_link(gap, recordings, rng, without=without, distorted=distorted)
-        diagnosis = joined(diagnosis, found, as_logged, link, rng)
-        command = link.effects
-    return Result(
-        diagnosis, as_logged, search, scored, found, effects, command, alike,
-        healthy.model.effects if healthy else (),
-    )  # fmt: skip
+    return Result(diagnosis, case.as_logged, search, scored, found, effects,
+                  alike=alike, healthy=case.known)  # fmt: skip
 
 
 def _believed(
