@@ -148,7 +148,10 @@ def _text(path: Path) -> _Text:
             f"{path}: the first line holds numbers; valid are column names such as "
             "time, q1, tau1"
         )
-    cells = tuple(next(csv.reader([first], delimiter=delimiter), ()))
+    try:
+        cells = tuple(next(csv.reader([first], delimiter=delimiter), ()))
+    except csv.Error:  # the reader of all rows says what is wrong
+        cells = ()
     comma = delimiter != "," and "," in first and "." not in first
     return _Text(path, content, labels, delimiter, "," if comma else ".", cells)
 
