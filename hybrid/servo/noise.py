@@ -97,8 +97,10 @@ def inexactness(stretches: Sequence[Stretch]) -> Array:
     usual = np.concatenate(pulled).mean(axis=0)
     laws = [_INEXACT * (x - usual) for x in pulled]
     clocks = [_CLOCK * np.gradient(x.q, x.step, axis=0) for x in stretches]
-    parts = [np.concatenate(x).var(axis=0) * _memory(x) for x in (laws, clocks)]
-    return np.asarray(parts[0] + parts[1])
+    return sum(
+        (np.concatenate(x).var(axis=0) * _memory(x) for x in (laws, clocks)),
+        start=np.zeros(len(usual)),
+    )
 
 
 def _memory(errors: Sequence[Array]) -> Array:

@@ -148,7 +148,8 @@ def _rolled(runs: Sequence[_Run]) -> Array:
     threads = min(len(os.sched_getaffinity(0)), len(runs))
     data = [mujoco.MjData(runs[0].model) for _ in range(threads)]
     out = np.empty((len(runs), steps, states.shape[1]))
-    plain, zoned = np.flatnonzero(~dead.any(axis=1)), np.flatnonzero(dead.any(axis=1))
+    which = dead.any(axis=1)
+    plain, zoned = np.flatnonzero(~which).tolist(), np.flatnonzero(which).tolist()
     with _quiet():  # a servo that is tried may be unstable
         if len(plain):
             own = [runs[i].model for i in plain.tolist()]
