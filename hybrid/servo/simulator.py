@@ -152,14 +152,14 @@ def _rolled(runs: Sequence[_Run]) -> Array:
     plain, zoned = np.flatnonzero(~which).tolist(), np.flatnonzero(which).tolist()
     with _quiet():  # a servo that is tried may be unstable
         if len(plain):
-            own = [runs[i].model for i in plain.tolist()]
+            own = [runs[i].model for i in plain]
             found, _ = rollout.rollout(own, data, states[plain], control[plain])
             out[plain] = found
         if not len(zoned):
             return out
         # MuJoCo's servo has no dead band: its goal is moved at every step instead.
         own, state, most = (
-            [runs[i].model for i in zoned.tolist()],
+            [runs[i].model for i in zoned],
             states[zoned],
             dead[zoned],
         )
