@@ -29,7 +29,7 @@ from own_motion import Make
 from rich.console import Console
 
 from hybrid import Diagnosis, diagnose
-from hybrid.errors import HybridWarning
+from hybrid.errors import HybridWarning, RecordingError
 from hybrid.files import atomic_path
 from hybrid.plant import random_fourier
 from hybrid.report import (
@@ -64,13 +64,20 @@ def run(
     loop = OwnLoop(load_arm(arm), kinds, seed, motion)
     logs = [loop.record() for _ in range(RECORDINGS)]
     robot, start = bare(loop.robot) if left_out else loop.robot, process_time()
+    said = {"arm": Path(arm).stem, "true": loop.named, "joints": robot.joints}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
-        found = diagnose(robot, logs, without=tuple(without))
-    return {
-        "arm": Path(arm).stem, "true": loop.named, "verdict": found.verdict,
+        try:
+            found = diagnose(robot, logs, without=tuple(without))
+        except RecordingError as error:  # a right log, so it counts as a miss
+            return said | {
+                "verdict": "refused", "named": [], "relative": None, "unseen": None,
+                "error": str(error), "cpu_s": process_time() - start,
+            }  # fmt: skip
+    return said | {
+        "verdict": found.verdict,
         "named": named(found), "relative": found.relative,
-        "joints": found.joints, "unexplained": found.unexplained,
+        "unexplained": found.unexplained,
         "unseen": found.as_dict()["unseen"],
         "cpu_s": process_time() - start,
     }  # fmt: skip
