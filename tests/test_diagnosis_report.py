@@ -312,6 +312,10 @@ class TestVerdict:
         assert text == "Torque ripple at shoulder, stribeck at elbow; noise is left"
         several = replace(many(1)[0], joints=("a", "b", "c"))
         some = replace(found, findings=(several, *many(3)), unexplained=0.31)
+        left = Unseen((4.0, 2.0), (1.2, 1.9), (0.9, 2.1), (1.0, 1.0), (0.8, 0.5))
+        where = headline(replace(some, unseen=left))
+        assert where.endswith("; most is left at elbow, 1.9 of 2\u00a0N·m")
+        some = replace(some, unseen=None)
         assert headline(some).startswith("Coulomb at 3 joints, coulomb at joint_0, ")
         assert headline(some).endswith(" and 1 more; 31% of the gap is left")
         nothing = replace(found, findings=(), verdict="unexplained", unexplained=1.0)

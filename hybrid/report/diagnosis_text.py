@@ -35,15 +35,25 @@ def headline(diagnosis: Diagnosis) -> str:
         f"{f.effect.replace('_', ' ')} at {joints_named(f.joints)}"
         for f in diagnosis.findings
     ]
-    rest = diagnosis.unexplained
     where = joints_named(gap_joints(diagnosis))
-    left = f"{rest:.0%} of the gap is left" if rest >= 0.005 else "noise is left"
     text = {
         "no_gap": "the simulator fits the robot",
         "not_excited": "the recordings move the arm too little to tell",
         "unexplained": f"no known cause of the gap at {where}",
-    }.get(diagnosis.verdict, f"{_few(named, between=', ')}; {left}")
+    }.get(diagnosis.verdict, f"{_few(named, between=', ')}; {_rest(diagnosis)}")
     return text[:1].upper() + text[1:]
+
+
+def _rest(diagnosis: Diagnosis) -> str:
+    """What is left, and where most of it is."""
+    rest, unseen = diagnosis.unexplained, list(_unseen(diagnosis))
+    if rest < 0.005:
+        return "noise is left"
+    if not unseen:
+        return f"{rest:.0%} of the gap is left"
+    joint, end, x = max(unseen, key=lambda x: x[2]["after"] - x[2]["noise"])
+    sizes = f"{number(x['after'])} of {number(x['before'])}"
+    return f"most is left at {joint}, {sizes}{end or _BOUND + _TORQUE}"
 
 
 def joints_named(names: Sequence[str]) -> str:
