@@ -19,7 +19,7 @@ from hybrid.robot import Robot
 from hybrid.servo import Drive, fit_servo
 from hybrid.servo.drive import NAMES, QUANTITIES, known_masses
 from hybrid.servo.model import bristles
-from hybrid.servo.noise import Noise
+from hybrid.servo.noise import Noise, resolution
 from hybrid.servo.problem import Problem
 from hybrid.servo.search import Search
 from hybrid.servo.simulator import ServoSimulator, slowed
@@ -198,6 +198,13 @@ def test_evidence_of_fitted_parts_does_not_outweigh_parts_that_are_not(robot):
         softer = search.of(file.at(stiffness=[25.0, 12.0]).coordinates, causes)
         ((_, elbow),) = search.gain(search.plain, [softer], search.noise)
         assert sign * elbow > 1.0
+
+
+def test_the_step_of_an_encoder_shows_though_a_log_was_resampled():
+    logs = stretches_of([log(k, seconds=8.0) for k in range(3)])
+    between = replace(logs[2], q=logs[2].q + 1e-5 * np.arange(len(logs[2].q))[:, None])
+    found = resolution([*logs[:2], between])
+    assert found == pytest.approx(np.full(2, TICK / np.sqrt(12.0)))
 
 
 def test_errors_last_as_many_seconds_at_any_rate():

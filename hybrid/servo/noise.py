@@ -117,10 +117,15 @@ def _memory(errors: Sequence[Array]) -> Array:
 
 
 def resolution(stretches: Sequence[Stretch]) -> Array:
-    """Noise of positions from their steps: an encoder's, shape (n,), [rad]."""
-    q = np.concatenate([x.q for x in stretches])
-    steps = [np.diff(np.unique(x)) for x in q.T]
-    # Not the least: numbers that were rounded differ by less than a step.
-    told = [x[x > _SAME] for x in steps]
-    tick = [np.quantile(x, 0.1) if len(x) else 0.0 for x in told]
-    return np.asarray(np.array(tick) / np.sqrt(12.0))
+    """Noise of positions from their steps: an encoder's, shape (n,), [rad].
+
+    The median of the stretches that move: some may be of a clock that was resampled,
+    with positions between the steps.
+    """
+    out = []
+    for own in zip(*(x.q.T for x in stretches), strict=True):
+        steps = [np.diff(np.unique(q)) for q in own]
+        # Not the least: numbers that were rounded differ by less than a step.
+        told = [np.quantile(x[x > _SAME], 0.1) for x in steps if (x > _SAME).any()]
+        out.append(np.median(told) if told else 0.0)
+    return np.array(out) / np.sqrt(12.0)
