@@ -128,4 +128,4 @@ def resolution(stretches: Sequence[Stretch]) -> Array:
         # Not the least: numbers that were rounded differ by less than a step.
         told = [np.quantile(x[x > _SAME], 0.1) for x in steps if (x > _SAME).any()]
         out.append(np.median(told) if told else 0.0)
-    return np.array(out) / np.sqrt(12.0)
+    return np.asarray(np.array(out) / np.sqrt(12.0))
