@@ -53,6 +53,14 @@ def add_arguments(parser: ArgumentParser) -> None:
         "(default); d: volume of the confidence ellipsoid; condition: number of the "
         "observation matrix, torque in N·m",
     )
+    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
+    _add_motion(parser)
+    _add_limits(parser)
+    options.add_common(parser)
+
+
+def _add_motion(parser: ArgumentParser) -> None:
+    """Arguments of what a motion is."""
     parser.add_argument("--family", choices=_FAMILIES, default="fourier")
     parser.add_argument("--trajectories", type=options.count, default=1, metavar="N")
     parser.add_argument(
@@ -76,6 +84,13 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="harmonics (default 10)",
     )
     parser.add_argument(
+        "--rate", type=options.positive, default=500.0, metavar="HZ", help="of the CSV"
+    )
+
+
+def _add_limits(parser: ArgumentParser) -> None:
+    """Arguments of where a motion may go."""
+    parser.add_argument(
         "--fill",
         type=options.positive,
         default=0.8,
@@ -94,11 +109,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--floor", type=float, metavar="Z", help="height that links stay above, m"
     )
-    parser.add_argument(
-        "--rate", type=options.positive, default=500.0, metavar="HZ", help="of the CSV"
-    )
-    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

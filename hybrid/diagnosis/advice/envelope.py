@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,13 +38,11 @@ class Envelope:
     def of(cls, robot: Robot) -> Envelope:
         """Take it from the robot's file."""
         limits, clearance = Limits.of(robot), None
-        with warnings.catch_warnings():
+        # Without geometry no link is known to touch another: limits are all there is.
+        with warnings.catch_warnings(), suppress(RobotError):
             # Links that touch in most postures are left out here as well.
             warnings.simplefilter("ignore", HybridWarning)
-            try:
-                clearance = Clearance.of(robot, limits)
-            except RobotError:
-                pass
+            clearance = Clearance.of(robot, limits)
         return cls(robot, limits, clearance)
 
     def first_safe(

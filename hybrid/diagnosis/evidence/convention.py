@@ -4,8 +4,9 @@ A loop that steps and then logs writes the position after a step beside the torq
 the instant before it. And an implicit step feels a servo's damping at the speed that
 it arrives at, while the torque it reports is that of the speed it left from: over a
 step h the report is too high by ``h k_d a``. Both are the log's, not the arm's, and are
-taken back where most joints agree on them. So is torque that is late by a time which is
-no step, as if stamped by another clock; but that is a cause, and is named.
+taken back where nothing else is more probable (MacKay 1992, doi
+10.1162/neco.1992.4.3.415). So is torque that is late by a time which is no step, as if
+stamped by another clock; but that is a cause, and is named.
 """
 
 from __future__ import annotations
@@ -252,7 +253,7 @@ class _Asked:
         return float(ones @ (self._s - more) / weight), float(weight**-0.5)
 
     def hold(self) -> bool:
-        """Whether ages and steps found on other folds lower the squares on most.
+        """Whether ages and steps found on other folds lower the squares there.
 
         What happens once may look like either.
         """

@@ -107,11 +107,11 @@ class Posterior:
         return max(self.off, self.prior.file[2])
 
     def columns(self, causes: Sequence[Cause]) -> Index:
-        """Columns of the background and of some causes."""
+        """Columns of the background and of some causes, shape (k,)."""
         return np.concatenate([self.rigid, *(c.index for c in causes)])
 
     def columns_of(self, cause: Cause) -> Columns:
-        """Torque per unit of each gain of a cause at every sample, by joint."""
+        """Torque per unit of each gain of a cause, by joint, shape (M, p) each."""
         if cause.candidate is None:
             return self.laws.columns(cause)
         return self.gap.columns(cause.candidate.effect)
@@ -153,6 +153,22 @@ class Posterior:
         more = seen.count.sum() / max(unseen.count.sum(), 1)
         strain = seen.strain(seen.solve(self.columns(causes)), self.rigid)
         return np.asarray((np.sum(lost, axis=1) * more + strain) / 2)
+
+    def unseen(self, causes: Sequence[Cause]) -> dict[Cause, float]:
+        """By how much each known cause lowers the squares on unseen samples, [nat].
+
+        As they are and as independent samples: the less of both. Without it all others
+        are fitted anew. Numbers of the file that take its place are farther off: that
+        counts as much as before any recording.
+        """
+        known = [c for c in causes if c.candidate is not None]
+        if not known:
+            return {}
+        whole, without = self.lost(causes), dict[Cause, float]()
+        for c in known:
+            fall = self.lost([x for x in causes if x is not c]) - whole
+            without[c] = float(fall.min())
+        return without
 
     @cached_property
     def test(self) -> Elsewhere:

@@ -172,7 +172,7 @@ class Search(Posterior):
         """Grow an explanation until all of its causes hold on unseen recordings."""
         for _ in range(_REFUSALS):
             self._grow()
-            bad = [c for c, fall in self.unseen().items() if fall <= 0]
+            bad = [c for c, fall in self.unseen(self.causes).items() if fall <= 0]
             if not bad and not self.listen(self.causes):
                 break
             self.refused |= {c.place for c in bad}
@@ -339,18 +339,3 @@ class Search(Posterior):
                 self.causes.append(law.make())
             self._remove()
         return bool(masks)
-
-    def unseen(self) -> dict[Cause, float]:
-        """By how much each known cause lowers the squares on unseen samples, [nat].
-
-        As they are and as independent samples: the less of both. Without it all others
-        are fitted anew. Numbers of the file that take its place are farther off: that
-        counts as much as before any recording.
-        """
-        if not self.known:
-            return {}
-        whole, without = self.lost(self.causes), dict[Cause, float]()
-        for c in self.known:
-            fall = self.lost([x for x in self.causes if x is not c]) - whole
-            without[c] = float(fall.min())
-        return without
