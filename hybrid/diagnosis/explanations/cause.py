@@ -24,8 +24,3 @@ class Cause:
     index: Index
     cost: float
     candidate: Candidate | None = None
-
-    @property
-    def rough(self) -> float:
-        """Part of its torque's RMS that its law leaves out."""
-        return 0.0 if self.candidate is None else self.candidate.effect.rough

@@ -11,6 +11,7 @@ from hybrid.diagnosis.evidence.candidates import Place
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.explanations.cause import Cause
+from hybrid.diagnosis.explanations.twist import twists
 from hybrid.diagnosis.explanations.unknown import WAVES, unknown_laws, waves
 from hybrid.diagnosis.gap.gap import Columns
 from hybrid.diagnosis.prior import Prior
@@ -30,7 +31,7 @@ class Laws:
 
     def __init__(self, evidence: Evidence, rigid: Index, prior: Prior) -> None:
         self._evidence, self._prior, self._gap = evidence, prior, evidence.gap
-        self._waves: dict[Place, Array] = {}
+        self._waves: dict[Place, Columns] = {}
         found = evidence.solve(rigid)
         left = [
             evidence.residual(j, found.index, found.gains)
@@ -39,28 +40,37 @@ class Laws:
         self.all = [law for j, x in enumerate(left) if len(x) for law in self._of(j, x)]
 
     def _of(self, joint: int, left: Array) -> Iterator[Cause]:
+        for name, columns in self._without_waves(joint):
+            yield self._law(name, joint, columns, self._prior.unknown)
         rows = self._evidence.rows[joint]
-        for name, x in unknown_laws(self._gap, joint):
-            yield self._law(name, joint, x, self._prior.unknown)
         picked = self._prior.unknown + float(WAVES * np.log(len(rows)))
         for name, x in waves(self._gap, joint, left, rows):
             if x.shape[1]:
-                self._waves[name, (joint,)] = x
-                yield self._law(name, joint, x, picked)
+                self._waves[name, (joint,)] = {joint: x}
+                yield self._law(name, joint, {joint: x}, picked)
 
-    def _law(self, name: str, joint: int, x: Array, cost: float) -> Cause:
-        rows, torque = self._evidence.rows[joint], self._gap.scales[joint].torque
-        size = np.sqrt(np.mean(np.sum(x[rows] ** 2, axis=1))) + 1e-12
-        std = np.full(x.shape[1], self._prior.size * torque / size)
-        (index,) = self._evidence.add([{joint: x}], [std])
+    def _without_waves(self, joint: int) -> Iterator[tuple[str, Columns]]:
+        for name, x in unknown_laws(self._gap, joint):
+            yield name, {joint: x}
+        yield from twists(self._gap, joint)
+
+    def _law(self, name: str, joint: int, columns: Columns, cost: float) -> Cause:
+        seen = {j: x[self._evidence.rows[j]] for j, x in columns.items()}
+        sizes = [
+            np.sqrt(np.mean(np.sum(x**2, axis=1))) / self._gap.scales[j].torque
+            for j, x in seen.items()
+            if len(x)
+        ]
+        std = np.full(columns[joint].shape[1], self._prior.size / (max(sizes) + 1e-12))
+        (index,) = self._evidence.add([columns], [std])
         return Cause((name, (joint,)), index, cost)
 
     def columns(self, law: Cause) -> Columns:
         """Torque per unit of each gain of a law at every sample, by joint."""
+        if law.place in self._waves:
+            return self._waves[law.place]
         (joint,) = law.place[1]
-        if (x := self._waves.get(law.place)) is None:
-            x = dict(unknown_laws(self._gap, joint))[law.place[0]]
-        return {joint: x}
+        return dict(self._without_waves(joint))[law.place[0]]
 
     def widened(self, base: Index, law: Cause) -> Cause:
         """A law under as wide a prior as is most probable.

@@ -97,6 +97,10 @@ class Posterior:
         part = self.prior.inexact if known else self.prior.misfit
         return float(part**2 * self._whole[list(c.place[1])].max())
 
+    def rough(self, c: Cause) -> float:
+        """Part of its torque's RMS that a law leaves out."""
+        return self.prior.misfit if c.candidate is None else c.candidate.effect.rough
+
     def odds(self, c: Cause) -> float:
         """Odds against a cause, [nat]."""
         return c.cost + self.mimicked(c)
@@ -128,6 +132,16 @@ class Posterior:
         known = self.evidence.solve(self.columns(causes)).evidence
         return known - sum(map(self.odds, causes))
 
+    def doubt(self, off: float) -> float:
+        """Odds against the file's numbers being so far off, [nat].
+
+        If they are farther off than is usual, each link is another one.
+        """
+        usual = self.prior.file[1]
+        far = np.log(off / usual) / np.log(self.prior.file_factor)
+        links = self.prior.cause * self.gap.robot.size if off > usual else 0.0
+        return float(0.5 * far**2 + links)
+
     def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
         """See :func:`.refine.refine`; kept, for the same is asked again and again."""
         shapes = tuple(c.effect.values.items())
@@ -155,17 +169,16 @@ class Posterior:
         return np.asarray((np.sum(lost, axis=1) * more + strain) / 2)
 
     def unseen(self, causes: Sequence[Cause]) -> dict[Cause, float]:
-        """By how much each known cause lowers the squares on unseen samples, [nat].
+        """By how much each cause lowers the squares on unseen samples, [nat].
 
         As they are and as independent samples: the less of both. Without it all others
         are fitted anew. Numbers of the file that take its place are farther off: that
         counts as much as before any recording.
         """
-        known = [c for c in causes if c.candidate is not None]
-        if not known:
+        if not causes:
             return {}
         whole, without = self.lost(causes), dict[Cause, float]()
-        for c in known:
+        for c in causes:
             fall = self.lost([x for x in causes if x is not c]) - whole
             without[c] = float(fall.min())
         return without

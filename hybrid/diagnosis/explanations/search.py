@@ -8,7 +8,7 @@ on recordings that the search has not learnt from.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
@@ -140,9 +140,9 @@ class Search(Posterior):
         self._remove()
         for self.library_only in (True, False):
             self._settle()
-        now = self.score(self.causes)
+        now = self.score(self.causes) - self.doubt(self.off)
         self.evidence.spread(self.numbers, before[1])
-        if self.score(before[0]) > now:
+        if self.score(before[0]) - self.doubt(before[1]) > now:
             self.causes = before[0]
             self.spread(before[1])
         self.evidence.spread(self.numbers, self.off)
@@ -203,16 +203,14 @@ class Search(Posterior):
 
         def score(off: float) -> float:
             self.evidence.spread(self.numbers, off)
-            far = np.log(off / self.prior.file[1]) / np.log(self.prior.file_factor)
-            return float(self.score(self.causes) - 0.5 * far**2)
+            return self.score(self.causes) - self.doubt(off)
 
         def lost(off: float) -> Array:
             self.evidence.spread(self.numbers, off)
             return self.left_out(self.causes)
 
         now, best = self.off, max(self.prior.file, key=score)
-        added = self.prior.cause * self.gap.robot.size  # each link is then another one
-        wider = score(best) > score(now) + added
+        wider = score(best) > score(now) + _BETTER
         wider = wider and bool(np.all(lost(best) < lost(now)))
         self.evidence.spread(self.numbers, now)
         if wider:
@@ -244,14 +242,19 @@ class Search(Posterior):
         while self.causes:
             now = self.score(self.causes)
             rest = [[x for x in self.causes if x is not c] for c in self.causes]
-            worth = now - np.array([self.score(x) for x in rest])
-            # What a rough law leaves out may look like any other cause, as large.
-            left_out = np.array([c.rough**2 for c in self.causes]) * worth
-            needed = [np.delete(left_out, k).max(initial=0.0) for k in range(len(rest))]
-            weakest = int(np.argmin(worth - needed))
-            if worth[weakest] >= needed[weakest]:
+            spare = now - np.array([self.score(x) + self._left_out(x) for x in rest])
+            weakest = int(np.argmin(spare))
+            if spare[weakest] >= 0.0:
                 return
             self.causes = rest[weakest]
+
+    def _left_out(self, causes: Sequence[Cause]) -> float:
+        """What rough laws leave out, which may look like any other cause, [nat]."""
+        rough = [c for c in causes if self.rough(c) > 0.0]
+        less = [self.score([x for x in causes if x is not c]) for c in rough]
+        pairs = zip(rough, less, strict=True)
+        parts = [self.rough(c) ** 2 * (self.score(causes) - x) for c, x in pairs]
+        return max(parts, default=0.0)
 
     def _renew(self, cause: Cause) -> bool:
         """Exchange a cause for whatever explains most in its place, or for nothing."""
@@ -285,6 +288,10 @@ class Search(Posterior):
             whole, less = self.columns(self.causes), own.index
         ranked = self.pool.ranked(whole, self._taken(causes), less)
         ranked = [(c, x) for c, x in ranked if c.place not in self.refused]
+        rough = {c.place[1][-1]: 0.0 for c, _ in ranked}
+        for c, x in ranked:
+            k = c.place[1][-1]
+            rough[k] = max(rough[k], c.effect.rough**2 * x)
         ranked = ranked[: self.prior.shortlist]
         short = [c for c, x in ranked if x > self.prior.refined * ranked[0][1]]
         if own is not None and own.candidate is not None:
@@ -296,20 +303,32 @@ class Search(Posterior):
             found.append(Proposal(c.place, worth - odds, make, better))
         laws = self.laws.open(causes)
         if laws and not self.library_only:
-            found.append(self._unknown(laws, base, whole, less))
+            found.append(self._unknown(laws, base, whole, less, rough))
         return sorted(found, key=lambda x: -x.worth)
 
     def _unknown(
-        self, laws: Sequence[Cause], base: Index, whole: Index, less: Index
+        self,
+        laws: Sequence[Cause],
+        base: Index,
+        whole: Index,
+        less: Index,
+        rough: Mapping[int, float],
     ) -> Proposal:
-        """The best of some unknown laws beside a base, which is a whole less a part."""
+        """The best of some unknown laws beside a base, which is a whole less a part.
+
+        What a rough law of the library leaves out at a joint is no unknown law.
+        """
         every = self.laws.all  # the same ones each time, whose products are kept
         none = [np.full(len(x.index), -np.inf) for x in every]
         gained = self.evidence.screen(whole, [x.index for x in every], none, less=less)
         known = dict(zip(every, gained, strict=True))
-        law = max(laws, key=lambda x: known[x] - self.odds(x))
+        worth = {
+            x: float(known[x]) - self.odds(x) - rough.get(x.place[1][0], 0.0)
+            for x in laws
+        }
+        law = max(laws, key=worth.__getitem__)
         make = partial(self.laws.widened, base, law)
-        return Proposal(law.place, float(known[law]) - self.odds(law), make)
+        return Proposal(law.place, worth[law], make)
 
     def _simplify(self) -> bool:
         """Exchange causes for plainer ones that are as probable; whether there are."""
@@ -335,7 +354,7 @@ class Search(Posterior):
             laws = [x for x in laws if x.place[1][0] in cause.place[1]]
             if laws:
                 base = self.columns(self.causes)
-                law = self._unknown(laws, base, base, base[:0])
+                law = self._unknown(laws, base, base, base[:0], {})
                 self.causes.append(law.make())
             self._remove()
         return bool(masks)

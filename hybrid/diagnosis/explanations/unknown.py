@@ -28,31 +28,31 @@ def unknown_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
     m = replace(gap.sampled, a=_slow(gap, gap.sampled.a))
     load = _slow(gap, gap.load[:, joint])
     q, v, a = m.q[:, joint], m.v[:, joint], m.a[:, joint]
-    sign = np.tanh(v / (0.02 * np.abs(v).max() + 1e-12))
-    yield "position", _smooth(q, 2 * _KNOTS)
-    yield "speed", _smooth(np.sign(v) * np.sqrt(np.abs(v)), 2 * _KNOTS)
-    yield "acceleration", _smooth(a, _KNOTS)
-    yield "load", _smooth(load, _KNOTS)
-    yield "time", _smooth(m.t, 2 * _KNOTS)
+    sign = turning(v)
+    yield "position", smooth(q, 2 * _KNOTS)
+    yield "speed", smooth(np.sign(v) * np.sqrt(np.abs(v)), 2 * _KNOTS)
+    yield "acceleration", smooth(a, _KNOTS)
+    yield "load", smooth(load, _KNOTS)
+    yield "time", smooth(m.t, 2 * _KNOTS)
     for name, x in (("position", q), ("load", load), ("acceleration", a)):
-        yield f"direction and {name}", sign[:, None] * _smooth(x, _KNOTS)
-    yield "speed and time", v[:, None] * _smooth(m.t, _KNOTS)
-    yield "speed and position", _products(_smooth(q, _COARSE), _smooth(v, _COARSE))
-    yield "load and position", _products(_smooth(q, _COARSE), _smooth(load, _COARSE))
+        law = sign[:, None] * smooth(x, _KNOTS)
+        yield f"direction and {name}", filtered(gap, law, gap.cutoff)
+    yield "speed and time", v[:, None] * smooth(m.t, _KNOTS)
+    yield "speed and position", _products(smooth(q, _COARSE), smooth(v, _COARSE))
+    yield "load and position", _products(smooth(q, _COARSE), smooth(load, _COARSE))
     for k in range(gap.robot.size):
         if k != joint:
             other = gap.robot.joints[k]
-            yield f"speed of {other}", _smooth(m.v[:, k], _KNOTS)
-            yield f"acceleration of {other}", _smooth(m.a[:, k], _KNOTS)
+            yield f"speed of {other}", smooth(m.v[:, k], _KNOTS)
+            yield f"acceleration of {other}", smooth(m.a[:, k], _KNOTS)
             yield (
                 f"position of {other}",
-                _products(_smooth(q, 4), _smooth(m.q[:, k], 4)),
+                _products(smooth(q, 4), smooth(m.q[:, k], 4)),
             )
-    side = np.tanh(load / (0.02 * np.abs(load).max() + 1e-12))
-    past = {"speed": _slow(gap, v), "load": load, "direction": sign, "side": side}
-    for name, x in past.items():
-        steps = [np.roll(x, s) - x for s in (1, 2, 4, 8, 16, 32)]
-        yield f"past of {name}", np.stack(steps, axis=1)
+    side = turning(gap.load[:, joint])
+    signals = {"speed": _slow(gap, v), "load": load, "direction": sign, "side": side}
+    for name, x in signals.items():
+        yield f"past of {name}", filtered(gap, past(gap, x), gap.cutoff)
 
 
 def waves(
@@ -85,12 +85,32 @@ def _pairs(angles: list[Array]) -> Array:
 
 def _slow(gap: Gap, x: Array) -> Array:
     """Signals without the upper part of the band, shape (M, ...)."""
+    return filtered(gap, x, _SLOW * gap.cutoff)
+
+
+def filtered(gap: Gap, x: Array, cutoff: float) -> Array:
+    """Signals below a cut-off, shape (M, ...); at the gap's, what jumps does as there.
+
+    Each recording for itself.
+    """
     parts = [x[gap.trajectory == k] for k in range(len(gap.motions))]
-    cutoff = _SLOW * gap.cutoff
     return np.concatenate([butterworth(p, rate=gap.rate, cutoff=cutoff) for p in parts])
 
 
-def _smooth(x: Array, count: int) -> Array:
+def turning(x: Array) -> Array:
+    """Which way a signal points, shape (M,), from -1 to 1."""
+    return np.asarray(np.tanh(x / (0.02 * np.abs(x).max() + 1e-12)))
+
+
+def past(gap: Gap, x: Array) -> Array:
+    """What a signal was some steps before, less what it is, shape (M, d)."""
+    first = np.flatnonzero(np.diff(gap.trajectory, prepend=-1))[gap.trajectory]
+    now = np.arange(len(x))
+    steps = [x[np.maximum(now - s, first)] - x for s in (1, 2, 4, 8, 16, 32)]
+    return np.stack(steps, axis=1)
+
+
+def smooth(x: Array, count: int) -> Array:
     """Features of a smooth function over the range of x, shape (M, d).
 
     With independent gains of deviation one they are a Gaussian process, of one long and
