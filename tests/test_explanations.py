@@ -12,12 +12,14 @@ from hybrid.diagnosis.explanations.belief import Belief
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.proposal import Proposal
 from hybrid.diagnosis.explanations.search import Search
+from hybrid.diagnosis.explanations.twist import twists
 from hybrid.diagnosis.explanations.unknown import unknown_laws, waves
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.gap.split import split
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.presliding import Presliding
 from hybrid.plant import Plant, simulate
+from hybrid.signals.filters import butterworth
 
 TRUTH = {"ripple": RIPPLE, "stribeck": STRIBECK}
 
@@ -145,3 +147,40 @@ def test_waves_are_those_of_a_ripple():
     y = gap.left[rows, 0]
     left = y - x @ np.linalg.lstsq(x, y)[0]
     assert left @ left < 0.1 * (y @ y)
+
+
+class TestTwists:
+    """Laws of where a link lies beside its encoder."""
+
+    @staticmethod
+    def felt(place):
+        """What all drives feel of it, and what is left of that by each law."""
+        gap = gap_of()
+        tau = []
+        for motion, body, sampler in gap:
+            dq, dv, da = np.zeros((3, *motion.q.shape))
+            dq[:, 0] = place(motion, body)
+            dv[:, 0] = np.gradient(dq[:, 0], motion.t)
+            da[:, 0] = np.gradient(dv[:, 0], motion.t)
+            tau.append(sampler(body.response(dq, dv, da)))
+        tau = np.concatenate(tau)
+        left = {}
+        for name, columns in twists(gap, 0):
+            rows = np.vstack([columns[j] for j in range(gap.robot.size)])
+            target = np.concatenate([tau[:, j] for j in range(gap.robot.size)])
+            gains = np.linalg.lstsq(rows, target, rcond=1e-9)[0]
+            left[name] = np.var(target - rows @ gains) / np.var(target)
+        return left
+
+    def test_an_encoder_off_its_centre_is_one_for_all_joints(self):
+        left = self.felt(lambda motion, body: 0.01 * np.sin(motion.q[:, 0] + 0.7))
+        assert left["twist with position"] < 0.05
+
+    def test_a_soft_gear_is_one_of_load_for_all_joints(self):
+        def wound(motion, body):
+            slow = 0.5 * gap_of().cutoff
+            return 1e-4 * butterworth(body.load[:, 0], rate=motion.rate, cutoff=slow)
+
+        left = self.felt(wound)
+        assert left["twist with load"] < 0.05
+        assert left["twist with position"] > 0.1
