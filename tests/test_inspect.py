@@ -178,6 +178,19 @@ def test_a_fault_of_the_arm_is_no_fault_of_the_log(name, effect):
     assert [d.line for d in inspect_recording(x, robot(name)).doubts] == []
 
 
+@pytest.mark.parametrize("name", ["scara", "ur5"])
+def test_torque_asked_of_a_drive_that_cannot_give_it_has_its_sign(name):
+    """The arm falls, and its controller asks for a hundred times what the drive has.
+
+    With the other sign that would be a spring, but a stronger one than any drive.
+    """
+    x = healthy(robot(name), seed=5)
+    tau, away = x.tau.copy(), x.q[:, 1] - x.q[:, 1].mean()
+    tau[:, 1] -= 100.0 * robot(name).tau_max[1] * away / np.abs(away).max()
+    doubts = inspect_recording(replace(x, tau=tau), robot(name)).doubts
+    assert not any("other way round" in d.line for d in doubts)
+
+
 @pytest.mark.parametrize("name", ["ur5", "coman_like"])
 def test_small_motion_is_no_fault_of_the_log(name):
     x = healthy(robot(name), seed=5, fill=0.08)

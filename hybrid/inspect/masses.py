@@ -8,7 +8,7 @@ takes energy. Torque of a log that is read right is a sum with positive weights
 
 of what unit masses at fixed points of each link ask for (u_p holds the ten parameters
 of such a mass), of rotor and friction at each joint, and of a spring there, in the file
-or not: a cable is one.
+or not: a cable is one. No spring is stronger than the drive that has to move it.
 Swapped columns, wrong signs and a wrong clock ask for negative masses, or leave torque
 that no mass explains.
 """
@@ -85,6 +85,10 @@ class MassColumns:
         self._squares = (state.tau**2).mean(axis=0)
         self._size = np.maximum(state.tau.var(axis=0), _TINY * self._squares + _NONE)
         self._theta = np.zeros(count)
+        self._most = np.full(count, np.inf)
+        spring, reach = n * each + 3 + _OWN * np.arange(n), np.abs(drives[:, 3]).max(1)
+        self._most[spring] = state.rated / np.maximum(reach, _TINY)
+        self._most *= self._scale
 
     @property
     def explained(self) -> Array:
@@ -109,7 +113,7 @@ class MassColumns:
         for _ in range(rounds):
             weight = 1.0 / (size * share)
             normal = np.tensordot(weight, self._normal, 1)
-            self._theta = theta = _positive(normal, weight @ right)
+            self._theta = theta = _bounded(normal, weight @ right, self._most)
             rest = squares + ((self._normal @ theta - 2 * right) * theta).sum(axis=1)
             share = np.clip(rest / size, _LEAST, None)
         return np.asarray(share, dtype=np.float64)
@@ -143,6 +147,17 @@ def _drives(state: State) -> Array:
     dry, one = direction(state.v), np.ones_like(state.v)
     own = state.a, state.v, dry, state.q - relaxed, one, -one
     return np.stack([x.T for x in own], axis=1)
+
+
+def _bounded(normal: Array, right: Array, most: Array) -> Array:
+    """The same with upper bounds, shape (P,): what is beyond stays at them."""
+    weights = _positive(normal, right)
+    over = weights > most
+    if over.any():
+        weights[over], free = most[over], ~over
+        right = right[free] - normal[np.ix_(free, over)] @ most[over]
+        weights[free] = _positive(normal[np.ix_(free, free)], right)
+    return weights
 
 
 def _positive(normal: Array, right: Array) -> Array:

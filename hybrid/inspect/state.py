@@ -29,6 +29,7 @@ class State:
         logged: Measured speeds, shape (M, n), or None.
         relaxed: Where springs of the robot file pull nothing, shape (n,), [rad or m];
             NaN at joints without one.
+        rated: What the drives can hold, by the robot file, shape (n,), [N·m or N].
     """
 
     q: Array
@@ -37,6 +38,7 @@ class State:
     tau: Array
     logged: Array | None
     relaxed: Array
+    rated: Array
 
 
 def sampled(recording: Recording, robot: Robot | None) -> State:
@@ -63,7 +65,8 @@ def sampled(recording: Recording, robot: Robot | None) -> State:
     tau = recording.tau if recording.has_torque else np.zeros_like(q)
     channels = [x if x is None else smooth(x, cutoff)[kept]
                 for x in (q, v, a, tau, recording.v)]  # fmt: skip
-    relaxed = np.full(recording.size, np.nan)
+    relaxed, rated = np.full(recording.size, np.nan), np.full(recording.size, np.inf)
     if robot is not None:
         relaxed = np.where(robot.stiffness > 0, robot.springref, np.nan)
-    return State(*channels, relaxed)  # type: ignore[call-arg,arg-type]
+        rated = robot.tau_max
+    return State(*channels, relaxed, rated)  # type: ignore[call-arg,arg-type]
