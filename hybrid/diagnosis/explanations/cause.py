@@ -18,9 +18,11 @@ class Cause:
         cost: Odds against it before any recording, and for the choice of its shapes,
             [nat].
         candidate: The effect with its shapes; nothing for an unknown law.
+        rough: Part of its torque's RMS that its law leaves out.
     """
 
     place: Place
     index: Index
     cost: float
     candidate: Candidate | None = None
+    rough: float = 0.0

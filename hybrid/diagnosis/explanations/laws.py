@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from hybrid.diagnosis.explanations.twist import twists
 from hybrid.diagnosis.explanations.unknown import WAVES, unknown_laws, waves
 from hybrid.diagnosis.gap.gap import Columns
 from hybrid.diagnosis.prior import Prior
+from hybrid.effects import effect_classes
 
 
 class Laws:
@@ -63,7 +65,10 @@ class Laws:
         ]
         std = np.full(columns[joint].shape[1], self._prior.size / (max(sizes) + 1e-12))
         (index,) = self._evidence.add([columns], [std])
-        return Cause((name, (joint,)), index, cost)
+        rough = self._prior.misfit
+        if len(columns) > 1:  # known laws of where a link lies leave out more
+            rough = max(x.rough for x in effect_classes().values())
+        return Cause((name, (joint,)), index, cost, rough=rough)
 
     def columns(self, law: Cause) -> Columns:
         """Torque per unit of each gain of a law at every sample, by joint."""
@@ -85,7 +90,7 @@ class Laws:
         if wider == 1.0:
             return law
         (index,) = self._evidence.add([columns], [wider * std])
-        return Cause(law.place, index, law.cost + float(np.log(wider)))
+        return replace(law, index=index, cost=law.cost + float(np.log(wider)))
 
     def open(self, causes: Collection[Cause]) -> list[Cause]:
         """Laws that are not among some causes, at joints where there are few yet."""

@@ -14,6 +14,7 @@ Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam facto
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from functools import cached_property
 
@@ -97,10 +98,6 @@ class Posterior:
         part = self.prior.inexact if known else self.prior.misfit
         return float(part**2 * self._whole[list(c.place[1])].max())
 
-    def rough(self, c: Cause) -> float:
-        """Part of its torque's RMS that a law leaves out."""
-        return self.prior.misfit if c.candidate is None else c.candidate.effect.rough
-
     def odds(self, c: Cause) -> float:
         """Odds against a cause, [nat]."""
         return c.cost + self.mimicked(c)
@@ -125,12 +122,28 @@ class Posterior:
         std = c.wider * c.std
         (index,) = self.evidence.add([self.gap.columns(c.effect)], [std])
         cost = self.prior.cause + price(c.effect) + float(np.log(c.wider))
-        return Cause(c.place, index, cost, c)
+        return Cause(c.place, index, cost, c, c.effect.rough)
 
     def score(self, causes: Sequence[Cause]) -> float:
         """Log posterior of an explanation, up to a constant, [nat]."""
         known = self.evidence.solve(self.columns(causes)).evidence
-        return known - sum(map(self.odds, causes))
+        return known - sum(map(self.odds, causes)) + self.alike(causes)
+
+    def alike(self, causes: Sequence[Cause], more: str = "") -> float:
+        """How much less causes cost that are of one kind, at many joints, [nat].
+
+        A file that has no friction has none at any joint: that is as probable as one
+        cause, and then each joint may have some or not.
+
+        Args:
+            causes: The causes.
+            more: Kind of one that there is besides.
+        """
+        places = {c.place for c in causes if c.candidate is not None}
+        count = Counter([*(kind for kind, _ in places), *([more] if more else [])])
+        most = self.prior.cause + self.gap.robot.size * np.log(2.0)
+        less = [max(self.prior.cause * k - most, 0.0) for k in count.values()]
+        return float(sum(less))
 
     def doubt(self, off: float) -> float:
         """Odds against the file's numbers being so far off, [nat].

@@ -242,18 +242,25 @@ class Search(Posterior):
         while self.causes:
             now = self.score(self.causes)
             rest = [[x for x in self.causes if x is not c] for c in self.causes]
-            spare = now - np.array([self.score(x) + self._left_out(x) for x in rest])
+            pairs = zip(self.causes, rest, strict=True)
+            worth = now - np.array([self.score(x) for x in rest])
+            spare = worth - np.array([self._left_out(x, c) for c, x in pairs])
             weakest = int(np.argmin(spare))
             if spare[weakest] >= 0.0:
                 return
             self.causes = rest[weakest]
 
-    def _left_out(self, causes: Sequence[Cause]) -> float:
-        """What rough laws leave out, which may look like any other cause, [nat]."""
-        rough = [c for c in causes if self.rough(c) > 0.0]
+    def _left_out(self, causes: Sequence[Cause], other: Cause) -> float:
+        """What rough laws leave out, which another cause may be no more than, [nat].
+
+        A rough law of the library is more than what an unknown one leaves out.
+        """
+        known = other.candidate is not None
+        least = [other.rough if known and not c.candidate else 0.0 for c in causes]
+        rough = [c for c, x in zip(causes, least, strict=True) if c.rough > x]
         less = [self.score([x for x in causes if x is not c]) for c in rough]
         pairs = zip(rough, less, strict=True)
-        parts = [self.rough(c) ** 2 * (self.score(causes) - x) for c, x in pairs]
+        parts = [c.rough**2 * (self.score(causes) - x) for c, x in pairs]
         return max(parts, default=0.0)
 
     def _renew(self, cause: Cause) -> bool:
@@ -299,7 +306,8 @@ class Search(Posterior):
         for c in short:
             better, worth = self.refine(base, c)
             make = partial(self.cause, better)
-            odds = self.prior.cause + self.mimicked(c)
+            alike = self.alike(causes, c.place[0]) - self.alike(causes)
+            odds = self.prior.cause - alike + self.mimicked(c)
             found.append(Proposal(c.place, worth - odds, make, better))
         laws = self.laws.open(causes)
         if laws and not self.library_only:
