@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ def compiled(path: str | Path) -> Any:
     """
     import mujoco
 
-    return _quietly(lambda: mujoco.MjModel.from_xml_path(str(path)), str(path))
+    return quietly(lambda: mujoco.MjModel.from_xml_path(str(path)), _fault(path))
 
 
 def compiled_without_files(path: str | Path) -> tuple[Any, Mapping[int, str]]:
@@ -32,7 +32,7 @@ def compiled_without_files(path: str | Path) -> tuple[Any, Mapping[int, str]]:
     try:
         return compiled(path), {}
     except RobotError:
-        spec = _quietly(lambda: spec_from_file(Path(path)), str(path))
+        spec = quietly(lambda: spec_from_file(Path(path)), _fault(path))
         if not (spec.meshes or spec.hfields or spec.textures):
             raise
     return compiled_spec(spec, str(path))
@@ -63,7 +63,7 @@ def compiled_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
 
     spec.compiler.fusestatic = False  # bodies stay what geometry belongs to
     missing = dict(_stand_ins(spec))
-    model = _quietly(spec.compile, where)
+    model = quietly(spec.compile, _fault(where))
     by = spec.compiler.inertiafromgeom
     never, always, _ = mujoco.mjtInertiaFromGeom.__members__.values()
     low, high = spec.compiler.inertiagrouprange
@@ -79,7 +79,20 @@ def compiled_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
     return model, wanting
 
 
-def _quietly(make: Any, where: str) -> Any:
+def _fault(where: str | Path) -> str:
+    return f"{where}: not a readable MJCF"
+
+
+def quietly(make: Callable[[], Any], fault: str) -> Any:
+    """What is made by MuJoCo, whose warnings count as errors.
+
+    Args:
+        make: What makes it.
+        fault: What it means if that fails, for the message.
+
+    Raises:
+        RobotError: It fails.
+    """
     import mujoco
 
     # Without a listener MuJoCo leaves a log in the folder that one happens to be in.
@@ -94,7 +107,7 @@ def _quietly(make: Any, where: str) -> Any:
         mujoco.set_mju_user_warning(before)
     if said:
         reason = printable(" ".join(" ".join(said).split()))
-        raise RobotError(f"{where}: not a readable MJCF ({reason})")
+        raise RobotError(f"{fault} ({reason})")
     return model
 
 

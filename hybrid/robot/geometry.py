@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.chain import zero_frames
-from hybrid.robot.compiled import compiled
-from hybrid.robot.mjcf import joint_names
-from hybrid.robot.mjcf import start as mujoco_start
-from hybrid.robot.urdf import start as pinocchio_start
+from hybrid.extras import check_extra
+from hybrid.names import printable
+from hybrid.robot.compiled import compiled, quietly
+from hybrid.robot.mjcf import joint_names, matrix, mujoco_tree
+from hybrid.robot.tree import Tree
+from hybrid.robot.urdf import numbers, origin, urdf_root, urdf_tree
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
@@ -24,7 +27,8 @@ _PIECES = 2  # capsules of a mesh: many links are bent
 _LONGEST_EDGE = 0.03  # m; longer ones are cut, so that pieces follow the surface
 _CIRCLE = 16  # points of a rim
 _MOST_TRIANGLES = 200_000
-_BASE = -1
+_SHAPES = ("box", "capsule", "cylinder", "mesh", "sphere")
+_MESHES = (".stl", ".obj", ".msh")  # that MuJoCo reads
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +64,18 @@ def capsules_from_robot(robot: Robot) -> Capsules:
             f"{path.name or 'none'} is not there, or no such file"
         )
     reader = _from_urdf if path.suffix.lower() == ".urdf" else _from_mjcf
-    rotation, origin = zero_frames(robot.chain)
+    tree, pieces = reader(robot)
+    places, _ = tree.places(robot.joints, robot.held)
+    where = {
+        node.body: place
+        for node, place in zip(tree.nodes, places, strict=True)
+        if node.body is not None
+    }
     link, ends, radius, names = [], [], [], []
-    for joint, points, grown, name in reader(robot):
-        if joint >= 0:  # from the world into the link, at zero
-            points = (points - origin[joint]) @ rotation[joint]
-        for segment, r in _covering(points, grown):
-            link.append(joint)
+    for body, points, grown, name in pieces:
+        k, R, p = where[body]
+        for segment, r in _covering(points @ R.T + p, grown):
+            link.append(k)
             ends.append(segment)
             radius.append(r)
             names.append(name)
@@ -75,64 +84,90 @@ def capsules_from_robot(robot: Robot) -> Capsules:
     return Capsules(np.array(link), np.array(ends), np.array(radius), tuple(names))
 
 
-Piece = tuple[int, Array, float, str]  # link, points in the world, growth, name
+Piece = tuple[Any, Array, float, str]  # body, points in its frame, growth, name
 
 
-def _from_urdf(robot: Robot) -> Iterator[Piece]:
-    import pinocchio as pin
-
-    path = Path(robot.path)
-    model = pin.buildModelFromUrdf(str(path))
-    # Meshes are named from the root of a package, which may lie anywhere above.
-    folders = [str(parent) for parent in path.resolve().parents]
-    try:
-        geometry = pin.buildGeomFromUrdf(
-            model, str(path), pin.GeometryType.COLLISION, package_dirs=folders
-        )
-    except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise RobotError(f"{path.name}: no collision geometry ({reason})") from error
-    data = model.createData()
-    pin.forwardKinematics(model, data, pinocchio_start(model, robot.held))
-    for item in geometry.geometryObjects:
-        place = data.oMi[item.parentJoint].act(item.placement)
-        joint = int(item.parentJoint)
-        while joint > 0 and model.names[joint] not in robot.joints:
-            joint = int(model.parents[joint])
-        link = robot.joints.index(model.names[joint]) if joint > 0 else _BASE
-        for points, grown in _urdf_points(item.geometry):
-            yield link, points @ place.rotation.T + place.translation, grown, item.name
-
-
-def _urdf_points(shape: Any) -> Iterator[tuple[Array, float]]:
-    kind = type(shape).__name__
-    if kind == "Sphere":
-        yield np.zeros((1, 3)), float(shape.radius)
-    elif kind == "Capsule":
-        yield _segment(float(shape.halfLength)), float(shape.radius)
-    elif kind == "Cylinder":
-        yield _cylinder(float(shape.radius), float(shape.halfLength)), 0.0
-    elif kind == "Box":
-        yield _box(np.ravel(shape.halfSide)), 0.0
-    elif hasattr(shape, "vertices"):
-        points = np.asarray(shape.vertices())
-        count = getattr(shape, "num_tris", 0)
-        corners = (shape.tri_indices(k) for k in range(count))
-        triangles = np.array([[x[0], x[1], x[2]] for x in corners], dtype=int)
-        yield from ((x, 0.0) for x in _pieces(points, triangles))
-
-
-def _from_mjcf(robot: Robot) -> Iterator[Piece]:
+def _from_urdf(robot: Robot) -> tuple[Tree, Iterator[Piece]]:
     import mujoco
 
+    path = Path(robot.path)
+    root, spec = urdf_root(path.read_bytes()), mujoco.MjSpec()
+    tree = urdf_tree(root, path)
+    links = root.findall("link")
+    for link in links:
+        body = spec.worldbody.add_body()
+        for k, collision in enumerate(link.iterfind("collision")):
+            _add_shape(spec, body, f"{link.get('name')}_{k}", collision, path)
+    model = quietly(spec.compile, f"{path.name}: no collision geometry")
+    pieces = _mjcf_pieces(model)
+    return tree, ((links[b - 1].get("name"), *piece) for b, *piece in pieces)
+
+
+def _add_shape(spec: Any, body: Any, name: str, collision: Element, path: Path) -> None:
+    """Give a body of a spec a shape of a URDF file; it collides with nothing."""
+    from mujoco import mjtGeom
+    from scipy.spatial.transform import Rotation
+
+    inside = collision.find("geometry")
+    tag = "" if inside is None or not len(inside) else inside[0].tag
+    if inside is None or tag not in _SHAPES:
+        return
+    R, p = origin(collision)
+    geom = body.add_geom(name=name, pos=p, contype=0, conaffinity=0)
+    geom.quat = Rotation.from_matrix(R).as_quat(scalar_first=True)
+    geom.type = getattr(mjtGeom, f"mjGEOM_{tag.upper()}")
+    if tag == "box":
+        geom.size = numbers(inside, tag, "size", 0.0, 0.0, 0.0) / 2
+    elif tag == "mesh":
+        scale = numbers(inside, tag, "scale", 1.0, 1.0, 1.0)
+        geom.meshname = name
+        _add_mesh(spec, name, _mesh_file(inside[0].get("filename", ""), path), scale)
+    else:
+        radius, length = (numbers(inside, tag, x, 0.0)[0] for x in ("radius", "length"))
+        geom.size = np.array([radius, length / 2, 0.0])
+
+
+def _add_mesh(spec: Any, name: str, file: Path, scale: Array) -> None:
+    from mujoco import mjtMeshInertia
+
+    mesh = spec.add_mesh(name=name, scale=scale)
+    mesh.inertia = mjtMeshInertia.mjMESH_INERTIA_SHELL  # it may be open, or flat
+    if file.suffix.lower() in _MESHES:
+        mesh.file = str(file)
+        return
+    check_extra("coal", "pin", f"The mesh {file.name} (no {', '.join(_MESHES)} file)")
+    import coal
+
+    shape = coal.MeshLoader().load(str(file), np.ones(3))
+    mesh.uservert = np.ravel(shape.vertices())
+    corners = (shape.tri_indices(k) for k in range(shape.num_tris))
+    mesh.userface = np.array([[x[0], x[1], x[2]] for x in corners]).ravel()
+
+
+def _mesh_file(name: str, path: Path) -> Path:
+    """A mesh of a URDF file, by its name there.
+
+    Meshes are named from the root of a package, which may lie anywhere above.
+    """
+    inner = re.sub("^(package|file|model)://", "", name)
+    for folder in path.resolve().parents:
+        if inner and (folder / inner).is_file():
+            return folder / inner
+    raise RobotError(
+        f"{path.name}: no collision geometry (mesh {printable(name)!r} is not there)"
+    )
+
+
+def _from_mjcf(robot: Robot) -> tuple[Tree, Iterator[Piece]]:
     model: Any = compiled(robot.path)
-    data = mujoco.MjData(model)
-    names = joint_names(model)
-    if not set(robot.joints) <= set(names):
+    if not set(robot.joints) <= set(joint_names(model)):
         raise RobotError(f"{Path(robot.path).name} has not all joints of {robot.name}")
-    data.qpos[:] = mujoco_start(model, robot.held)
-    data.qpos[model.jnt_qposadr[[names.index(x) for x in robot.joints]]] = 0.0
-    mujoco.mj_kinematics(model, data)
+    return mujoco_tree(model, robot.path), _mjcf_pieces(model)
+
+
+def _mjcf_pieces(model: Any) -> Iterator[Piece]:
+    import mujoco
+
     shape = mujoco.mjtGeom
     for g in range(model.ngeom):
         kind, size = model.geom_type[g], model.geom_size[g]
@@ -154,23 +189,10 @@ def _from_mjcf(robot: Robot) -> Iterator[Piece]:
             clouds = [(x, 0.0) for x in _pieces(vertices, triangles)]
         else:  # a box, or an ellipsoid in its box
             clouds = [(_box(size), 0.0)]
-        turn = data.geom_xmat[g].reshape(3, 3)
-        link = _link_of_body(model, int(model.geom_bodyid[g]), names, robot.joints)
+        R, body = matrix(model.geom_quat[g]), int(model.geom_bodyid[g])
         for points, grown in clouds:
             name = model.geom(g).name or f"geom_{g}"
-            yield link, points @ turn.T + data.geom_xpos[g], grown, name
-
-
-def _link_of_body(
-    model: Any, body: int, names: list[str], joints: tuple[str, ...]
-) -> int:
-    while body > 0:
-        start = int(model.body_jntadr[body])
-        for joint in range(start + int(model.body_jntnum[body]) - 1, start - 1, -1):
-            if names[joint] in joints:
-                return joints.index(names[joint])
-        body = int(model.body_parentid[body])
-    return _BASE
+            yield body, points @ R.T + model.geom_pos[g], grown, name
 
 
 def _segment(half: float) -> Array:

@@ -11,8 +11,9 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
-from hybrid.robot.edit.part import Part, changed_parts, urdf_parts
+from hybrid.robot.edit.part import Part, changed_parts, parts_of
 from hybrid.robot.robot import Robot
+from hybrid.robot.urdf import urdf_root, urdf_tree
 
 DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
 
@@ -32,7 +33,8 @@ def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
         RobotError: A link cannot be found in the file.
     """
     new = change.robot
-    for part in changed_parts(urdf_parts(old, document.content.decode()), old, new):
+    tree = urdf_tree(urdf_root(document.content), document.where)
+    for part in changed_parts(parts_of(old, tree), old, new):
         (link,) = document.find("robot", "link", name=part.body)
         _inertial(document, link, part)
     for j, name in enumerate(new.joints):
