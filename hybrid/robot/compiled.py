@@ -20,7 +20,7 @@ def compiled(path: str | Path) -> Any:
     """
     import mujoco
 
-    return quietly(lambda: mujoco.MjModel.from_xml_path(str(path)), _fault(path))
+    return _quietly(lambda: mujoco.MjModel.from_xml_path(str(path)), path)
 
 
 def compiled_without_files(path: str | Path) -> tuple[Any, Mapping[int, str]]:
@@ -32,7 +32,7 @@ def compiled_without_files(path: str | Path) -> tuple[Any, Mapping[int, str]]:
     try:
         return compiled(path), {}
     except RobotError:
-        spec = quietly(lambda: spec_from_file(Path(path)), _fault(path))
+        spec = _quietly(lambda: spec_from_file(Path(path)), path)
         if not (spec.meshes or spec.hfields or spec.textures):
             raise
     return compiled_spec(spec, str(path))
@@ -63,7 +63,7 @@ def compiled_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
 
     spec.compiler.fusestatic = False  # bodies stay what geometry belongs to
     missing = dict(_stand_ins(spec))
-    model = quietly(spec.compile, _fault(where))
+    model = _quietly(spec.compile, where)
     by = spec.compiler.inertiafromgeom
     never, always, _ = mujoco.mjtInertiaFromGeom.__members__.values()
     low, high = spec.compiler.inertiagrouprange
@@ -79,20 +79,7 @@ def compiled_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
     return model, wanting
 
 
-def _fault(where: str | Path) -> str:
-    return f"{where}: not a readable MJCF"
-
-
-def quietly(make: Callable[[], Any], fault: str) -> Any:
-    """What is made by MuJoCo, whose warnings count as errors.
-
-    Args:
-        make: What makes it.
-        fault: What it means if that fails, for the message.
-
-    Raises:
-        RobotError: It fails.
-    """
+def _quietly(make: Callable[[], Any], where: str | Path) -> Any:
     import mujoco
 
     # Without a listener MuJoCo leaves a log in the folder that one happens to be in.
@@ -107,7 +94,7 @@ def quietly(make: Callable[[], Any], fault: str) -> Any:
         mujoco.set_mju_user_warning(before)
     if said:
         reason = printable(" ".join(" ".join(said).split()))
-        raise RobotError(f"{fault} ({reason})")
+        raise RobotError(f"{where}: not a readable MJCF ({reason})")
     return model
 
 

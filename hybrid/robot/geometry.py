@@ -15,10 +15,10 @@ from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.extras import check_extra
 from hybrid.names import printable
-from hybrid.robot.compiled import compiled, quietly
+from hybrid.robot.compiled import compiled
 from hybrid.robot.mjcf import joint_names, matrix, mujoco_tree
 from hybrid.robot.tree import Tree
-from hybrid.robot.urdf import numbers, origin, urdf_root, urdf_tree
+from hybrid.robot.urdf import number, numbers, origin, urdf_root, urdf_tree
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
@@ -27,8 +27,6 @@ _PIECES = 2  # capsules of a mesh: many links are bent
 _LONGEST_EDGE = 0.03  # m; longer ones are cut, so that pieces follow the surface
 _CIRCLE = 16  # points of a rim
 _MOST_TRIANGLES = 200_000
-_SHAPES = ("box", "capsule", "cylinder", "mesh", "sphere")
-_MESHES = (".stl", ".obj", ".msh")  # that MuJoCo reads
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,64 +82,43 @@ def capsules_from_robot(robot: Robot) -> Capsules:
     return Capsules(np.array(link), np.array(ends), np.array(radius), tuple(names))
 
 
+_STL_HEAD = 84  # bytes before the first triangle of a binary STL file
+_STL_TRIANGLE = np.dtype([("normal", "<3f4"), ("corners", "<9f4"), ("color", "<u2")])
 Piece = tuple[Any, Array, float, str]  # body, points in its frame, growth, name
 
 
 def _from_urdf(robot: Robot) -> tuple[Tree, Iterator[Piece]]:
-    import mujoco
-
     path = Path(robot.path)
-    root, spec = urdf_root(path.read_bytes()), mujoco.MjSpec()
-    tree = urdf_tree(root, path)
-    links = root.findall("link")
-    for link in links:
-        body = spec.worldbody.add_body()
+    root = urdf_root(path.read_bytes())
+    return urdf_tree(root, path), _urdf_pieces(root, path)
+
+
+def _urdf_pieces(root: Element, path: Path) -> Iterator[Piece]:
+    for link in root.iterfind("link"):
+        body = link.get("name", "")
         for k, collision in enumerate(link.iterfind("collision")):
-            _add_shape(spec, body, f"{link.get('name')}_{k}", collision, path)
-    model = quietly(spec.compile, f"{path.name}: no collision geometry")
-    pieces = _mjcf_pieces(model)
-    return tree, ((links[b - 1].get("name"), *piece) for b, *piece in pieces)
+            R, p = origin(collision)
+            for shape in collision.iterfind("geometry"):
+                for points, grown in _urdf_points(shape, path):
+                    yield body, points @ R.T + p, grown, f"{body}_{k}"
 
 
-def _add_shape(spec: Any, body: Any, name: str, collision: Element, path: Path) -> None:
-    """Give a body of a spec a shape of a URDF file; it collides with nothing."""
-    from mujoco import mjtGeom
-    from scipy.spatial.transform import Rotation
-
-    inside = collision.find("geometry")
-    tag = "" if inside is None or not len(inside) else inside[0].tag
-    if inside is None or tag not in _SHAPES:
-        return
-    R, p = origin(collision)
-    geom = body.add_geom(name=name, pos=p, contype=0, conaffinity=0)
-    geom.quat = Rotation.from_matrix(R).as_quat(scalar_first=True)
-    geom.type = getattr(mjtGeom, f"mjGEOM_{tag.upper()}")
-    if tag == "box":
-        geom.size = numbers(inside, tag, "size", 0.0, 0.0, 0.0) / 2
+def _urdf_points(shape: Element, path: Path) -> Iterator[tuple[Array, float]]:
+    """Points of a shape, and how far it reaches around each."""
+    tag = shape[0].tag if len(shape) else ""
+    radius, length = (number(shape, tag, x, 0.0) for x in ("radius", "length"))
+    if tag == "sphere":
+        yield np.zeros((1, 3)), radius
+    elif tag == "capsule":
+        yield _segment(length / 2), radius
+    elif tag == "cylinder":
+        yield _cylinder(radius, length / 2), 0.0
+    elif tag == "box":
+        yield _box(numbers(shape, tag, "size", 0.0, 0.0, 0.0) / 2), 0.0
     elif tag == "mesh":
-        scale = numbers(inside, tag, "scale", 1.0, 1.0, 1.0)
-        geom.meshname = name
-        _add_mesh(spec, name, _mesh_file(inside[0].get("filename", ""), path), scale)
-    else:
-        radius, length = (numbers(inside, tag, x, 0.0)[0] for x in ("radius", "length"))
-        geom.size = np.array([radius, length / 2, 0.0])
-
-
-def _add_mesh(spec: Any, name: str, file: Path, scale: Array) -> None:
-    from mujoco import mjtMeshInertia
-
-    mesh = spec.add_mesh(name=name, scale=scale)
-    mesh.inertia = mjtMeshInertia.mjMESH_INERTIA_SHELL  # it may be open, or flat
-    if file.suffix.lower() in _MESHES:
-        mesh.file = str(file)
-        return
-    check_extra("coal", "pin", f"The mesh {file.name} (no {', '.join(_MESHES)} file)")
-    import coal
-
-    shape = coal.MeshLoader().load(str(file), np.ones(3))
-    mesh.uservert = np.ravel(shape.vertices())
-    corners = (shape.tri_indices(k) for k in range(shape.num_tris))
-    mesh.userface = np.array([[x[0], x[1], x[2]] for x in corners]).ravel()
+        points, triangles = _mesh(_mesh_file(shape[0].get("filename", ""), path))
+        points = points * numbers(shape, tag, "scale", 1.0, 1.0, 1.0)
+        yield from ((x, 0.0) for x in _pieces(points, triangles))
 
 
 def _mesh_file(name: str, path: Path) -> Path:
@@ -149,13 +126,33 @@ def _mesh_file(name: str, path: Path) -> Path:
 
     Meshes are named from the root of a package, which may lie anywhere above.
     """
-    inner = re.sub("^(package|file|model)://", "", name)
+    inner = re.sub("^(package|file|model)://", "", name).lstrip("/")
     for folder in path.resolve().parents:
         if inner and (folder / inner).is_file():
             return folder / inner
     raise RobotError(
         f"{path.name}: no collision geometry (mesh {printable(name)!r} is not there)"
     )
+
+
+def _mesh(file: Path) -> tuple[Array, np.ndarray]:
+    """A mesh's points, shape (P, 3), [m], and its triangles' corners, shape (T, 3)."""
+    content = file.read_bytes()
+    count = (len(content) - _STL_HEAD) // _STL_TRIANGLE.itemsize
+    if count > 0 and content[_STL_HEAD - 4 : _STL_HEAD] == count.to_bytes(4, "little"):
+        corners = np.frombuffer(content, _STL_TRIANGLE, count, _STL_HEAD)["corners"]
+        points = corners.reshape(-1, 3).astype(float)
+        return points, np.arange(len(points)).reshape(-1, 3)
+    check_extra("coal", "pin", f"A mesh that is no binary STL file, {file.name},")
+    import coal
+
+    try:
+        mesh = coal.MeshLoader().load(str(file), np.ones(3))
+    except (RuntimeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise RobotError(f"{file}: not a readable mesh ({reason})") from error
+    triangles = (mesh.tri_indices(k) for k in range(mesh.num_tris))
+    return mesh.vertices(), np.array([[x[0], x[1], x[2]] for x in triangles], dtype=int)
 
 
 def _from_mjcf(robot: Robot) -> tuple[Tree, Iterator[Piece]]:

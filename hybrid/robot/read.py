@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -77,10 +76,12 @@ def _of_file(
     if not path.is_file():
         raise RobotError(f"{path}: no such robot file")
     if suffix == ".xacro":
-        return {**_of_xacro(path, joints, held), "path": str(path)}, None
-    check_demand(path)
-    if suffix == ".urdf":
-        return {**read_urdf(path, joints, held), "path": str(path)}, None
+        content = expanded(path).encode()
+    else:
+        check_demand(path)
+        content = path.read_bytes()
+    if suffix in (".urdf", ".xacro"):
+        return {**read_urdf(content, path, joints, held), "path": str(path)}, None
     made = compiled_without_files(path)
     fields, model = _of_mujoco(made, str(path), joints, held)
     return {**fields, "name": path.stem, "path": str(path)}, model
@@ -170,17 +171,3 @@ def expanded(path: Path) -> str:
         raise RobotError(
             f"{path}: xacro cannot expand it ({reason}); try `{by_hand}`"
         ) from error
-
-
-def _of_xacro(
-    path: Path, joints: tuple[str, ...] | None, held: Mapping[str, float]
-) -> dict[str, Any]:
-    text = expanded(path)
-    with TemporaryDirectory() as folder:
-        file = Path(folder, f"{path.name.split('.')[0]}.urdf")
-        file.write_text(text, encoding="utf-8")
-        try:
-            check_demand(file)
-            return read_urdf(file, joints, held)
-        except RobotError as error:
-            raise RobotError(str(error).replace(str(file), str(path))) from error

@@ -117,14 +117,17 @@ class Tree:
     @cached_property
     def kinds(self) -> Mapping[str, str]:
         """What the joints are that an arm cannot have."""
-        kinds = {node.joint: node.kind for node in self.nodes if node.kind}
         follow = {x: f"follows joint {y!r} (mimic)" for x, y in self.leaders.items()}
-        return kinds | follow
+        kinds = {x.joint: follow.get(x.joint, x.kind) for x in self.nodes}
+        return {name: kind for name, kind in kinds.items() if kind}
 
     @cached_property
     def leaders(self) -> Mapping[str, str]:
-        """Which joint each follows that follows one; an arm ends before those."""
-        return {x.joint: x.follows[0] for x in self.nodes if x.follows}
+        """Which joint each follows that follows one; an arm ends before those.
+
+        A finger that is fixed where it would follow goes by the name of its link.
+        """
+        return {x.joint or x.name: x.follows[0] for x in self.nodes if x.follows}
 
     @property
     def free(self) -> list[str]:
@@ -222,7 +225,7 @@ def _link(name: str, bodies: Sequence[Body]) -> Body:
     for x in bodies:
         arm = skew(x.center - center)
         inertia += x.inertia - x.mass * (arm @ arm)
-    if mass == 0 and not inertia.any():
+    if bodies and mass == 0 and not inertia.any():
         raise RobotError(
             f"link {name!r} moves and has no inertia; give it an <inertial>, or choose "
             "joints without it"
@@ -274,7 +277,7 @@ def serial_joints(
     for follower, leader in tree.leaders.items():
         if leader in kept:
             raise RobotError(
-                f"joint {follower!r} follows joint {leader!r} of the arm (mimic), "
+                f"{follower!r} follows joint {leader!r} of the arm (mimic), "
                 "which moves both; choose joints without it"
             )
     others = {name for name in tree.parents if name not in kept}

@@ -31,27 +31,31 @@ _GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s²
 
 
 def read_urdf(
-    path: Path, joints: tuple[str, ...] | None, held: Mapping[str, float]
+    content: bytes,
+    where: str | Path,
+    joints: tuple[str, ...] | None,
+    held: Mapping[str, float],
 ) -> dict[str, Any]:
     """Fields of a :class:`~hybrid.robot.robot.Robot` read from a URDF file.
 
     Args:
-        path: The URDF file; meshes are not needed.
+        content: What the URDF file holds; meshes are not needed.
+        where: The file, for messages.
         joints: Joints to keep, or None for the arm that the file's tree holds.
         held: Positions of other joints, [rad or m].
 
     Raises:
         RobotError: The file is not a URDF, or holds no serial arm.
     """
-    root = urdf_root(path.read_bytes())
-    tree = urdf_tree(root, path)
+    root = urdf_root(content)
+    tree = urdf_tree(root, where)
     keep = serial_joints(tree, joints, held)
     held = tree.held(held)
     found = _named(root, "joint")
     arm = [found[name] for name in keep]
 
     def of_joints(tag: str, attribute: str) -> Array:
-        return np.concatenate([numbers(x, tag, attribute, 0.0) for x in arm])
+        return np.array([number(x, tag, attribute, 0.0) for x in arm])
 
     endless = [x.get("type") == "continuous" for x in arm]
     rotors, springs = dict(_rotors(root)), dict(_springs(root))
@@ -85,8 +89,9 @@ def urdf_root(content: bytes) -> Element:
     try:
         parser.Parse(content, True)
     except expat.ExpatError as error:
-        content.decode()  # a name that is no text
-        raise RobotError(f"not a readable URDF ({error})") from error
+        text = content.decode(errors="replace")
+        reason = "not UTF-8" if text.encode() != content else error
+        raise RobotError(f"not a readable URDF ({reason})") from error
     root = builder.close()
     if root.tag != "robot" or not root.get("name"):
         raise RobotError(
@@ -143,10 +148,10 @@ def _node(parent: int, joint: Element | None, link: Element) -> Node:
     inertial = link.find("inertial")
     if inertial is not None:
         R, own["center"] = origin(inertial)
-        (own["mass"],) = numbers(inertial, "mass", "value", math.nan)
+        own["mass"] = number(inertial, "mass", "value", math.nan)
         names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
         xx, xy, xz, yy, yz, zz = (
-            numbers(inertial, "inertia", x, math.nan)[0] for x in names
+            number(inertial, "inertia", x, math.nan) for x in names
         )
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         own["inertia"] = R @ inertia @ R.T
@@ -162,26 +167,27 @@ def _motion(joint: Element) -> dict[str, Any]:
             f"{', '.join(_KINDS)}"
         )
     if kind == "fixed":
-        return {}
+        return {"follows": _follows(joint)}
     if kind in ("revolute", "prismatic") and joint.find("limit") is None:
         raise RobotError(f"joint {name!r} is {kind} and has no <limit>")
     axis = numbers(joint, "axis", "xyz", 1.0, 0.0, 0.0)
     if not axis.any():
         raise RobotError(f"axis of joint {name!r} has no direction")
-    mimic, follows = joint.find("mimic"), None
-    if mimic is not None:
-        scale, offset = (
-            float(numbers(joint, "mimic", x, usual)[0])
-            for x, usual in (("multiplier", 1.0), ("offset", 0.0))
-        )
-        follows = (_attribute(joint, "mimic", "joint"), scale, offset)
     return {
         "joint": name,
         "kind": _KINDS[kind],
-        "follows": follows,
+        "follows": _follows(joint),
         "axis": axis / np.linalg.norm(axis),
         "revolute": kind != "prismatic",
     }
+
+
+def _follows(joint: Element) -> tuple[str, float, float] | None:
+    if joint.find("mimic") is None:
+        return None
+    ratio = number(joint, "mimic", "multiplier", 1.0)
+    offset = number(joint, "mimic", "offset", 0.0)
+    return _attribute(joint, "mimic", "joint"), ratio, offset
 
 
 def origin(element: Element) -> tuple[Array, Array]:
@@ -209,9 +215,9 @@ def _rotors(root: Element) -> Iterator[tuple[str, float]]:
     for drive in root.iter("transmission"):
         actuator = drive.find("actuator")
         if actuator is not None and drive.find("joint") is not None:
-            (rotor,) = numbers(actuator, "drake:rotor_inertia", "value", 0.0)
-            (ratio,) = numbers(actuator, "drake:gear_ratio", "value", 1.0)
-            yield _attribute(drive, "joint", "name"), float(rotor * ratio * ratio)
+            rotor = number(actuator, "drake:rotor_inertia", "value", 0.0)
+            ratio = number(actuator, "drake:gear_ratio", "value", 1.0)
+            yield _attribute(drive, "joint", "name"), rotor * ratio * ratio
 
 
 def _springs(root: Element) -> Iterator[tuple[str, tuple[float, float]]]:
@@ -254,6 +260,11 @@ def numbers(element: Element, tag: str, name: str, *usual: float) -> Array:
     if len(found) != len(usual):
         raise RobotError(f"{what} has {len(found)} numbers; valid are {len(usual)}")
     return np.array(found)
+
+
+def number(element: Element, tag: str, name: str, usual: float) -> float:
+    """The one number of an attribute; see :func:`numbers`."""
+    return float(numbers(element, tag, name, usual)[0])
 
 
 def _number(text: str, what: str) -> float:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -13,7 +11,7 @@ from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.part import Part, changed_parts, parts_of
 from hybrid.robot.robot import Robot
-from hybrid.robot.urdf import urdf_root, urdf_tree
+from hybrid.robot.urdf import read_urdf, urdf_root, urdf_tree
 
 DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
 
@@ -49,11 +47,9 @@ def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
 
 def check_urdf(document: Document, robot: Robot) -> Robot:
     """Read the arm back from the document."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder, "robot.urdf")
-        file.write_bytes(document.written())
-        found = Robot.load(file, joints=robot.joints, held=dict(robot.held))
-    return replace(found, path=robot.path)
+    content, where = document.written(), document.where
+    fields = read_urdf(content, where, robot.joints, dict(robot.held))
+    return Robot(**fields, path=robot.path)
 
 
 def move_meshes(document: Document, home: Path, folder: Path) -> None:
