@@ -16,7 +16,7 @@ from hybrid.errors import RobotError
 from hybrid.extras import check_extra
 from hybrid.names import printable
 from hybrid.robot.compiled import compiled
-from hybrid.robot.mjcf import joint_names, matrix, mujoco_tree
+from hybrid.robot.mjcf import matrix, mujoco_tree
 from hybrid.robot.tree import Tree
 from hybrid.robot.urdf import number, numbers, origin, urdf_root, urdf_tree
 
@@ -61,14 +61,11 @@ def capsules_from_robot(robot: Robot) -> Capsules:
             f"{robot.name}: collision checks need the robot's URDF or MJCF file; "
             f"{path.name or 'none'} is not there, or no such file"
         )
-    reader = _from_urdf if path.suffix.lower() == ".urdf" else _from_mjcf
-    tree, pieces = reader(robot)
+    tree, pieces = (_from_urdf if path.suffix.lower() == ".urdf" else _from_mjcf)(path)
+    if not set(robot.joints) <= set(tree.parents):
+        raise RobotError(f"{path.name} has not all joints of {robot.name}")
     places, _ = tree.places(robot.joints, robot.held)
-    where = {
-        node.body: place
-        for node, place in zip(tree.nodes, places, strict=True)
-        if node.body is not None
-    }
+    where = {n.body: place for n, place in zip(tree.nodes, places, strict=True)}
     link, ends, radius, names = [], [], [], []
     for body, points, grown, name in pieces:
         k, R, p = where[body]
@@ -87,8 +84,7 @@ _STL_TRIANGLE = np.dtype([("normal", "<3f4"), ("corners", "<9f4"), ("color", "<u
 Piece = tuple[Any, Array, float, str]  # body, points in its frame, growth, name
 
 
-def _from_urdf(robot: Robot) -> tuple[Tree, Iterator[Piece]]:
-    path = Path(robot.path)
+def _from_urdf(path: Path) -> tuple[Tree, Iterator[Piece]]:
     root = urdf_root(path.read_bytes())
     return urdf_tree(root, path), _urdf_pieces(root, path)
 
@@ -155,11 +151,9 @@ def _mesh(file: Path) -> tuple[Array, np.ndarray]:
     return mesh.vertices(), np.array([[x[0], x[1], x[2]] for x in triangles], dtype=int)
 
 
-def _from_mjcf(robot: Robot) -> tuple[Tree, Iterator[Piece]]:
-    model: Any = compiled(robot.path)
-    if not set(robot.joints) <= set(joint_names(model)):
-        raise RobotError(f"{Path(robot.path).name} has not all joints of {robot.name}")
-    return mujoco_tree(model, robot.path), _mjcf_pieces(model)
+def _from_mjcf(path: Path) -> tuple[Tree, Iterator[Piece]]:
+    model: Any = compiled(path)
+    return mujoco_tree(model, path), _mjcf_pieces(model)
 
 
 def _mjcf_pieces(model: Any) -> Iterator[Piece]:

@@ -22,6 +22,7 @@ from hybrid.robot.spatial import (
 )
 
 _BASE = -1
+Body = tuple[float, Array, Array]  # mass, centre (3,), inertia about it (3, 3)
 
 
 @dataclass(frozen=True)
@@ -62,14 +63,6 @@ class Node:
     inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
 
-class Body(NamedTuple):
-    """Mass [kg], centre of it (3,) [m], inertia about that (3, 3) [kg·m²]."""
-
-    mass: float
-    center: Array
-    inertia: Array
-
-
 class Place(NamedTuple):
     """Where a frame is: the link of the arm that it is fixed to, and its pose there.
 
@@ -87,7 +80,7 @@ class Place(NamedTuple):
         """A frame's body in the link."""
         R = self.rotation
         center = self.position + R @ node.center
-        return Body(node.mass, center, R @ node.inertia @ R.T)
+        return node.mass, center, R @ node.inertia @ R.T
 
 
 @dataclass(frozen=True)
@@ -218,13 +211,13 @@ class Tree:
 
 def _link(name: str, bodies: Sequence[Body]) -> Body:
     """Bodies that move as one; refuses what cannot be one."""
-    mass = sum(x.mass for x in bodies)
-    center = sum((x.mass * x.center for x in bodies), np.zeros(3))
+    mass = sum(m for m, _, _ in bodies)
+    center = sum((m * c for m, c, _ in bodies), np.zeros(3))
     center = center / mass if mass > 0 else center
     inertia = np.zeros((3, 3))
-    for x in bodies:
-        arm = skew(x.center - center)
-        inertia += x.inertia - x.mass * (arm @ arm)
+    for m, c, own in bodies:
+        arm = skew(c - center)
+        inertia += own - m * (arm @ arm)
     if bodies and mass == 0 and not inertia.any():
         raise RobotError(
             f"link {name!r} moves and has no inertia; give it an <inertial>, or choose "
@@ -232,7 +225,7 @@ def _link(name: str, bodies: Sequence[Body]) -> Body:
         )
     if fault := inertia_fault(mass, inertia):
         raise RobotError(f"link {name!r} {fault}")
-    return Body(mass, center, inertia)
+    return mass, center, inertia
 
 
 def serial_joints(

@@ -198,6 +198,15 @@ def origin(element: Element) -> tuple[Array, Array]:
     return Rotation.from_euler("xyz", rpy).as_matrix(), xyz
 
 
+def roll_pitch_yaw(R: Array) -> Array:
+    """Angles about fixed x, y and z; unlike a library's, silent at pitch ±90°."""
+    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
+        return np.array([np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0])
+    roll = np.arctan2(R[2, 1], R[2, 2])
+    return np.array([roll, pitch, np.arctan2(R[1, 0], R[0, 0])])
+
+
 def _named(root: Element, tag: str) -> dict[str, Element]:
     """Elements by their names, of which each has its own."""
     found: dict[str, Element] = {}

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.robot.compiled import compiled_spec, spec_from_file
 from hybrid.robot.edit.document import element, text_of
 from hybrid.robot.edit.skeleton import mjcf_skeleton
-from hybrid.robot.edit.urdf import DRAKE
+from hybrid.robot.edit.urdf import DRAKE, inertial_text
 from hybrid.robot.mjcf import joint_frame, joint_names, matrix
 from hybrid.robot.robot import Robot
+from hybrid.robot.urdf import roll_pitch_yaw
 
 _SHOWN = 3  # groups of geoms that MuJoCo shows are below
 _FORMATS = (".stl", ".obj", ".dae")
@@ -151,11 +150,9 @@ class _Writer:
 
     def _inertial(self, b: int) -> str:
         model = self.model
-        x, y, z = model.body_inertia[b]
-        six = {"ixx": x, "ixy": 0.0, "ixz": 0.0, "iyy": y, "iyz": 0.0, "izz": z}
-        at = _origin(matrix(model.body_iquat[b]), self.shift[b] + model.body_ipos[b])
-        mass = element("mass", {"value": model.body_mass[b]})
-        return f"<inertial>{at}{mass}{element('inertia', six)}</inertial>"
+        R, center = matrix(model.body_iquat[b]), self.shift[b] + model.body_ipos[b]
+        about = R @ np.diag(model.body_inertia[b]) @ R.T
+        return inertial_text(model.body_mass[b], center, about)
 
     def _geom(self, g: int, b: int) -> Iterator[str]:
         """A geom as it is seen and as it collides."""
@@ -212,7 +209,4 @@ class _Writer:
 
 
 def _origin(R: Array, p: Array) -> str:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # at a pole any of them will do
-        angles = Rotation.from_matrix(R).as_euler("xyz")
-    return element("origin", {"xyz": p, "rpy": angles})
+    return element("origin", {"xyz": p, "rpy": roll_pitch_yaw(R)})
