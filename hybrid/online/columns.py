@@ -18,6 +18,8 @@ from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
+_TOGETHER = 2  # instants of a task: it then takes as long as the others
+
 
 class InstantColumns:
     """Torque of B instants, linearised in all unknowns.
@@ -42,7 +44,7 @@ class InstantColumns:
         self._find_rigid(robot)
         self._laws = InstantLaws(_numbered(problem), layout)
         self.tasks: list[Callable[[], None]] = [
-            *(partial(self._fill_rigid, k) for k in range(instants)),
+            *(partial(self._fill_rigid, k) for k in range(0, instants, _TOGETHER)),
             *(partial(self._fill_laws, k) for k in range(instants)),
             *([self._fill_others] if self._laws.others else []),
         ]
@@ -69,10 +71,12 @@ class InstantColumns:
         self._regressor = SampleRegressor(robot, entries)
         self._targets = np.concatenate([inertial, layout.payload.ravel()])
 
-    def _fill_rigid(self, k: int) -> None:
-        """Rigid body at one instant."""
-        _, q, v, a = (x[k] for x in self._states)
-        self.rows[k, self._targets] = self._regressor(q, v, a)
+    def _fill_rigid(self, first: int) -> None:
+        """Rigid body at some instants from one on."""
+        together = slice(first, first + _TOGETHER)
+        _, *motion = (x[together] for x in self._states)
+        for row, *state in zip(self.rows[together], *motion, strict=True):
+            row[self._targets] = self._regressor(*state)
 
     def _fill_laws(self, k: int) -> None:
         """Laws of joints' own states at one instant."""
