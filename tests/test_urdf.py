@@ -275,3 +275,12 @@ def test_capsules_of_a_mesh_that_is_gone_are_refused_by_its_name(tmp_path):
     path.write_text(text)
     with pytest.raises(RobotError, match="mesh 'package://p/gone.stl' is not there"):
         capsules_from_robot(Robot.load(path))
+
+
+def test_a_shape_without_end_is_refused(tmp_path):
+    shape = "<collision><geometry><box size='1 1 1e308'/></geometry></collision>"
+    text = robot_of(A, link("b", f"{BODY}{shape}"), joint("j", "a", "b"))
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    with pytest.raises(RobotError, match="'b_0' reaches 1000 m or more"):
+        capsules_from_robot(Robot.load(path))

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _PIECES = 2  # capsules of a mesh: many links are bent
 _LONGEST_EDGE = 0.03  # m; longer ones are cut, so that pieces follow the surface
 _CIRCLE = 16  # points of a rim
+_FARTHEST = 1e3  # m; beyond, a number is wrong
 _MOST_TRIANGLES = 200_000
 
 
@@ -69,6 +70,10 @@ def capsules_from_robot(robot: Robot) -> Capsules:
     link, ends, radius, names = [], [], [], []
     for body, points, grown, name in pieces:
         k, R, p = where[body]
+        if not np.abs(points).max(initial=grown) < _FARTHEST:
+            raise RobotError(
+                f"{path.name}: {printable(name)!r} reaches {_FARTHEST:g} m or more"
+            )
         for segment, r in _covering(points @ R.T + p, grown):
             link.append(k)
             ends.append(segment)
