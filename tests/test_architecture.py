@@ -56,7 +56,7 @@ HOMES = {
         ("robot", "plant", "servo"),
         "ask Robot for the model, or import it under TYPE_CHECKING",
     ),
-    "pinocchio": (("robot", "dynamics"), "use hybrid.dynamics"),
+    "pinocchio": (("robot",), "use hybrid.dynamics"),
     "torch": (
         ("exports",),
         "compute with NumPy",

@@ -17,7 +17,8 @@ from hybrid.excitation import (
 from hybrid.excitation.clearance import closest_points, ends_in_world, frames
 from hybrid.excitation.path import Path, uniform
 from hybrid.robot import Robot
-from hybrid.robot.geometry import capsules_from_robot, zero_frames
+from hybrid.robot.chain import zero_frames
+from hybrid.robot.geometry import capsules_from_robot
 
 COMAN = Robot.load(MODELS / "coman_like.xml")
 

@@ -216,6 +216,6 @@ def test_provenance_names_versions_and_what_it_was_given():
     found = report.provenance(seed=7, data="sha256:00")
     assert found["seed"] == 7
     assert found["hybrid"] == hybrid.__version__
-    assert {"numpy", "mujoco", "pin"} <= set(found["packages"])
+    assert {"numpy", "mujoco", "scipy"} <= set(found["packages"])
     assert "pytest" not in found["packages"]
     assert found == report.provenance(seed=7, data="sha256:00")

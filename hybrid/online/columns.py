@@ -18,6 +18,8 @@ from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
+_TOGETHER = 2  # instants of a task: it then takes as long as the others
+
 
 class InstantColumns:
     """Torque of B instants, linearised in all unknowns.
@@ -38,12 +40,11 @@ class InstantColumns:
         self, robot: Robot, problem: Problem, layout: RowLayout, instants: int
     ) -> None:
         self._problem, self._layout = problem, layout
-        self._regressor = SampleRegressor(robot)
         self.rows = np.zeros((instants, len(layout.joints)))
-        self._find_rigid(robot.size)
+        self._find_rigid(robot)
         self._laws = InstantLaws(_numbered(problem), layout)
         self.tasks: list[Callable[[], None]] = [
-            self._fill_rigid,
+            *(partial(self._fill_rigid, k) for k in range(0, instants, _TOGETHER)),
             *(partial(self._fill_laws, k) for k in range(instants)),
             *([self._fill_others] if self._laws.others else []),
         ]
@@ -57,23 +58,25 @@ class InstantColumns:
         """
         self._states, self._theta = states, theta
 
-    def _find_rigid(self, n: int) -> None:
-        """Where the regressor's columns go."""
-        layout, kept = self._layout, np.array(self._problem.base.kept)
+    def _find_rigid(self, robot: Robot) -> None:
+        """Which entries the regressor needs, and where they go."""
+        n, layout, kept = robot.size, self._layout, np.array(self._problem.base.kept)
         inertial = np.flatnonzero(np.isin(layout.unknowns, self._problem.rigid))
         joints, self._base = layout.joints[inertial], layout.unknowns[inertial]
         self._inertial, self._of_joint = inertial, np.eye(n)[joints]
         last = 10 * n - 10 + np.arange(PAYLOAD)
         columns = np.concatenate([kept[self._base], np.tile(last, n)])
         rows = np.concatenate([joints, np.repeat(np.arange(n), PAYLOAD)])
-        self._sources = np.ravel_multi_index((rows, columns), (n, 10 * n))
+        entries = np.ravel_multi_index((rows, columns), (n, 10 * n)).tolist()
+        self._regressor = SampleRegressor(robot, entries)
         self._targets = np.concatenate([inertial, layout.payload.ravel()])
 
-    def _fill_rigid(self) -> None:
-        """Rigid body at every instant."""
-        _, *motion = self._states
-        for row, *state in zip(self.rows, *motion, strict=True):
-            row[self._targets] = self._regressor(*state).ravel()[self._sources]
+    def _fill_rigid(self, first: int) -> None:
+        """Rigid body at some instants from one on."""
+        together = slice(first, first + _TOGETHER)
+        _, *motion = (x[together] for x in self._states)
+        for row, *state in zip(self.rows[together], *motion, strict=True):
+            row[self._targets] = self._regressor(*state)
 
     def _fill_laws(self, k: int) -> None:
         """Laws of joints' own states at one instant."""

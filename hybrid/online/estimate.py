@@ -121,7 +121,7 @@ class OnlineEstimate:
     @property
     def tasks(self) -> tuple[Callable[[], None], ...]:
         """What takes the row in, unless it told of a change; in order."""
-        return self._weigh, self._learn, self._bound, self._settle
+        return self._weigh, self._learn, self._settle
 
     def _weigh(self) -> None:
         if self._news is not None:
@@ -133,12 +133,9 @@ class OnlineEstimate:
         if self._news is not None:
             self.filter.narrow()
 
-    def _bound(self) -> None:
-        if self._news is not None:
-            self.filter.keep_within(*self.bounds)
-
     def _settle(self) -> None:
         if self._news is not None:
+            self.filter.keep_within(*self.bounds)
             news, std = self._news, self.noise.std[self._news.joints]
             error = news.error * np.sqrt(news.repeats) * std / self._spread
             self.noise.update(news.joints.tolist(), error.tolist())

@@ -70,8 +70,6 @@ class Pipeline:
         def windows() -> None:
             self._powers, self._trusted = derive.windows(self._samples[:, 0])
             self._q = self._samples[:, 1 : 1 + len(self._standing)]
-
-        def moments() -> None:
             self._moments = derive.moments(self._powers, self._q)
 
         def fit() -> None:
@@ -87,7 +85,7 @@ class Pipeline:
             here = (derive.is_spread(self._left) | stands).all(axis=1)
             self._spread = np.append(self._spread[-1], here)
 
-        return [windows, moments, fit, left, spread]
+        return [windows, fit, left, spread]
 
     def _find_states(self) -> None:
         margin, n = self._derive.margin if self._derive else 0, len(self._standing)

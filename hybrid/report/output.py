@@ -120,7 +120,7 @@ def _core_dependencies() -> list[str]:
     try:
         lines = requires("hybrid-arm") or []
     except PackageNotFoundError:  # run from the source tree, without an installation
-        return ["numpy", "scipy", "scikit-learn", "pin", "mujoco"]
+        return ["numpy", "scipy", "scikit-learn", "mujoco"]
     return [re.split(r"[^\w.-]", line)[0] for line in lines if "extra ==" not in line]
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybrid.errors import RobotError
+from hybrid.extras import check_extra
 from hybrid.robot.spatial import ROUNDED, central_inertia
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ _SMALLEST_MASS, _SMALLEST_INERTIA = 1e-9, 1e-12
 
 def pinocchio_model(robot: Robot) -> pinocchio.Model:
     """See :meth:`hybrid.robot.robot.Robot.pinocchio`."""
+    check_extra("pinocchio", "pin", "A model of pinocchio")
     import pinocchio as pin
 
     chain = robot.chain
@@ -37,10 +39,7 @@ def pinocchio_model(robot: Robot) -> pinocchio.Model:
         )
         placement = pin.SE3(chain.rotation[k], chain.translation[k])
         parent = model.addJoint(parent, kind(*chain.axis[k]), placement, name)
-        inertia = pin.Inertia.FromDynamicParameters(chain.inertial[k])
-        if chain.inertial[k, 0] == 0:  # the centre of a massless link is undefined
-            mass, center, about = central_inertia(chain.inertial[k])
-            inertia = pin.Inertia(mass, center, about)
+        inertia = pin.Inertia(*central_inertia(chain.inertial[k]))
         model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
     model.armature = chain.armature.copy()
     return model

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ def compiled(path: str | Path) -> Any:
     """
     import mujoco
 
-    return _quietly(lambda: mujoco.MjModel.from_xml_path(str(path)), str(path))
+    return _quietly(lambda: mujoco.MjModel.from_xml_path(str(path)), path)
 
 
 def compiled_without_files(path: str | Path) -> tuple[Any, Mapping[int, str]]:
@@ -32,7 +32,7 @@ def compiled_without_files(path: str | Path) -> tuple[Any, Mapping[int, str]]:
     try:
         return compiled(path), {}
     except RobotError:
-        spec = _quietly(lambda: spec_from_file(Path(path)), str(path))
+        spec = _quietly(lambda: spec_from_file(Path(path)), path)
         if not (spec.meshes or spec.hfields or spec.textures):
             raise
     return compiled_spec(spec, str(path))
@@ -79,7 +79,7 @@ def compiled_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
     return model, wanting
 
 
-def _quietly(make: Any, where: str) -> Any:
+def _quietly(make: Callable[[], Any], where: str | Path) -> Any:
     import mujoco
 
     # Without a listener MuJoCo leaves a log in the folder that one happens to be in.

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.chain import zero_frames
+from hybrid.extras import check_extra
+from hybrid.names import printable
 from hybrid.robot.compiled import compiled
-from hybrid.robot.mjcf import joint_names
-from hybrid.robot.mjcf import start as mujoco_start
-from hybrid.robot.urdf import start as pinocchio_start
+from hybrid.robot.mjcf import matrix, mujoco_tree
+from hybrid.robot.tree import Tree
+from hybrid.robot.urdf import number, numbers, origin, urdf_root, urdf_tree
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
@@ -23,8 +26,8 @@ if TYPE_CHECKING:
 _PIECES = 2  # capsules of a mesh: many links are bent
 _LONGEST_EDGE = 0.03  # m; longer ones are cut, so that pieces follow the surface
 _CIRCLE = 16  # points of a rim
+_FARTHEST = 1e3  # m; beyond, a number is wrong
 _MOST_TRIANGLES = 200_000
-_BASE = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +62,20 @@ def capsules_from_robot(robot: Robot) -> Capsules:
             f"{robot.name}: collision checks need the robot's URDF or MJCF file; "
             f"{path.name or 'none'} is not there, or no such file"
         )
-    reader = _from_urdf if path.suffix.lower() == ".urdf" else _from_mjcf
-    rotation, origin = zero_frames(robot.chain)
+    tree, pieces = (_from_urdf if path.suffix.lower() == ".urdf" else _from_mjcf)(path)
+    if not set(robot.joints) <= set(tree.parents):
+        raise RobotError(f"{path.name} has not all joints of {robot.name}")
+    places, _ = tree.places(robot.joints, robot.held)
+    where = {n.body: place for n, place in zip(tree.nodes, places, strict=True)}
     link, ends, radius, names = [], [], [], []
-    for joint, points, grown, name in reader(robot):
-        if joint >= 0:  # from the world into the link, at zero
-            points = (points - origin[joint]) @ rotation[joint]
-        for segment, r in _covering(points, grown):
-            link.append(joint)
+    for body, points, grown, name in pieces:
+        k, R, p = where[body]
+        if not np.abs(points).max(initial=grown) < _FARTHEST:
+            raise RobotError(
+                f"{path.name}: {printable(name)!r} reaches {_FARTHEST:g} m or more"
+            )
+        for segment, r in _covering(points @ R.T + p, grown):
+            link.append(k)
             ends.append(segment)
             radius.append(r)
             names.append(name)
@@ -75,64 +84,86 @@ def capsules_from_robot(robot: Robot) -> Capsules:
     return Capsules(np.array(link), np.array(ends), np.array(radius), tuple(names))
 
 
-Piece = tuple[int, Array, float, str]  # link, points in the world, growth, name
+_STL_HEAD = 84  # bytes before the first triangle of a binary STL file
+_STL_TRIANGLE = np.dtype([("normal", "<3f4"), ("corners", "<9f4"), ("color", "<u2")])
+Piece = tuple[Any, Array, float, str]  # body, points in its frame, growth, name
 
 
-def _from_urdf(robot: Robot) -> Iterator[Piece]:
-    import pinocchio as pin
-
-    path = Path(robot.path)
-    model = pin.buildModelFromUrdf(str(path))
-    # Meshes are named from the root of a package, which may lie anywhere above.
-    folders = [str(parent) for parent in path.resolve().parents]
-    try:
-        geometry = pin.buildGeomFromUrdf(
-            model, str(path), pin.GeometryType.COLLISION, package_dirs=folders
-        )
-    except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise RobotError(f"{path.name}: no collision geometry ({reason})") from error
-    data = model.createData()
-    pin.forwardKinematics(model, data, pinocchio_start(model, robot.held))
-    for item in geometry.geometryObjects:
-        place = data.oMi[item.parentJoint].act(item.placement)
-        joint = int(item.parentJoint)
-        while joint > 0 and model.names[joint] not in robot.joints:
-            joint = int(model.parents[joint])
-        link = robot.joints.index(model.names[joint]) if joint > 0 else _BASE
-        for points, grown in _urdf_points(item.geometry):
-            yield link, points @ place.rotation.T + place.translation, grown, item.name
+def _from_urdf(path: Path) -> tuple[Tree, Iterator[Piece]]:
+    root = urdf_root(path.read_bytes())
+    return urdf_tree(root, path), _urdf_pieces(root, path)
 
 
-def _urdf_points(shape: Any) -> Iterator[tuple[Array, float]]:
-    kind = type(shape).__name__
-    if kind == "Sphere":
-        yield np.zeros((1, 3)), float(shape.radius)
-    elif kind == "Capsule":
-        yield _segment(float(shape.halfLength)), float(shape.radius)
-    elif kind == "Cylinder":
-        yield _cylinder(float(shape.radius), float(shape.halfLength)), 0.0
-    elif kind == "Box":
-        yield _box(np.ravel(shape.halfSide)), 0.0
-    elif hasattr(shape, "vertices"):
-        points = np.asarray(shape.vertices())
-        count = getattr(shape, "num_tris", 0)
-        corners = (shape.tri_indices(k) for k in range(count))
-        triangles = np.array([[x[0], x[1], x[2]] for x in corners], dtype=int)
+def _urdf_pieces(root: Element, path: Path) -> Iterator[Piece]:
+    for link in root.iterfind("link"):
+        body = link.get("name", "")
+        for k, collision in enumerate(link.iterfind("collision")):
+            R, p = origin(collision)
+            for shape in collision.iterfind("geometry"):
+                for points, grown in _urdf_points(shape, path):
+                    yield body, points @ R.T + p, grown, f"{body}_{k}"
+
+
+def _urdf_points(shape: Element, path: Path) -> Iterator[tuple[Array, float]]:
+    """Points of a shape, and how far it reaches around each."""
+    tag = shape[0].tag if len(shape) else ""
+    radius, length = (number(shape, tag, x, 0.0) for x in ("radius", "length"))
+    if tag == "sphere":
+        yield np.zeros((1, 3)), radius
+    elif tag == "capsule":
+        yield _segment(length / 2), radius
+    elif tag == "cylinder":
+        yield _cylinder(radius, length / 2), 0.0
+    elif tag == "box":
+        yield _box(numbers(shape, tag, "size", 0.0, 0.0, 0.0) / 2), 0.0
+    elif tag == "mesh":
+        points, triangles = _mesh(_mesh_file(shape[0].get("filename", ""), path))
+        points = points * numbers(shape, tag, "scale", 1.0, 1.0, 1.0)
         yield from ((x, 0.0) for x in _pieces(points, triangles))
 
 
-def _from_mjcf(robot: Robot) -> Iterator[Piece]:
+def _mesh_file(name: str, path: Path) -> Path:
+    """A mesh of a URDF file, by its name there.
+
+    Meshes are named from the root of a package, which may lie anywhere above.
+    """
+    inner = re.sub("^(package|file|model)://", "", name).lstrip("/")
+    for folder in path.resolve().parents:
+        if inner and (folder / inner).is_file():
+            return folder / inner
+    raise RobotError(
+        f"{path.name}: no collision geometry (mesh {printable(name)!r} is not there)"
+    )
+
+
+def _mesh(file: Path) -> tuple[Array, np.ndarray]:
+    """A mesh's points, shape (P, 3), [m], and its triangles' corners, shape (T, 3)."""
+    content = file.read_bytes()
+    count = (len(content) - _STL_HEAD) // _STL_TRIANGLE.itemsize
+    if count > 0 and content[_STL_HEAD - 4 : _STL_HEAD] == count.to_bytes(4, "little"):
+        corners = np.frombuffer(content, _STL_TRIANGLE, count, _STL_HEAD)["corners"]
+        points = corners.reshape(-1, 3).astype(float)
+        return points, np.arange(len(points)).reshape(-1, 3)
+    check_extra("coal", "pin", f"A mesh that is no binary STL file, {file.name},")
+    import coal
+
+    try:
+        mesh = coal.MeshLoader().load(str(file), np.ones(3))
+    except (RuntimeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise RobotError(f"{file}: not a readable mesh ({reason})") from error
+    triangles = (mesh.tri_indices(k) for k in range(mesh.num_tris))
+    return mesh.vertices(), np.array([[x[0], x[1], x[2]] for x in triangles], dtype=int)
+
+
+def _from_mjcf(path: Path) -> tuple[Tree, Iterator[Piece]]:
+    model: Any = compiled(path)
+    return mujoco_tree(model, path), _mjcf_pieces(model)
+
+
+def _mjcf_pieces(model: Any) -> Iterator[Piece]:
     import mujoco
 
-    model: Any = compiled(robot.path)
-    data = mujoco.MjData(model)
-    names = joint_names(model)
-    if not set(robot.joints) <= set(names):
-        raise RobotError(f"{Path(robot.path).name} has not all joints of {robot.name}")
-    data.qpos[:] = mujoco_start(model, robot.held)
-    data.qpos[model.jnt_qposadr[[names.index(x) for x in robot.joints]]] = 0.0
-    mujoco.mj_kinematics(model, data)
     shape = mujoco.mjtGeom
     for g in range(model.ngeom):
         kind, size = model.geom_type[g], model.geom_size[g]
@@ -154,23 +185,10 @@ def _from_mjcf(robot: Robot) -> Iterator[Piece]:
             clouds = [(x, 0.0) for x in _pieces(vertices, triangles)]
         else:  # a box, or an ellipsoid in its box
             clouds = [(_box(size), 0.0)]
-        turn = data.geom_xmat[g].reshape(3, 3)
-        link = _link_of_body(model, int(model.geom_bodyid[g]), names, robot.joints)
+        R, body = matrix(model.geom_quat[g]), int(model.geom_bodyid[g])
         for points, grown in clouds:
             name = model.geom(g).name or f"geom_{g}"
-            yield link, points @ turn.T + data.geom_xpos[g], grown, name
-
-
-def _link_of_body(
-    model: Any, body: int, names: list[str], joints: tuple[str, ...]
-) -> int:
-    while body > 0:
-        start = int(model.body_jntadr[body])
-        for joint in range(start + int(model.body_jntnum[body]) - 1, start - 1, -1):
-            if names[joint] in joints:
-                return joints.index(names[joint])
-        body = int(model.body_parentid[body])
-    return _BASE
+            yield body, points @ R.T + model.geom_pos[g], grown, name
 
 
 def _segment(half: float) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,8 @@ from hybrid.robot.actuators import (
     torque_limit,
     with_drives,
 )
-from hybrid.robot.chain import Chain
-from hybrid.robot.selection import Tree, serial_joints
-from hybrid.robot.spatial import (
-    inertia_fault,
-    inertial_about,
-    rotation_from_axis_angle,
-)
+from hybrid.robot.spatial import rotation_from_axis_angle
+from hybrid.robot.tree import Node, Tree, serial_joints
 
 _FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint; mujoco is imported only when used
 _KINDS = {_FREE: "is free", _BALL: "is a ball"}
@@ -54,21 +50,21 @@ def fields_of_mujoco(
     Raises:
         RobotError: There is no serial arm, or the inertia of a link is missing.
     """
-    names = joint_names(model)
-    parents = {name: _parent(model, j, names) for j, name in enumerate(names)}
-    kinds = {
-        name: _KINDS[kind]
-        for name, kind in zip(names, model.jnt_type.tolist(), strict=True)
-        if kind in _KINDS
-    }
-    keep = serial_joints(Tree(where, parents, kinds), joints, held)
+    names, tree = joint_names(model), mujoco_tree(model, where)
+    keep = serial_joints(tree, joints, held)
     index = [names.index(name) for name in keep]
     low, high = model.jnt_range[index].T
     limited = model.jnt_limited[index].astype(bool)
     drives = list(drives_of(model))
     kp, kd = servo_gains(model, drives)
+    places, _ = tree.places(keep, held)
+    bodies = [n.body for n, p in zip(tree.nodes, places, strict=True) if p.link >= 0]
+    moved = [body for body in bodies if body is not None]
+    _check_inertias(model, moved, wanting)
+    gravity = _gravity(model, index, moved)
+    armature = with_drives(model, "armature", drives)[model.jnt_dofadr[index]]
     return {
-        "chain": _chain(model, index, names, held, wanting, drives),
+        "chain": tree.chain(keep, held, gravity, armature),
         "held": dict(held),
         "q_min": np.where(limited, low, -np.inf),
         "q_max": np.where(limited, high, np.inf),
@@ -152,89 +148,68 @@ def _on(model: Any, flag: str) -> float:
     return 0.0 if model.opt.disableflags & off else 1.0
 
 
-def _parent(model: Any, joint: int, names: list[str]) -> str | None:
-    """Nearest joint towards the base; joints of one body follow each other."""
-    body = int(model.jnt_bodyid[joint])
-    if joint > int(model.body_jntadr[body]):
-        return names[joint - 1]
-    body = model.body_parentid[body]
-    while body > 0:
-        if model.body_jntnum[body]:
-            return names[int(model.body_jntadr[body] + model.body_jntnum[body]) - 1]
-        body = int(model.body_parentid[body])
-    return None
+def mujoco_tree(model: Any, where: str | Path) -> Tree:
+    """Bodies of MuJoCo's model, each behind its joints, whose frames are at anchors.
 
-
-def _chain(
-    model: Any,
-    index: list[int],
-    names: list[str],
-    held: Mapping[str, float],
-    wanting: Mapping[int, str],
-    drives: list[Any],
-) -> Chain:
-    """Walk the bodies; everything that does not move is welded to its parent link."""
-    n = len(index)
-    rotation, translation = np.zeros((n, 3, 3)), np.zeros((n, 3))
-    axis, inertial = np.zeros((n, 3)), np.zeros((n, 10))
-    # Where each body sits in the link it belongs to: (link, rotation, translation).
-    home: dict[int, tuple[int, np.ndarray, np.ndarray]] = {
-        0: (-1, np.eye(3), np.zeros(3))
-    }
-    for body in range(1, model.nbody):
-        link, R, p = home[int(model.body_parentid[body])]
-        p = p + R @ model.body_pos[body]
-        R = R @ _matrix(model.body_quat[body])
-        first = model.body_jntadr[body]
-        for joint in range(first, first + model.body_jntnum[body]):
-            if model.jnt_type[joint] not in (_HINGE, _SLIDE):
-                continue
-            at = 0.0 if joint in index else held.get(names[joint])
-            R, p = moved_to(model, joint, R, p, at)
-            if joint in index:
-                link, offset = index.index(joint), model.jnt_pos[joint]
-                axis[link] = model.jnt_axis[joint]
-                rotation[link], translation[link] = R, p + R @ offset
-                R, p = np.eye(3), -offset
-        home[body] = (link, R, p)
-        if link >= 0:
-            if body in wanting:
-                raise RobotError(
-                    f"link {model.body(body).name or body!r} has no inertia of its "
-                    f"own, and its mesh {wanting[body]!r} is missing; add the mesh or "
-                    "an <inertial>"
-                )
-            inertial[link] += _body_inertial(model, body, R, p)
-    moved = [body for body, (link, _, _) in home.items() if link >= 0]
-    return Chain(
-        joints=tuple(names[j] for j in index),
-        rotation=rotation,
-        translation=translation,
-        axis=axis,
-        revolute=model.jnt_type[index] == _HINGE,
-        inertial=inertial,
-        gravity=_gravity(model, index, moved),
-        armature=with_drives(model, "armature", drives)[model.jnt_dofadr[index]],
-    )
-
-
-def moved_to(
-    model: Any, joint: int, R: np.ndarray, p: np.ndarray, at: float | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pose of a body when a joint is at a position, of the pose at its reference.
-
-    The file has its posture there; links count from zero.
+    Args:
+        model: MuJoCo's model.
+        where: The file or object, for messages.
     """
-    if at is None:
-        return R, p
-    direction, offset = model.jnt_axis[joint], model.jnt_pos[joint]
-    far = at - model.qpos0[model.jnt_qposadr[joint]]
-    anchor = p + R @ offset
+    names, nodes = joint_names(model), [Node(-1, body=0, name="world")]
+    last = {0: 0}  # number of each body's frame
+    for body in range(1, model.nbody):
+        parent = last[int(model.body_parentid[body])]
+        R, p = matrix(model.body_quat[body]), model.body_pos[body]
+        first = int(model.body_jntadr[body])
+        for joint in range(first, first + int(model.body_jntnum[body])):
+            kind, offset = int(model.jnt_type[joint]), np.zeros(3)
+            own: dict[str, Any] = {"kind": _KINDS.get(kind, "")}
+            if kind not in _KINDS:
+                R, p, offset = joint_frame(model, joint, R, p)
+                own["axis"], own["revolute"] = model.jnt_axis[joint], kind == _HINGE
+                own["home"] = float(model.qpos0[model.jnt_qposadr[joint]])
+            nodes.append(Node(parent, R, p, joint=names[joint], **own))
+            parent, R, p = len(nodes) - 1, np.eye(3), -offset
+        principal = matrix(model.body_iquat[body])
+        node = Node(
+            parent, R, p, body=body,
+            name=model.body(body).name or repr(body),
+            mass=float(model.body_mass[body]),
+            center=model.body_ipos[body],
+            inertia=principal @ np.diag(model.body_inertia[body]) @ principal.T,
+        )  # fmt: skip
+        last[body] = len(nodes)
+        nodes.append(node)
+    return Tree(str(where), nodes)
+
+
+def joint_frame(
+    model: Any, joint: int, R: np.ndarray, p: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frame of a hinge or slide at zero, and where it is in the body, by the body's.
+
+    Args:
+        model: MuJoCo's model.
+        joint: The joint.
+        R: Turn of the body where the file has the joint, shape (3, 3).
+        p: Place of the body there, shape (3,), [m].
+    """
+    axis, offset = model.jnt_axis[joint], model.jnt_pos[joint]
+    back = -model.qpos0[model.jnt_qposadr[joint]]
+    p = p + R @ offset
     if model.jnt_type[joint] == _HINGE:
-        R = R @ rotation_from_axis_angle(direction, far)
-    else:
-        anchor = anchor + far * (R @ direction)
-    return R, anchor - R @ offset
+        return R @ rotation_from_axis_angle(axis, back), p, offset
+    return R, p + back * (R @ axis), offset
+
+
+def _check_inertias(model: Any, moved: list[int], wanting: Mapping[int, str]) -> None:
+    for body in moved:
+        if body in wanting:
+            raise RobotError(
+                f"link {model.body(body).name or body!r} has no inertia of its own, "
+                f"and its mesh {wanting[body]!r} is missing; add the mesh or an "
+                "<inertial>"
+            )
 
 
 def _gravity(model: Any, index: list[int], moved: list[int]) -> np.ndarray:
@@ -248,22 +223,13 @@ def _gravity(model: Any, index: list[int], moved: list[int]) -> np.ndarray:
         f"gravcomp of the file takes {relief[0]:.0%} of the links' weight off the "
         "drives; if the torque of a log carries it, take gravcomp out",
         HybridWarning,
-        stacklevel=6,
+        stacklevel=5,
     )
     return np.asarray((1.0 - relief[0]) * gravity)
 
 
-def _body_inertial(model: Any, body: int, R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    fault = inertia_fault(model.body_mass[body], np.diag(model.body_inertia[body]))
-    if fault:
-        raise RobotError(f"link {model.body(body).name or body!r} {fault}")
-    center = p + R @ model.body_ipos[body]
-    principal = R @ _matrix(model.body_iquat[body])
-    inertia = principal @ np.diag(model.body_inertia[body]) @ principal.T
-    return inertial_about(model.body_mass[body], center, inertia)
-
-
-def _matrix(quaternion: np.ndarray) -> np.ndarray:
+def matrix(quaternion: np.ndarray) -> np.ndarray:
+    """Turn of a quaternion, scalar first, shape (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()

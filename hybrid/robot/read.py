@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
+
+import numpy as np
 
 from hybrid.errors import RobotError
 from hybrid.robot.compiled import compiled_spec, compiled_without_files
 from hybrid.robot.library import robot_file
 from hybrid.robot.measure import check_demand
 from hybrid.robot.mjcf import fields_of_mujoco
-from hybrid.robot.urdf import fields_of_pinocchio, read_urdf
+from hybrid.robot.tree import Node, Tree, serial_joints
+from hybrid.robot.urdf import limit, read_urdf
 
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 Read = tuple[dict[str, Any], Any]  # fields, and MuJoCo's model or None
@@ -34,8 +36,7 @@ def read_robot(
             spec = source.copy()
             return _of_mujoco(compiled_spec(spec, "MjSpec"), "MjSpec", joints, held)
         case ("pinocchio", "Model"):
-            where = "pinocchio.Model"
-            return fields_of_pinocchio(source, where, joints, held, {}), None
+            return _of_pinocchio(source, joints, held), None
     if not isinstance(source, (str, Path)):
         raise RobotError(
             f"{home}.{type(source).__name__} is no robot; valid are a file, a name, "
@@ -75,13 +76,79 @@ def _of_file(
     if not path.is_file():
         raise RobotError(f"{path}: no such robot file")
     if suffix == ".xacro":
-        return {**_of_xacro(path, joints, held), "path": str(path)}, None
-    check_demand(path)
-    if suffix == ".urdf":
-        return {**read_urdf(path, joints, held), "path": str(path)}, None
+        content = expanded(path).encode()
+    else:
+        check_demand(path)
+        content = path.read_bytes()
+    if suffix in (".urdf", ".xacro"):
+        return {**read_urdf(content, path, joints, held), "path": str(path)}, None
     made = compiled_without_files(path)
     fields, model = _of_mujoco(made, str(path), joints, held)
     return {**fields, "name": path.stem, "path": str(path)}, model
+
+
+def _of_pinocchio(
+    model: Any, joints: tuple[str, ...] | None, held: Mapping[str, float]
+) -> dict[str, Any]:
+    """Fields of a robot read from pinocchio's model."""
+    tree = _tree(model)
+    keep = serial_joints(tree, joints, held)
+    held = tree.held(held)
+    index = [model.getJointId(name) for name in keep]
+    endless = [model.nqs[j] > 1 for j in index]  # stored as (cos, sin)
+    dofs, at = [model.idx_vs[j] for j in index], [model.idx_qs[j] for j in index]
+    gravity, armature = np.array(model.gravity.linear), np.array(model.armature[dofs])
+    return {
+        "name": model.name,
+        "chain": tree.chain(keep, held, gravity, armature),
+        "held": held,
+        "q_min": np.where(endless, -np.inf, model.lowerPositionLimit[at]),
+        "q_max": np.where(endless, np.inf, model.upperPositionLimit[at]),
+        "v_max": limit(model.upperVelocityLimit[dofs]),
+        "tau_max": limit(model.upperEffortLimit[dofs]),
+        "damping": np.array(model.damping[dofs]),
+        "frictionloss": np.array(model.upperDryFrictionLimit[dofs]),
+    }
+
+
+def _tree(model: Any) -> Tree:
+    """Joints of a model of pinocchio; what is fixed to one is part of its body."""
+    import pinocchio as pin
+
+    links: dict[int, str] = {}
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            links.setdefault(frame.parentJoint, frame.name)
+    leaders = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
+    nodes = []
+    for j in range(1, model.njoints):
+        name, joint, body = model.names[j], model.joints[j], model.inertias[j]
+        kind = joint.shortname().removeprefix("JointModel")
+        screw, follows = np.zeros(6), None
+        if joint.nvExtended == 1:
+            screw, kind = np.ravel(joint.createData().S), ""
+        if j in leaders:
+            own = joint.extract()
+            screw = screw / (own.scaling or 1.0)
+            follows = (model.names[leaders[j]], own.scaling, own.offset)
+        revolute = bool(screw[3:].any())
+        node = Node(
+            parent=int(model.parents[j]) - 1,
+            rotation=np.array(model.jointPlacements[j].rotation),
+            translation=np.array(model.jointPlacements[j].translation),
+            joint=name,
+            kind=kind and ("is free" if kind == "FreeFlyer" else f"is {kind.lower()}"),
+            follows=follows,
+            axis=screw[3:] if revolute else screw[:3],
+            revolute=revolute,
+            body=j,
+            name=links.get(j, name),
+            mass=body.mass,
+            center=np.array(body.lever),
+            inertia=np.array(body.inertia),
+        )
+        nodes.append(node)
+    return Tree("pinocchio.Model", nodes)
 
 
 def expanded(path: Path) -> str:
@@ -104,17 +171,3 @@ def expanded(path: Path) -> str:
         raise RobotError(
             f"{path}: xacro cannot expand it ({reason}); try `{by_hand}`"
         ) from error
-
-
-def _of_xacro(
-    path: Path, joints: tuple[str, ...] | None, held: Mapping[str, float]
-) -> dict[str, Any]:
-    text = expanded(path)
-    with TemporaryDirectory() as folder:
-        file = Path(folder, f"{path.name.split('.')[0]}.urdf")
-        file.write_text(text, encoding="utf-8")
-        try:
-            check_demand(file)
-            return read_urdf(file, joints, held)
-        except RobotError as error:
-            raise RobotError(str(error).replace(str(file), str(path))) from error

@@ -203,7 +203,11 @@ class Robot:
         return replace(self, chain=replace(self.chain, inertial=np.array(inertial)))
 
     def pinocchio(self) -> pinocchio.Model:
-        """The arm as a pinocchio model (every joint has one coordinate)."""
+        """The arm as a pinocchio model (every joint has one coordinate).
+
+        Raises:
+            HybridError: pinocchio is not installed.
+        """
         from hybrid.robot.build import pinocchio_model
 
         return pinocchio_model(self)

@@ -1,9 +1,9 @@
-"""Compare a robot with MuJoCo's own model, to find forces not modelled.
+"""Compare a robot with MuJoCo's model of its file, to find forces not modelled.
 
-Both are asked for the torque of the same motions. Where they differ, the elements of
-the file without which MuJoCo's torque is another are those that are not modelled.
-Contacts and limits, which a log shows as such, and dry friction, which MuJoCo softens,
-stay out of it.
+MuJoCo is asked for the torque of the same motions of both. Where they differ, the
+elements of the file without which its torque is another are those that are not
+modelled. Contacts and limits, which a log shows as such, and dry friction, which MuJoCo
+softens, stay out of it.
 """
 
 from __future__ import annotations
@@ -56,7 +56,9 @@ def check_modelled(robot: Robot, model: Any) -> None:
     index = [names.index(name) for name in robot.joints]
     states = np.random.default_rng(0).uniform(-1.0, 1.0, (3, _STATES, robot.size))
     theirs = _torque(model, index, states, home)
-    different = np.abs(theirs - _ours(robot, states)).max(axis=0)
+    own = replace(robot, frictionloss=np.zeros(robot.size)).mujoco_spec().compile()
+    ours = _torque(own, list(range(robot.size)), states, own.qpos0)
+    different = np.abs(theirs - ours).max(axis=0)
     if (different <= _SAME * np.abs(theirs).max()).all():
         return
     guilty = [
@@ -70,18 +72,6 @@ def check_modelled(robot: Robot, model: Any) -> None:
         f"{robot.path or robot.name}: {what} acts on the arm and is not modelled; take "
         "it out of the file, or choose joints that it does not act on"
     )
-
-
-def _ours(robot: Robot, states: Array) -> Array:
-    import pinocchio as pin
-
-    model = robot.pinocchio()
-    data = model.createData()
-    body = [pin.rnea(model, data, *state) for state in states.transpose(1, 0, 2)]
-    # pinocchio's model has the rotors already.
-    q, v, a = states
-    frictionless = replace(robot, knee=np.zeros(robot.size), ripple=np.zeros((0, 4)))
-    return np.array(body) + frictionless.joint_torque(q, v, np.zeros_like(a))
 
 
 def _torque(model: Any, index: list[int], states: Array, home: Array) -> Array:

@@ -1,4 +1,4 @@
-"""URDF file, or pinocchio's model -> chain and declared properties.
+"""URDF file -> tree, and the declared properties of an arm in it.
 
 What plain URDF has no place for is read from the tags of simulators: rotor inertia and
 acceleration limits from Drake's (``drake:rotor_inertia`` and ``drake:gear_ratio`` of a
@@ -8,274 +8,290 @@ Gazebo's (``springStiffness`` and ``springReference``).
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
-from dataclasses import replace
+import math
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.chain import Chain
-from hybrid.robot.selection import Tree, serial_joints
-from hybrid.robot.spatial import inertia_fault
+from hybrid.names import printable
+from hybrid.robot.tree import Node, Tree, serial_joints
 
-Follower = tuple[str, float, float]  # of which joint, by which ratio, from where
+# What an arm cannot have of the joints of URDF, in words.
+_KINDS = {
+    "revolute": "", "continuous": "", "prismatic": "", "fixed": "",
+    "floating": "is free", "planar": "is planar",
+}  # fmt: skip
+_GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s²
 
 
 def read_urdf(
-    path: Path, joints: tuple[str, ...] | None, held: Mapping[str, float]
+    content: bytes,
+    where: str | Path,
+    joints: tuple[str, ...] | None,
+    held: Mapping[str, float],
 ) -> dict[str, Any]:
     """Fields of a :class:`~hybrid.robot.robot.Robot` read from a URDF file.
 
     Args:
-        path: The URDF file; meshes are not needed.
+        content: What the URDF file holds; meshes are not needed.
+        where: The file, for messages.
         joints: Joints to keep, or None for the arm that the file's tree holds.
         held: Positions of other joints, [rad or m].
 
     Raises:
         RobotError: The file is not a URDF, or holds no serial arm.
     """
-    import pinocchio as pin
+    root = urdf_root(content)
+    tree = urdf_tree(root, where)
+    keep = serial_joints(tree, joints, held)
+    held = tree.held(held)
+    found = _named(root, "joint")
+    arm = [found[name] for name in keep]
 
-    try:
-        tree = pin.buildModelFromUrdf(str(path))
-    except (ValueError, RuntimeError) as error:
-        raise RobotError(
-            f"{path}: not a readable URDF; a <robot> with a name, links and joints is "
-            "needed"
-        ) from error
-    root = _root(path)
-    try:
-        tags, mimic = _tags(root), _mimic(root)
-    except (KeyError, ValueError) as error:
-        raise RobotError(
-            f"{path}: unreadable mimic, drake: or gazebo tag ({error})"
-        ) from error
-    fields = fields_of_pinocchio(tree, str(path), joints, held, mimic)
-    chain = fields["chain"]
-    rotors = np.array([tags["armature"].get(name, 0.0) for name in chain.joints])
-    fields["chain"] = replace(chain, armature=chain.armature + rotors)
-    for name, none in (("a_max", np.inf), ("stiffness", 0.0), ("springref", 0.0)):
-        fields[name] = np.array([tags[name].get(x, none) for x in chain.joints])
-    return fields
+    def of_joints(tag: str, attribute: str) -> Array:
+        return np.array([number(x, tag, attribute, 0.0) for x in arm])
+
+    endless = [x.get("type") == "continuous" for x in arm]
+    rotors, springs = dict(_rotors(root)), dict(_springs(root))
+    spring = np.array([springs.get(name, (0.0, 0.0)) for name in keep])
+    armature = np.array([rotors.get(name, 0.0) for name in keep])
+    return {
+        "name": root.get("name"),
+        "chain": tree.chain(keep, held, _GRAVITY, armature),
+        "held": held,
+        "q_min": np.where(endless, -np.inf, of_joints("limit", "lower")),
+        "q_max": np.where(endless, np.inf, of_joints("limit", "upper")),
+        "v_max": limit(of_joints("limit", "velocity")),
+        "a_max": limit(of_joints("limit", "drake:acceleration")),
+        "tau_max": limit(of_joints("limit", "effort")),
+        "damping": of_joints("dynamics", "damping"),
+        "frictionloss": of_joints("dynamics", "friction"),
+        "stiffness": spring[:, 0],
+        "springref": spring[:, 1],
+    }
 
 
-def fields_of_pinocchio(
-    model: Any,
-    where: str,
-    joints: tuple[str, ...] | None,
-    held: Mapping[str, float],
-    mimic: Mapping[str, Follower],
-) -> dict[str, Any]:
-    """Fields of a :class:`~hybrid.robot.robot.Robot` read from pinocchio's model.
-
-    Args:
-        model: pinocchio's model.
-        where: The file or object, for messages.
-        joints: Joints to keep, or None for the arm that the tree holds.
-        held: Positions of other joints, [rad or m].
-        mimic: Followers that the model has as independent joints.
+def urdf_root(content: bytes) -> Element:
+    """Elements of a URDF file; prefixes, which many never declare, are in their names.
 
     Raises:
-        RobotError: There is no serial arm, or a link is no body that could be built.
+        RobotError: The file is not a URDF.
     """
-    names = tuple(model.names)
-    own = zip(model.mimicking_joints, model.mimicked_joints, strict=True)
-    followers = {names[i]: names[j] for i, j in own}
-    followers |= {name: leader for name, (leader, _, _) in mimic.items()}
-    parents, kinds = {}, {}
-    for j, name in enumerate(names[1:], 1):
-        parents[name] = names[model.parents[j]] if model.parents[j] else None
-        if name in followers:
-            kinds[name] = f"follows joint {followers[name]!r} (mimic)"
-        elif model.nvs[j] != 1:
-            kind = model.joints[j].shortname().removeprefix("JointModel")
-            kinds[name] = "is free" if kind == "FreeFlyer" else f"is {kind.lower()}"
-    keep = serial_joints(Tree(where, parents, kinds, followers.values()), joints, held)
-    for follower, leader in followers.items():
-        if leader in keep:
-            raise RobotError(
-                f"joint {follower!r} follows joint {leader!r} of the arm (mimic), "
-                "which moves both; choose joints without it"
-            )
-    index = [model.getJointId(name) for name in keep]
-    _check_links(model, index)
-    moved = {
-        name: ratio * held.get(leader, 0.0) + offset
-        for name, (leader, ratio, offset) in mimic.items()
-    }
-    return _fields(model, index, {k: x for k, x in moved.items() if x} | dict(held))
-
-
-def _check_links(model: Any, index: list[int]) -> None:
-    """Refuse what moves and is no body that could be built."""
-    for j in range(1, model.njoints):
-        if not {*model.supports[j]} & {*index}:
-            continue
-        fault = inertia_fault(model.inertias[j].mass, model.inertias[j].inertia)
-        if fault:
-            raise RobotError(f"link {_link(model, j)!r} {fault}")
-
-
-def _link(model: Any, joint: int) -> str:
-    """Name of the link at a joint, or of the joint if that has none."""
-    import pinocchio as pin
-
-    for frame in model.frames:
-        if frame.type == pin.FrameType.BODY and frame.parentJoint == joint:
-            return str(frame.name)
-    return str(model.names[joint])
-
-
-def _root(path: Path) -> ElementTree.Element:
-    """The file's elements, if pinocchio leaves out some of them.
-
-    Prefixes, which many files use and never declare, become part of their names.
-    """
-    content = path.read_bytes()
-    if not re.search(rb"<mimic|drake:|<springStiffness", content):
-        return ElementTree.Element("robot")
-    content = re.sub(rb"(</?|\s)(\w+):(?=\w)", rb"\1\2_", content)
+    builder, parser = TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler = builder.data
     try:
-        return ElementTree.fromstring(content)
-    except ElementTree.ParseError as error:
-        raise RobotError(f"{path}: not readable XML ({error})") from error
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        text = content.decode(errors="replace")
+        reason = "not UTF-8" if text.encode() != content else error
+        raise RobotError(f"not a readable URDF ({reason})") from error
+    root = builder.close()
+    if root.tag != "robot" or not root.get("name"):
+        raise RobotError(
+            "not a readable URDF; a <robot> with a name, links and joints is needed"
+        )
+    return root
 
 
-def _mimic(root: ElementTree.Element) -> dict[str, Follower]:
-    """What each joint that follows another one follows."""
+def urdf_tree(root: Element, where: str | Path) -> Tree:
+    """Links of a URDF file, each behind its joint; joints of one link by name.
+
+    Args:
+        root: The file's elements.
+        where: The file, for messages.
+
+    Raises:
+        RobotError: Links and joints make no tree, or a number in them is none.
+    """
+    links = _named(root, "link")
+    below: dict[str, list[tuple[Element, str]]] = {name: [] for name in links}
+    ends = set(links)  # links that no joint leads to
+    for name, joint in sorted(_named(root, "joint").items()):
+        parent, child = (_attribute(joint, x, "link") for x in ("parent", "child"))
+        for link in (parent, child):
+            if link not in links:
+                raise RobotError(f"joint {name!r}: there is no link {link!r}")
+        if child not in ends:
+            raise RobotError(f"link {child!r} is the child of two joints")
+        ends.remove(child)
+        below[parent].append((joint, child))
+    if len(ends) != 1:
+        shown = ", ".join(map(repr, sorted(ends))) or "none"
+        raise RobotError(f"links without a parent: {shown}; valid is one")
+    nodes = [_node(-1, None, links[ends.pop()])]
+    todo = [(0, *x) for x in reversed(below[nodes[0].name])]
+    while todo:
+        parent_node, joint, child = todo.pop()
+        nodes.append(_node(parent_node, joint, links[child]))
+        todo += [(len(nodes) - 1, *x) for x in reversed(below[child])]
+    if len(nodes) < len(links):
+        reached = {node.name for node in nodes}
+        lost = next(name for name in links if name not in reached)
+        raise RobotError(f"link {lost!r} is in a loop of joints; valid are trees")
+    return Tree(str(where), nodes)
+
+
+def _node(parent: int, joint: Element | None, link: Element) -> Node:
+    """A link, behind a joint if it is not the first."""
+    name = link.get("name", "")
+    own: dict[str, Any] = {"parent": parent, "body": name, "name": name}
+    if joint is not None:
+        own["rotation"], own["translation"] = origin(joint)
+        own |= _motion(joint)
+    inertial = link.find("inertial")
+    if inertial is not None:
+        R, own["center"] = origin(inertial)
+        own["mass"] = number(inertial, "mass", "value", math.nan)
+        names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        xx, xy, xz, yy, yz, zz = (
+            number(inertial, "inertia", x, math.nan) for x in names
+        )
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        own["inertia"] = R @ inertia @ R.T
+    return Node(**own)
+
+
+def _motion(joint: Element) -> dict[str, Any]:
+    """How a joint moves, by the names of a node's attributes."""
+    name, kind = joint.get("name", ""), joint.get("type", "")
+    if kind not in _KINDS:
+        raise RobotError(
+            f"joint {name!r} is of type {printable(kind)!r}; valid are "
+            f"{', '.join(_KINDS)}"
+        )
+    if kind == "fixed":
+        return {"follows": _follows(joint)}
+    if kind in ("revolute", "prismatic") and joint.find("limit") is None:
+        raise RobotError(f"joint {name!r} is {kind} and has no <limit>")
+    axis = numbers(joint, "axis", "xyz", 1.0, 0.0, 0.0)
+    if not axis.any():
+        raise RobotError(f"axis of joint {name!r} has no direction")
     return {
-        joint.attrib["name"]: (
-            tag.attrib["joint"],
-            float(tag.get("multiplier", 1.0)),
-            float(tag.get("offset", 0.0)),
-        )
-        for joint in root.iterfind("joint")
-        if (tag := joint.find("mimic")) is not None
+        "joint": name,
+        "kind": _KINDS[kind],
+        "follows": _follows(joint),
+        "axis": axis / np.linalg.norm(axis),
+        "revolute": kind != "prismatic",
     }
 
 
-def _tags(root: ElementTree.Element) -> dict[str, dict[str, float]]:
-    """What simulators' tags say of joints, by field and joint."""
-    found: dict[str, dict[str, float]] = {
-        name: {} for name in ("armature", "a_max", "stiffness", "springref")
-    }
-    for drive in root.iter("transmission"):
-        joint, actuator = drive.find("joint"), drive.find("actuator")
-        rotor = None if actuator is None else actuator.find("drake_rotor_inertia")
-        if joint is None or actuator is None or rotor is None:
-            continue
-        gear = actuator.find("drake_gear_ratio")
-        ratio = 1.0 if gear is None else float(gear.attrib["value"])
-        found["armature"][joint.attrib["name"]] = (
-            float(rotor.attrib["value"]) * ratio * ratio
-        )
-    for element in root.iter("joint"):
-        limit = element.find("limit")
-        if limit is not None and "drake_acceleration" in limit.attrib:
-            value = float(limit.attrib["drake_acceleration"])
-            found["a_max"][element.attrib["name"]] = value
-    for element in root.iter("gazebo"):
-        if (stiffness := element.findtext("springStiffness")) is not None:
-            name = element.attrib["reference"]
-            found["stiffness"][name] = float(stiffness)
-            found["springref"][name] = float(element.findtext("springReference", "0"))
+def _follows(joint: Element) -> tuple[str, float, float] | None:
+    if joint.find("mimic") is None:
+        return None
+    ratio = number(joint, "mimic", "multiplier", 1.0)
+    offset = number(joint, "mimic", "offset", 0.0)
+    return _attribute(joint, "mimic", "joint"), ratio, offset
+
+
+def origin(element: Element) -> tuple[Array, Array]:
+    """Turn and place of what is in an element, shapes (3, 3) and (3,)."""
+    from scipy.spatial.transform import Rotation
+
+    xyz, rpy = (numbers(element, "origin", x, 0.0, 0.0, 0.0) for x in ("xyz", "rpy"))
+    return Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+
+
+def roll_pitch_yaw(R: Array) -> Array:
+    """Angles about fixed x, y and z; unlike a library's, silent at pitch ±90°."""
+    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
+        return np.array([np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0])
+    roll = np.arctan2(R[2, 1], R[2, 2])
+    return np.array([roll, pitch, np.arctan2(R[1, 0], R[0, 0])])
+
+
+def _named(root: Element, tag: str) -> dict[str, Element]:
+    """Elements by their names, of which each has its own."""
+    found: dict[str, Element] = {}
+    for element in root.iterfind(tag):
+        name = element.get("name", "")
+        if not name or name in found:
+            fault = f"two have the name {name!r}" if name else "one has no name"
+            raise RobotError(f"of the elements <{tag}> {fault}")
+        found[name] = element
     return found
 
 
-def _fields(model: Any, index: list[int], held: Mapping[str, float]) -> dict[str, Any]:
-    """Fields of the arm made of the joints ``index`` of a pinocchio tree."""
-    chain = _chain(model, index, held)
-    n = chain.size
-    q_min, q_max = np.full(n, -np.inf), np.full(n, np.inf)
-    for k, j in enumerate(index):
-        if model.nqs[j] == 1:  # a continuous joint is stored as (cos, sin)
-            q_min[k] = model.lowerPositionLimit[model.idx_qs[j]]
-            q_max[k] = model.upperPositionLimit[model.idx_qs[j]]
-    dofs = [model.idx_vs[j] for j in index]
-    return {
-        "name": model.name,
-        "chain": chain,
-        "held": dict(held),
-        "q_min": q_min,
-        "q_max": q_max,
-        "v_max": _limit(model.upperVelocityLimit[dofs]),
-        "tau_max": _limit(model.upperEffortLimit[dofs]),
-        "damping": np.array(model.damping[dofs]),
-        "frictionloss": np.array(model.upperDryFrictionLimit[dofs]),
-    }
+def _rotors(root: Element) -> Iterator[tuple[str, float]]:
+    """Joints with the rotor inertia that Drake's tags of their drives give them."""
+    for drive in root.iter("transmission"):
+        actuator = drive.find("actuator")
+        if actuator is not None and drive.find("joint") is not None:
+            rotor = number(actuator, "drake:rotor_inertia", "value", 0.0)
+            ratio = number(actuator, "drake:gear_ratio", "value", 1.0)
+            yield _attribute(drive, "joint", "name"), rotor * ratio * ratio
 
 
-def start(model: Any, held: Mapping[str, float]) -> np.ndarray:
-    """Position of the whole model with some joints held elsewhere, shape (nq,)."""
-    import pinocchio as pin
-
-    q = pin.neutral(model)
-    for name, position in held.items():
-        j = model.getJointId(name)
-        circle = [np.cos(position), np.sin(position)]
-        at = model.idx_qs[j]
-        q[at : at + model.nqs[j]] = circle if model.nqs[j] == 2 else position
-    return np.asarray(q)
+def _springs(root: Element) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Joints with stiffness and rest of the springs that Gazebo's tags give them."""
+    for tag in root.iter("gazebo"):
+        stiffness, rest = (
+            _number(tag.findtext(x, "0"), x)
+            for x in ("springStiffness", "springReference")
+        )
+        if stiffness:
+            yield tag.get("reference", ""), (stiffness, rest)
 
 
-def _chain(model: Any, index: list[int], held: Mapping[str, float]) -> Chain:
-    """Walk the tree; what a held joint carries is welded to its parent link."""
-    import pinocchio as pin
-
-    n = len(index)
-    data = model.createData()
-    pin.computeJointJacobians(model, data, start(model, held))
-    placement: list[Any] = [pin.SE3.Identity()] * n
-    axis, revolute = np.zeros((n, 3)), np.zeros(n, dtype=bool)
-    inertial = np.zeros((n, 10))
-    # Where each joint sits in the link it belongs to: (link, placement).
-    home = {0: (-1, pin.SE3.Identity())}
-    for j in range(1, model.njoints):
-        link, pose = home[model.parents[j]]
-        pose = pose * data.liMi[j]  # a joint of the arm is at zero
-        if j in index:
-            link, placement[index.index(j)] = index.index(j), pose
-            axis[link], revolute[link] = _motion_axis(model, data, j)
-            pose = pin.SE3.Identity()
-        home[j] = (link, pose)
-        if link >= 0:
-            inertial[link] += pose.act(model.inertias[j]).toDynamicParameters()
-    for k, j in enumerate(index):
-        if not inertial[k].any():
-            raise RobotError(
-                f"link {_link(model, j)!r} moves and has no inertia; give it an "
-                "<inertial>, or choose joints without it"
-            )
-    return Chain(
-        joints=tuple(model.names[j] for j in index),
-        rotation=np.array([pose.rotation for pose in placement]),
-        translation=np.array([pose.translation for pose in placement]),
-        axis=axis,
-        revolute=revolute,
-        inertial=inertial,
-        gravity=np.array(model.gravity.linear),
-        armature=np.array(model.armature[[model.idx_vs[j] for j in index]]),
-    )
+def _attribute(element: Element, tag: str, name: str) -> str:
+    inner = element.find(tag)
+    text = "" if inner is None else inner.get(name, "")
+    if not text:
+        raise RobotError(f"{tag} of {_shown(element)} has no {name}")
+    return text
 
 
-def _motion_axis(model: Any, data: Any, joint: int) -> tuple[np.ndarray, bool]:
-    """Axis of a joint in its own frame, and whether it turns about it."""
-    import pinocchio as pin
+def numbers(element: Element, tag: str, name: str, *usual: float) -> Array:
+    """Numbers of an attribute in an element's first part of a kind.
 
-    # In the joint's own frame the motion subspace is constant: the axis. (The Jacobian
-    # of a one-joint model comes as a vector.)
-    jacobian = pin.getJointJacobian(model, data, joint, pin.LOCAL).reshape(6, model.nv)
-    column = jacobian[:, model.idx_vs[joint]]
-    revolute = bool(np.linalg.norm(column[3:]) > 0.5)
-    return (column[3:] if revolute else column[:3]), revolute
+    Args:
+        element: The element.
+        tag: Kind of the part in it.
+        name: Name of the attribute.
+        usual: What they are without it; as many are valid.
+
+    Raises:
+        RobotError: There are more or fewer, or one is none.
+    """
+    inner = element.find(tag)
+    text = None if inner is None else inner.get(name)
+    if text is None:
+        return np.array(usual)
+    what = f"{name} of {tag} in {_shown(element)}"
+    found = [_number(word, what) for word in text.split()]
+    if len(found) != len(usual):
+        raise RobotError(f"{what} has {len(found)} numbers; valid are {len(usual)}")
+    return np.array(found)
 
 
-def _limit(values: Any) -> np.ndarray:
+def number(element: Element, tag: str, name: str, usual: float) -> float:
+    """The one number of an attribute; see :func:`numbers`."""
+    return float(numbers(element, tag, name, usual)[0])
+
+
+def _number(text: str, what: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise RobotError(
+            f"{what} is {printable(text[:40])!r}; valid are finite numbers"
+        )
+    return number
+
+
+def _shown(element: Element) -> str:
+    return repr(f"{element.tag} {printable(element.get('name', ''))}".strip())
+
+
+def limit(values: Array) -> Array:
     """Upper limits with "none" (0 in many files) read as infinity."""
-    limit = np.array(values, dtype=float)
-    limit[(limit <= 0) | (limit > 1e300)] = np.inf
-    return limit
+    return np.where((values > 0) & (values < 1e300), values, np.inf)

@@ -19,8 +19,8 @@ from hybrid.robot.edit.beside import put_dry, put_ripples
 from hybrid.robot.edit.change import Edit, Structure
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.drives import edit_drives
-from hybrid.robot.edit.part import Part, changed_parts, mjcf_parts
-from hybrid.robot.mjcf import joint_names
+from hybrid.robot.edit.part import Part, changed_parts, parts_of
+from hybrid.robot.mjcf import joint_names, mujoco_tree
 from hybrid.robot.read import read_robot
 from hybrid.robot.robot import Robot
 
@@ -52,7 +52,8 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     model = model_of(document, old)
     new = change.robot
     _gravity(document, model, new.chain.gravity - old.chain.gravity)
-    for part in changed_parts(mjcf_parts(old, model), old, new):
+    parts = parts_of(old, mujoco_tree(model, document.where))
+    for part in changed_parts(parts, old, new):
         _inertial(document, _body(document, model, part), part)
     for j in range(new.size):
         _joint(document, model, old, new, j)

@@ -10,10 +10,9 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.mjcf import joint_names, start
 from hybrid.robot.robot import Robot
 from hybrid.robot.spatial import central_inertia, inertia_fault, inertial_about
-from hybrid.robot.urdf import start as urdf_start
+from hybrid.robot.tree import Tree
 
 _SAME = 1e-9  # of a link's parameters: what rounding makes of them
 _HALVINGS = 40
@@ -47,60 +46,21 @@ class Part:
         return mass, R.T @ (center - self.position), R.T @ about @ R
 
 
-def mjcf_parts(robot: Robot, model: Any) -> list[Part]:
-    """Bodies of MuJoCo's model of the arm's file."""
-    import mujoco
+def parts_of(robot: Robot, tree: Tree) -> list[Part]:
+    """Bodies of a file that move with the links of an arm in it.
 
-    data = mujoco.MjData(model)
-    data.qpos[:] = start(model, robot.held)
-    mujoco.mj_kinematics(model, data)
-    names = joint_names(model)
-    moved = {
-        int(model.jnt_bodyid[names.index(x)]): k for k, x in enumerate(robot.joints)
-    }
-    link, parts = {0: -1}, list[Part]()
-    for body in range(1, model.nbody):
-        k = link[body] = moved.get(body, link[int(model.body_parentid[body])])
-        if k < 0:
-            continue
-        joint = names.index(robot.joints[k])
-        home = data.xmat[model.jnt_bodyid[joint]].reshape(3, 3)
-        anchor = data.xanchor[joint]
-        R = home.T @ data.xmat[body].reshape(3, 3)
-        turned = home.T @ data.ximat[body].reshape(3, 3)
-        inertial = inertial_about(
-            model.body_mass[body],
-            home.T @ (data.xipos[body] - anchor),
-            turned @ np.diag(model.body_inertia[body]) @ turned.T,
-        )
-        position = home.T @ (data.xpos[body] - anchor)
-        parts.append(Part(body, k, body in moved, R, position, inertial))
-    return parts
-
-
-def urdf_parts(robot: Robot, text: str) -> list[Part]:
-    """Links of a URDF file that has the arm, by the file's text."""
-    import pinocchio as pin
-
-    model = pin.buildModelFromXML(text)
-    data = model.createData()
-    pin.forwardKinematics(model, data, urdf_start(model, robot.held))
-    pin.updateFramePlacements(model, data)
-    index = {model.getJointId(name): k for k, name in enumerate(robot.joints)}
-    link, parts = {0: -1}, list[Part]()
-    for j in range(1, model.njoints):
-        link[j] = index.get(j, link[model.parents[j]])
-    home = {k: data.oMi[j] for j, k in index.items()}
-    for f, frame in enumerate(model.frames):
-        k = link[frame.parentJoint]
-        if frame.type != pin.FrameType.BODY or k < 0:
-            continue
-        pose = home[k].actInv(data.oMf[f])
-        inertial = pose.act(frame.inertia).toDynamicParameters()
-        own = frame.parentJoint in index and frame.placement.isIdentity(1e-12)
-        own = own and not any(p.own and p.link == k for p in parts)
-        R, p = np.array(pose.rotation), np.array(pose.translation)
-        parts.append(Part(frame.name, k, own, R, p, np.array(inertial)))
+    Args:
+        robot: The arm.
+        tree: The tree of the file.
+    """
+    places, _ = tree.places(robot.joints, robot.held)
+    parts: list[Part] = []
+    for node, place in zip(tree.nodes, places, strict=True):
+        if place.link >= 0 and node.body is not None:
+            link, R, p = place
+            own = all(part.link != link for part in parts)
+            inertial = inertial_about(*place.body(node))
+            parts.append(Part(node.body, link, own, R, p, inertial))
     return parts
 
 

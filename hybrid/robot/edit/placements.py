@@ -14,7 +14,8 @@ from hybrid.files import atomic_path
 from hybrid.robot.chain import Chain
 from hybrid.robot.compiled import compiled_without_files
 from hybrid.robot.edit.document import Document, element
-from hybrid.robot.spatial import rotation_from_axis_angle
+from hybrid.robot.mjcf import joint_frame, matrix
+from hybrid.robot.urdf import roll_pitch_yaw
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
@@ -65,7 +66,7 @@ def _urdf(
         xyz, rpy = (_numbers(own.get(name, "0 0 0")) for name in ("xyz", "rpy"))
         turn, shift = changes[joint]
         R = Rotation.from_euler("xyz", rpy).as_matrix()
-        given = {"xyz": xyz + R @ shift, "rpy": _roll_pitch_yaw(R @ turn)}
+        given = {"xyz": xyz + R @ shift, "rpy": roll_pitch_yaw(R @ turn)}
         if origin:
             document.set(origin[0], given)
         else:
@@ -88,26 +89,13 @@ def _mjcf(
                 "joints of this very file, one to a body, outside of frames"
             )
         # The joint's frame in its body, as the chain has it at position zero.
-        axis, at = model.jnt_axis[j], model.jnt_pos[j]
-        reference = float(model.qpos0[model.jnt_qposadr[j]])
-        own = rotation_from_axis_angle(axis, -reference)
-        if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE:
-            own, at = np.eye(3), at - reference * axis
-        B = Rotation.from_quat(model.body_quat[body], scalar_first=True).as_matrix()
+        own, at, _ = joint_frame(model, j, np.eye(3), np.zeros(3))
+        B = matrix(model.body_quat[body])
         turned = own @ turn @ own.T
         position = model.body_pos[body] + B @ (at + own @ shift - turned @ at)
         quaternion = Rotation.from_matrix(B @ turned).as_quat(scalar_first=True)
         tag = next(x for x in document.tags if x.start == found[0].parents[-1])
         document.set(tag, {"pos": position, "quat": quaternion}, drop=_TURNS)
-
-
-def _roll_pitch_yaw(R: Array) -> Array:
-    """Angles about fixed x, y and z; unlike a library's, silent at pitch ±90°."""
-    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
-        return np.array([np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0])
-    roll = np.arctan2(R[2, 1], R[2, 2])
-    return np.array([roll, pitch, np.arctan2(R[1, 0], R[0, 0])])
 
 
 def _numbers(text: str) -> Array:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
-from hybrid.robot.edit.part import Part, changed_parts, urdf_parts
+from hybrid.robot.edit.part import Part, changed_parts, parts_of
 from hybrid.robot.robot import Robot
+from hybrid.robot.urdf import read_urdf, urdf_root, urdf_tree
 
 DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
 
@@ -32,7 +31,8 @@ def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
         RobotError: A link cannot be found in the file.
     """
     new = change.robot
-    for part in changed_parts(urdf_parts(old, document.content.decode()), old, new):
+    tree = urdf_tree(urdf_root(document.content), document.where)
+    for part in changed_parts(parts_of(old, tree), old, new):
         (link,) = document.find("robot", "link", name=part.body)
         _inertial(document, link, part)
     for j, name in enumerate(new.joints):
@@ -47,11 +47,9 @@ def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
 
 def check_urdf(document: Document, robot: Robot) -> Robot:
     """Read the arm back from the document."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder, "robot.urdf")
-        file.write_bytes(document.written())
-        found = Robot.load(file, joints=robot.joints, held=dict(robot.held))
-    return replace(found, path=robot.path)
+    content, where = document.written(), document.where
+    fields = read_urdf(content, where, robot.joints, dict(robot.held))
+    return Robot(**fields, path=robot.path)
 
 
 def move_meshes(document: Document, home: Path, folder: Path) -> None:

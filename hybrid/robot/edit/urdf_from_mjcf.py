@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.robot.compiled import compiled_spec, spec_from_file
 from hybrid.robot.edit.document import element, text_of
 from hybrid.robot.edit.skeleton import mjcf_skeleton
-from hybrid.robot.edit.urdf import DRAKE
-from hybrid.robot.mjcf import joint_names, moved_to
+from hybrid.robot.edit.urdf import DRAKE, inertial_text
+from hybrid.robot.mjcf import joint_frame, joint_names, matrix
 from hybrid.robot.robot import Robot
+from hybrid.robot.urdf import roll_pitch_yaw
 
 _SHOWN = 3  # groups of geoms that MuJoCo shows are below
 _FORMATS = (".stl", ".obj", ".dae")
@@ -82,7 +81,7 @@ class _Writer:
         if b:
             parent = int(model.body_parentid[b])
             above = self.bodies[parent]
-            R = _matrix(model.body_quat[b])
+            R = matrix(model.body_quat[b])
             p = self.shift[parent] + model.body_pos[b]
             for k, joint in enumerate(range(first, first + count), 1):
                 link = name if k == count else f"{name}_{k}"
@@ -110,7 +109,7 @@ class _Writer:
                 f"{robot.path}: joint {name!r} is free or a ball, which URDF does not "
                 "have; valid are hinge and slide"
             )
-        R, p = moved_to(model, joint, R, p, 0.0)
+        R, p, offset = joint_frame(model, joint, R, p)
         slides, limited = model.jnt_type[joint] == 2, bool(model.jnt_limited[joint])
         kind = "prismatic" if slides else "revolute" if limited else "continuous"
         limits = {"effort": 0.0, "velocity": 0.0}
@@ -132,8 +131,7 @@ class _Writer:
             element("limit", limits),
             element("dynamics", friction),
         ]
-        offset = model.jnt_pos[joint]
-        self._put(name, kind, R, p + R @ offset, above, link, inner)
+        self._put(name, kind, R, p, above, link, inner)
         return np.eye(3), -offset
 
     def _put(
@@ -152,16 +150,14 @@ class _Writer:
 
     def _inertial(self, b: int) -> str:
         model = self.model
-        x, y, z = model.body_inertia[b]
-        six = {"ixx": x, "ixy": 0.0, "ixz": 0.0, "iyy": y, "iyz": 0.0, "izz": z}
-        at = _origin(_matrix(model.body_iquat[b]), self.shift[b] + model.body_ipos[b])
-        mass = element("mass", {"value": model.body_mass[b]})
-        return f"<inertial>{at}{mass}{element('inertia', six)}</inertial>"
+        R, center = matrix(model.body_iquat[b]), self.shift[b] + model.body_ipos[b]
+        about = R @ np.diag(model.body_inertia[b]) @ R.T
+        return inertial_text(model.body_mass[b], center, about)
 
     def _geom(self, g: int, b: int) -> Iterator[str]:
         """A geom as it is seen and as it collides."""
         model = self.model
-        R, p = _matrix(model.geom_quat[g]), self.shift[b] + model.geom_pos[g]
+        R, p = matrix(model.geom_quat[g]), self.shift[b] + model.geom_pos[g]
         parts = list(self._shapes(g, R, p))
         words = []
         if model.geom_group[g] < _SHOWN:
@@ -195,7 +191,7 @@ class _Writer:
                 yield R, p - size[1] * R[:, 2], ball
         elif kind == kinds.mjGEOM_MESH and (file := self._file(g)):
             mesh = int(model.geom_dataid[g])
-            R = R @ _matrix(model.mesh_quat[mesh]).T
+            R = R @ matrix(model.mesh_quat[mesh]).T
             given = {"filename": file, "scale": model.mesh_scale[mesh]}
             yield R, p - R @ model.mesh_pos[mesh], element("mesh", given)
         else:
@@ -213,11 +209,4 @@ class _Writer:
 
 
 def _origin(R: Array, p: Array) -> str:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # at a pole any of them will do
-        angles = Rotation.from_matrix(R).as_euler("xyz")
-    return element("origin", {"xyz": p, "rpy": angles})
-
-
-def _matrix(quaternion: Array) -> Array:
-    return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+    return element("origin", {"xyz": p, "rpy": roll_pitch_yaw(R)})

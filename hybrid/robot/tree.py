@@ -1,0 +1,343 @@
+"""The tree of a robot file, as every reader gives it: frames, joints and bodies."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.errors import HybridWarning, RobotError
+from hybrid.robot.chain import MOST_JOINTS, Chain
+from hybrid.robot.spatial import (
+    inertia_fault,
+    inertial_about,
+    rotation_from_axis_angle,
+    skew,
+)
+
+_BASE = -1
+Body = tuple[float, Array, Array]  # mass, centre (3,), inertia about it (3, 3)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A frame, fixed to the one before it or moved by a joint, and what it carries.
+
+    Attributes:
+        parent: Number of the frame that it hangs on, −1 for the world.
+        rotation: Turn in that one with the joint at zero, shape (3, 3).
+        translation: Place in it, shape (3,), [m].
+        joint: Name of the joint, empty if it is fixed.
+        kind: What the joint is if it does not turn or slide along one axis of its own.
+        follows: Joint that it follows, by which ratio, from where; None by itself.
+        axis: Unit axis of the joint, shape (3,).
+        revolute: Whether it turns about it.
+        home: Position where the file has the joint, [rad or m].
+        body: The body with this frame: its number in MuJoCo's model, or its name in a
+            URDF file; None if no body has it.
+        name: The body's name, for messages.
+        mass: The body's mass, [kg].
+        center: Its centre of mass, shape (3,), [m].
+        inertia: Its inertia about that, shape (3, 3), [kg·m²].
+    """
+
+    parent: int
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+    translation: Array = field(default_factory=lambda: np.zeros(3))
+    joint: str = ""
+    kind: str = ""
+    follows: tuple[str, float, float] | None = None
+    axis: Array = field(default_factory=lambda: np.zeros(3))
+    revolute: bool = True
+    home: float = 0.0
+    body: Any = None
+    name: str = ""
+    mass: float = 0.0
+    center: Array = field(default_factory=lambda: np.zeros(3))
+    inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))
+
+
+class Place(NamedTuple):
+    """Where a frame is: the link of the arm that it is fixed to, and its pose there.
+
+    Attributes:
+        link: The link, counted from 0; −1 is the base, whose frame is the world's.
+        rotation: Turn, shape (3, 3).
+        position: Place, shape (3,), [m].
+    """
+
+    link: int
+    rotation: Array
+    position: Array
+
+    def body(self, node: Node) -> Body:
+        """A frame's body in the link."""
+        R = self.rotation
+        center = self.position + R @ node.center
+        return node.mass, center, R @ node.inertia @ R.T
+
+
+@dataclass(frozen=True)
+class Tree:
+    """Frames of a robot file.
+
+    Attributes:
+        where: The file or object, for messages.
+        nodes: The frames, parents first.
+    """
+
+    where: str
+    nodes: Sequence[Node]
+
+    @cached_property
+    def parents(self) -> Mapping[str, str | None]:
+        """Parent joint of each joint, None at the base, parents first."""
+        last: list[str | None] = []  # joint that moves each frame
+        parents: dict[str, str | None] = {}
+        for node in self.nodes:
+            above = last[node.parent] if node.parent >= 0 else None
+            if node.joint:
+                parents[node.joint] = above
+            last.append(node.joint or above)
+        return parents
+
+    @cached_property
+    def kinds(self) -> Mapping[str, str]:
+        """What the joints are that an arm cannot have."""
+        follow = {x: f"follows joint {y!r} (mimic)" for x, y in self.leaders.items()}
+        kinds = {x.joint: follow.get(x.joint, x.kind) for x in self.nodes}
+        return {name: kind for name, kind in kinds.items() if kind}
+
+    @cached_property
+    def leaders(self) -> Mapping[str, str]:
+        """Which joint each follows that follows one; an arm ends before those.
+
+        A finger that is fixed where it would follow goes by the name of its link.
+        """
+        return {x.joint or x.name: x.follows[0] for x in self.nodes if x.follows}
+
+    @property
+    def free(self) -> list[str]:
+        """Joints that an arm can have."""
+        return [name for name in self.parents if name not in self.kinds]
+
+    def line(self, name: str, among: Collection[str]) -> list[str]:
+        """A joint and its ancestors within a set, base first."""
+        line: list[str] = []
+        here: str | None = name
+        while here is not None and here in among:
+            line.append(here)
+            here = self.parents[here]
+        return line[::-1]
+
+    def held(self, held: Mapping[str, float]) -> dict[str, float]:
+        """Positions of joints that are held, and of those that follow them."""
+        moved = {
+            node.joint: node.follows[1] * held.get(node.follows[0], 0.0)
+            + node.follows[2]
+            for node in self.nodes
+            if node.follows
+        }
+        return {name: x for name, x in moved.items() if x} | dict(held)
+
+    def places(
+        self, joints: Sequence[str], held: Mapping[str, float]
+    ) -> tuple[list[Place], list[Place]]:
+        """Where everything is in the links of an arm.
+
+        Args:
+            joints: Joints of the arm, base to tip.
+            held: Positions of other joints that are not where the file has them.
+
+        Returns:
+            Place of each node, and of the frame of each joint in the link before it.
+        """
+        places: list[Place] = []
+        frames: list[Place] = []
+        for node in self.nodes:
+            link, R, p = Place(_BASE, np.eye(3), np.zeros(3))
+            if node.parent >= 0:
+                link, R, p = places[node.parent]
+            p, R = p + R @ node.translation, R @ node.rotation
+            at = held.get(node.joint, node.home)
+            if node.joint in joints:
+                frames.append(Place(link, R, p))
+                link, R, p = len(frames) - 1, np.eye(3), np.zeros(3)
+            elif node.joint and node.revolute:
+                R = R @ rotation_from_axis_angle(node.axis, at)
+            elif node.joint:
+                p = p + at * (R @ node.axis)
+            places.append(Place(link, R, p))
+        return places, frames
+
+    def chain(
+        self,
+        joints: Sequence[str],
+        held: Mapping[str, float],
+        gravity: Array,
+        armature: Array,
+    ) -> Chain:
+        """The arm of some joints; what a held joint carries is part of a link.
+
+        Raises:
+            RobotError: A link is no body that could be built.
+        """
+        places, frames = self.places(joints, held)
+        bodies: list[list[Body]] = [[] for _ in joints]
+        names = list(joints)  # of the links, which a joint without a body lends its own
+        for node, place in zip(reversed(self.nodes), reversed(places), strict=True):
+            if place.link >= 0 and node.body is not None:
+                bodies[place.link].append(place.body(node))
+                names[place.link] = node.name
+        links = [_link(*x) for x in zip(names, bodies, strict=True)]
+        moved = {node.joint: node for node in self.nodes if node.joint}
+        return Chain(
+            joints=tuple(joints),
+            rotation=np.array([x.rotation for x in frames]),
+            translation=np.array([x.position for x in frames]),
+            axis=np.array([moved[x].axis for x in joints]),
+            revolute=np.array([moved[x].revolute for x in joints]),
+            inertial=np.array([inertial_about(*x) for x in links]),
+            gravity=gravity,
+            armature=armature,
+        )
+
+
+def _link(name: str, bodies: Sequence[Body]) -> Body:
+    """Bodies that move as one; refuses what cannot be one."""
+    mass = sum(m for m, _, _ in bodies)
+    center = sum((m * c for m, c, _ in bodies), np.zeros(3))
+    center = center / mass if mass > 0 else center
+    inertia = np.zeros((3, 3))
+    for m, c, own in bodies:
+        arm = skew(c - center)
+        inertia += own - m * (arm @ arm)
+    if bodies and mass == 0 and not inertia.any():
+        raise RobotError(
+            f"link {name!r} moves and has no inertia; give it an <inertial>, or choose "
+            "joints without it"
+        )
+    if fault := inertia_fault(mass, inertia):
+        raise RobotError(f"link {name!r} {fault}")
+    return mass, center, inertia
+
+
+def serial_joints(
+    tree: Tree, joints: tuple[str, ...] | None, held: Mapping[str, float]
+) -> tuple[str, ...]:
+    """Joints of the serial arm in a joint tree, base to tip.
+
+    At a fork the branch with the deepest chain goes on, the first of several. Where
+    those are no longer than what led there (the fingers of a gripper) the arm ends.
+
+    Args:
+        tree: The joints.
+        joints: Joints the user wants, in any order, or None to choose.
+        held: Positions of joints that are off the arm, [rad or m].
+
+    Raises:
+        RobotError: No joint, an unknown joint, joints on different branches, or one
+            that an arm cannot have between others.
+
+    Warns:
+        HybridWarning: Joints are held, or one of several arms was taken.
+    """
+    kept = _chosen_chain(tree, joints) if joints is not None else _longest_chain(tree)
+    if len(kept) > MOST_JOINTS:
+        raise RobotError(
+            f"{tree.where}: {len(kept)} joints; valid are up to {MOST_JOINTS}"
+        )
+    line = tree.line(kept[-1], tree.parents)
+    for name in line[line.index(kept[0]) :]:
+        if name in tree.kinds:
+            raise RobotError(
+                f"{tree.where}: joint {name!r} {tree.kinds[name]} and lies within the "
+                f"arm ({', '.join(kept)}); choose joints on one side of it"
+            )
+    still = [name for name in tree.free if name not in kept]
+    wrong = [name for name in held if name not in still]
+    if wrong:
+        raise RobotError(
+            f"{tree.where}: cannot hold {', '.join(wrong)}; valid are joints off the "
+            f"arm, {', '.join(still) or 'of which there are none'}"
+        )
+    for follower, leader in tree.leaders.items():
+        if leader in kept:
+            raise RobotError(
+                f"{follower!r} follows joint {leader!r} of the arm (mimic), "
+                "which moves both; choose joints without it"
+            )
+    others = {name for name in tree.parents if name not in kept}
+    if others:
+        warnings.warn(_said(tree, kept, others, held), HybridWarning, stacklevel=5)
+    return kept
+
+
+def _said(
+    tree: Tree, kept: tuple[str, ...], others: set[str], held: Mapping[str, float]
+) -> str:
+    inner = {tree.parents[name] for name in others}
+    ends = [name for name in tree.parents if name in others and name not in inner]
+    chains = [tree.line(name, others) for name in ends]
+    words = [f"{x[0]} … {x[-1]}" if len(x) > 1 else x[0] for x in chains]
+    given = "".join(f", {name} at {x:g}" for name, x in held.items())
+    return (
+        f"{Path(tree.where).name}: the arm is {', '.join(kept)}; other joints are held "
+        f"where the file has them{given} ({'; '.join(words)}); choose others by joints"
+    )
+
+
+def _longest_chain(tree: Tree) -> tuple[str, ...]:
+    if not tree.free:
+        there = [f"; joint {name!r} {kind}" for name, kind in tree.kinds.items()]
+        raise RobotError(
+            f"{tree.where}: no movable joint of an arm; valid are joints that turn or "
+            f"slide along one axis{''.join(there[:1])}"
+        )
+    children: dict[str | None, list[str]] = {}
+    for name, parent in tree.parents.items():
+        children.setdefault(parent, []).append(name)
+
+    depth: dict[str, int] = {}  # of the longest chain from each joint on
+    for name in reversed(list(tree.parents)):  # children stand behind their parents
+        below = [depth[child] for child in children.get(name, [])]
+        depth[name] = (name not in tree.kinds) + max(below, default=0)
+
+    chain: list[str] = []
+    here = children.get(None, [])
+    while here:
+        depths = [depth[name] for name in here]
+        if depths.count(deepest := max(depths)) > 1 and deepest <= len(chain):
+            break
+        name = here[depths.index(deepest)]
+        if name not in tree.kinds:
+            chain.append(name)
+        here = children.get(name, [])
+    while len(chain) > 1 and chain[-1] in tree.leaders.values():
+        chain.pop()
+    return tuple(chain)
+
+
+def _chosen_chain(tree: Tree, joints: tuple[str, ...]) -> tuple[str, ...]:
+    unknown = [name for name in joints if name not in tree.free]
+    if unknown or not joints:
+        kinds = [f"; {x} {tree.kinds[x]}" for x in unknown if x in tree.kinds]
+        raise RobotError(
+            f"{tree.where}: no joint {', '.join(unknown) or 'chosen'}"
+            f"{''.join(kinds)}; valid are {', '.join(tree.free)}"
+        )
+    lines = {name: tree.line(name, tree.parents) for name in joints}
+    tip = max(joints, key=lambda name: len(lines[name]))
+    astray = [name for name in joints if name not in lines[tip]]
+    if astray:
+        raise RobotError(
+            f"{tree.where}: joints {', '.join(astray)} are not on the way to {tip!r}; "
+            "the joints of one serial arm are needed"
+        )
+    return tuple(name for name in lines[tip] if name in joints)
