@@ -9,8 +9,10 @@ from functools import cache
 
 import fsspec
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from arms import MODELS
+from distributed import LocalCluster
 
 from hybrid.cli import main
 from hybrid.effects import effects_from_text
@@ -206,7 +208,7 @@ def test_a_payload_that_the_arm_was_told_of_is_no_change():
 def test_one_and_eight_workers_write_the_same_and_a_rerun_does_nothing_twice(
     tmp_path, monkeypatch
 ):
-    plan = folder_of_arms(tmp_path)
+    plan = folder_of_arms(tmp_path, weeks=2)
     bad = tmp_path / "logs" / "arm1" / "2026-01-12.parquet"
     bad.write_bytes(b"no log")
     results = [fleet(plan, tmp_path / str(n), workers=n) for n in (1, 8)]
@@ -250,7 +252,7 @@ def test_logs_in_a_store_are_found_and_fetched_and_give_the_same_rows(tmp_path):
     assert len({json.dumps(x) for x in rows}) == 1
     assert len(rows[0]["rows"]) == 9
     missing = answer(question("memory://nowhere/2026-01-05.csv"))
-    assert missing["failed"] == "refused"
+    assert missing["failed"] == "lost"  # a store that does not answer is asked again
 
 
 def test_a_diagnosis_says_what_has_changed_since_the_baseline(tmp_path):
@@ -276,6 +278,80 @@ def test_a_child_that_was_killed_is_replaced_and_one_that_hangs_is_ended():
         assert hangs.process.poll() is not None
     finally:
         workers.end_children()
+
+
+class Here:
+    """A child that is no process of its own, to count what it is asked."""
+
+    asked: list[str] = []
+
+    def ask(self, question, limit):
+        self.asked.append(json.loads(question)["task"])
+        return answer(json.loads(question))
+
+    def end(self):
+        pass
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    monkeypatch.setattr(workers, "Child", Here)
+    monkeypatch.setattr(Here, "asked", [])
+    return Here
+
+
+def test_a_full_disk_is_one_line_and_the_same_command_goes_on(
+    tmp_path, capsys, monkeypatch, asked
+):
+    folder_of_arms(tmp_path, arms=1, weeks=2)
+    out, written = tmp_path / "out", []
+    words = ["fleet", str(tmp_path / "logs"), "--robot", str(SCARA), "--out", str(out)]
+    write_table = pq.write_table
+
+    def on_a_disk_with_room_for_one(table, path):
+        write_table(table, path)
+        written.append(path)
+        if len(written) > 1:
+            path.write_bytes(b"torn")
+            raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pq, "write_table", on_a_disk_with_room_for_one)
+        assert main([*words, "--workers", "1"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()[-1:]
+    assert line.startswith(f"error: {out}") and line.endswith("No space left on device")
+    (done,) = (x for x in out.rglob("*.parquet"))
+    assert pq.read_table(done).num_rows == 9
+    assert main([*words, "--workers", "1"]) == 0
+    assert asked.asked == ["baseline", "period", "period", "period"]
+    assert pq.read_table(out / "fleet.parquet").num_rows == 18
+
+
+def test_a_scheduler_that_is_lost_is_one_line_and_another_goes_on(tmp_path, asked):
+    plan = folder_of_arms(tmp_path, arms=1, weeks=3)
+
+    def run(progress=None):
+        with LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster:
+
+            def tell(text):
+                if progress == text:
+                    cluster.close()
+
+            return fleet(
+                plan,
+                tmp_path / "out",
+                scheduler=cluster.scheduler_address,
+                progress=tell,
+            )
+
+    with pytest.raises(HybridError, match="lost .* the same command goes on"):
+        run("1 of 3 periods")
+    assert len(list((tmp_path / "out").rglob("*.parquet"))) == 1
+    before = len(asked.asked)
+    assert len(run().states) == 9
+    assert asked.asked[before:] == ["period", "period"]
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from typing import Any
 from hybrid.errors import HybridError
 from hybrid.fleets.estimate import carrying, deviations
 from hybrid.fleets.plan import opened
-from hybrid.fleets.worker import FINDING, OK, REFUSED, VERDICT
+from hybrid.fleets.worker import FINDING, LOST, OK, REFUSED, VERDICT
 from hybrid.identification import DynamicModel, identify
 from hybrid.model.model_file import content_from_model
 from hybrid.recording import Recording, read_all
@@ -37,15 +37,17 @@ def answer(message: Mapping[str, Any]) -> dict[str, Any]:
     """Do what a message asks: ``baseline`` gives a model, the others give rows."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        if message["task"] == "baseline":
-            return _baseline(message)
         try:
+            if message["task"] == "baseline":
+                return _baseline(message)
             model = carrying(_model(message["model"]), message["payload"])
             logs = _read(message["logs"], model.robot.joints, message["map"])
             task = {"period": _period, "diagnosis": _diagnosis}[message["task"]]
             return {"rows": list(task(message, model, logs))}
-        except (HybridError, OSError) as error:
+        except HybridError as error:
             return {"failed": REFUSED, "reason": _line(error)}
+        except OSError as error:  # of a network or a full disk, not of the log
+            return {"failed": LOST, "reason": _line(error)}
 
 
 def _baseline(message: Mapping[str, Any]) -> dict[str, Any]:
@@ -59,7 +61,7 @@ def _baseline(message: Mapping[str, Any]) -> dict[str, Any]:
             # Friction stays linear: parameters of all arms mean the same.
             fit = identify(robot, found, stages=("rigid",))
             return {"period": period, "model": content_from_model(fit.model)}
-        except (HybridError, OSError) as error:
+        except HybridError as error:
             reason = reason if reason != "no period" else _line(error)
     return {"period": None, "reason": reason}
 
