@@ -92,6 +92,6 @@ def run(args: Namespace, screen: Screen) -> None:
     options.write_record(args, how, content)
     for table in tables.values():
         if table.rows:
-            screen.show_words(table)
+            screen.show_words(table.filled())
     screen.say(lead_sentence(found))
     screen.say(f"report: {page}")

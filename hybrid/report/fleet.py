@@ -36,7 +36,10 @@ if TYPE_CHECKING:
 _MOST_ROWS = 40  # arms of the heat map and of the list
 _MOST_PAGES = 100  # arms with a page of their own
 _DRAWN = 8  # changes drawn in the report
-_TIMELINE = "Deviation from the baseline; red: when a change began, with 95 % interval."
+_TIMELINE = (
+    "Deviation from the baseline, with 95 % intervals. Upright line: when a change "
+    "began; band: 95 % interval of that; dotted: limits."
+)
 _CHANGED = "Diagnosed against the baseline"
 _DIAGNOSIS = "What hybrid diagnose --baseline says has changed since."
 _FAR = 6.0  # standard deviations between arms at which the colours end
@@ -166,9 +169,10 @@ def heat_figure(fleet: Fleet) -> Figure:
     axes = figure.subplots()
     image = axes.imshow(values, cmap="RdBu_r", vmin=-_FAR, vmax=_FAR, aspect="auto")
     if dots:
-        axes.plot(*np.array(dots).T, ".", color="black", markersize=5)
+        axes.plot(*np.array(dots).T, "o", color="black", mec="white", markersize=5)
     names = [
-        figure_text(f"{joint} {name.partition('.')[0]}") for joint, name in columns
+        figure_text(f"{joint} {name.partition('.')[0].replace('_', ' ')}")
+        for joint, name in columns
     ]
     axes.set_xticks(range(len(columns)), names, rotation=60, ha="right", fontsize=7)
     axes.set_yticks(range(len(arms)), [figure_text(x) for x in arms], fontsize=7)
@@ -195,7 +199,7 @@ def timeline_figure(states: Sequence[State]) -> Figure:
             for side in (-x.limit, x.limit):
                 axes.axhline(side, color=GREY, linewidth=0.8, linestyle=":")
         clean(axes, grid="y")
-        name = f"{x.joint}: {x.parameter.replace('_', ' ')}"
+        name = f"{x.arm}: {x.joint}, {x.parameter.replace('_', ' ')}"
         axes.set_title(figure_text(name), loc="left", fontsize=8, fontweight="bold")
         axes.set_ylabel(figure_text(f"[{x.unit}]" if x.unit else "[–]"))
     finish(figure, [axes for (axes,) in cells], f"days since {_day(start)}")
@@ -260,8 +264,8 @@ def _of_arm(fleet: Fleet, arm: str, own: Sequence[State]) -> Iterator[Section]:
 def _sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]:
     """What the page of the fleet says."""
     text = (
-        f"Noise raises {fleet.false_alarms:g} false alarms in 100 arm-months. A score "
-        "is the size of a change over its standard deviation."
+        f"False alarms that noise raises: {fleet.false_alarms:g} in 100 arm-months. A "
+        "score is the size of a change over its standard deviation."
     )
     alarms = alarms_table(fleet)
     if alarms.rows:
@@ -286,17 +290,18 @@ def _sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]:
         if table.rows:
             yield Section(title, text, table=_linked(table, pages))
     if fleet.shared:
-        yield Section("What all arms share", "\n\n".join(f"{x}." for x in fleet.shared))
+        text = "\n\n".join(f"{x[:1].upper()}{x[1:]}." for x in fleet.shared)
+        yield Section("What all arms share", text)
 
 
 def _linked(table: Table, pages: Mapping[str, str]) -> Table:
     """A table whose arms, in its first column, lead to their pages."""
-    link = Markup('<a href="{}">{}</a>')
+    link, filled = Markup('<a href="{}">{}</a>'), table.filled()
     rows = [
         (link.format(pages[arm], arm) if arm in pages else arm, *rest)
-        for arm, *rest in table.rows
+        for arm, *rest in filled.rows
     ]
-    return replace(table, rows=tuple(rows))
+    return replace(filled, rows=tuple(rows))
 
 
 def prometheus_text(fleet: Fleet) -> str:
