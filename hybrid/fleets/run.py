@@ -94,18 +94,18 @@ def answers(
         return new
 
     threads = max(1, sum(client.nthreads().values()))
-    running = as_completed(send(_WAITING * threads))
-    for future in running:
-        yield names.pop(future), _result(future)
-        for new in send(1):
-            running.add(new)
+    first = send(_WAITING * threads)
+    running = as_completed(first, with_results=True, raise_errors=False)
+    for future, result in running:
+        running.update(send(1))
+        yield names.pop(future), _answer(result)
 
 
-def _result(future: Any) -> dict[str, Any]:
+def _answer(result: Any) -> dict[str, Any]:
     """What a unit gave; what its workers died of is an answer, too."""
-    error = future.exception()
-    if isinstance(error, CancelledError):
-        raise error
-    if error is not None:
+    if isinstance(result, CancelledError):
+        raise result
+    if isinstance(result, tuple):
+        _, error, _ = result
         return {"failed": LOST, "reason": " ".join(str(error).split())}
-    return dict(future.result())
+    return dict(result)
