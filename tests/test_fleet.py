@@ -386,6 +386,13 @@ def test_without_the_extra_one_line_says_what_to_install(
     assert not (tmp_path / "out").exists()
 
 
+def test_an_address_that_is_none_is_refused_in_one_line(tmp_path, capsys):
+    folder_of_arms(tmp_path, arms=1, weeks=1)
+    words = ["fleet", str(tmp_path / "logs"), "--robot", str(SCARA)]
+    assert main([*words, "--out", str(tmp_path / "out"), "--scheduler", "there"]) == 2
+    assert "valid is an address" in capsys.readouterr().err
+
+
 def test_a_log_without_a_date_is_refused_before_any_work(tmp_path, capsys):
     (tmp_path / "logs" / "arm").mkdir(parents=True)
     (tmp_path / "logs" / "arm" / "monday.csv").write_text("t\n", encoding="utf-8")

@@ -37,7 +37,7 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Client]:
 
     try:
         if scheduler:
-            with Client(scheduler, timeout=_CONNECT) as client:
+            with _reached(scheduler) as client:
                 yield client
             return
         logging.getLogger("distributed").setLevel(logging.ERROR)
@@ -60,6 +60,18 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Client]:
         ) from error
     finally:
         end_children()
+
+
+def _reached(scheduler: str) -> Client:
+    from distributed import Client
+
+    try:
+        return Client(scheduler, timeout=_CONNECT)
+    except ValueError as error:
+        raise HybridError(
+            f"scheduler {scheduler}: valid is an address as tcp://10.0.0.1:8786 "
+            f"({error})"
+        ) from error
 
 
 def answers(
