@@ -10,8 +10,9 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import date
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -105,10 +106,10 @@ class Unit:
     logs: tuple[tuple[str, str], ...]
     entry: Mapping[str, Any]
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Hash of all that the result depends on."""
-        content = json.dumps([__version__, asdict(self)], sort_keys=True)
+        content = json.dumps([__version__, vars(self)], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:32]
 
 
