@@ -327,31 +327,39 @@ def test_a_full_disk_is_one_line_and_the_same_command_goes_on(
     assert pq.read_table(out / "fleet.parquet").num_rows == 18
 
 
+def on_a_cluster(plan, out, when="", what=None):
+    """Run a plan on a cluster to which something happens in between."""
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+
+        def tell(text):
+            if when == text:
+                what(cluster)
+
+        return fleet(plan, out, scheduler=cluster.scheduler_address, progress=tell)
+
+
 def test_a_scheduler_that_is_lost_is_one_line_and_another_goes_on(tmp_path, asked):
-    plan = folder_of_arms(tmp_path, arms=1, weeks=3)
-
-    def run(progress=None):
-        with LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
-        ) as cluster:
-
-            def tell(text):
-                if progress == text:
-                    cluster.close()
-
-            return fleet(
-                plan,
-                tmp_path / "out",
-                scheduler=cluster.scheduler_address,
-                progress=tell,
-            )
-
+    plan, out = folder_of_arms(tmp_path, arms=1, weeks=3), tmp_path / "out"
     with pytest.raises(HybridError, match="lost .* the same command goes on"):
-        run("1 of 3 periods")
-    assert len(list((tmp_path / "out").rglob("*.parquet"))) == 1
+        on_a_cluster(plan, out, "1 of 3 periods", LocalCluster.close)
+    assert len(list(out.rglob("*.parquet"))) == 1
     before = len(asked.asked)
-    assert len(run().states) == 9
+    assert len(on_a_cluster(plan, out).states) == 9
     assert asked.asked[before:] == ["period", "period"]
+
+
+def test_a_worker_that_is_lost_with_all_it_holds_is_made_up_for(tmp_path, asked):
+    def another(cluster):
+        (worker,) = cluster.workers.values()
+        cluster.sync(worker.close, executor_wait=False)
+        cluster.scale(2)
+
+    plan = folder_of_arms(tmp_path, arms=1, weeks=8)
+    found = on_a_cluster(plan, tmp_path / "out", "1 of 8 periods", another)
+    assert not found.refused
+    assert found.arm_months == pytest.approx(8 * 7 / 30.4375)
 
 
 @pytest.mark.parametrize(

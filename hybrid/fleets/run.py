@@ -97,7 +97,8 @@ def answers(
         for name, message, model in islice(source, count):
             if model is not None and model not in models:
                 models.clear()  # jobs come arm by arm
-                models[model] = client.scatter(model, hash=True)
+                # A task is done again where a worker is lost; what is scattered is not.
+                models[model] = client.submit(str, model)
             future = client.submit(
                 ask, message, models.get(model or ""), limit, pure=False, retries=2
             )
