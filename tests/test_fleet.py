@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import warnings
+from dataclasses import replace
 from datetime import date, timedelta
 from functools import cache
 
@@ -192,6 +193,16 @@ def test_a_change_is_found_where_it_is(effect, joint, parameter, size):
         if (x.joint, x.parameter) != (joint, parameter)
     ]
     assert gap / std > max(others)
+
+
+def test_other_noise_on_the_same_motion_leaves_the_standard_deviations_alike():
+    log, rng = logs(seed=9)[0], np.random.default_rng(0)
+    std = []
+    for _ in range(8):
+        tau = log.tau + 0.5 * rng.standard_normal(log.tau.shape)
+        rows = deviations(baseline(), [replace(log, tau=tau)], TRACK).rows
+        std.append([x.std for x in rows])
+    assert np.log(std).std(axis=0).max() < 0.05
 
 
 def test_a_payload_that_the_arm_was_told_of_is_no_change():
