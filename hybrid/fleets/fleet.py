@@ -113,9 +113,10 @@ def fleet_from_rows(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> Fleet:
             series.s = s
         scatters = moderated([Scatter.of(x.y, x.s) for x in own])
         for series, scatter in zip(own, scatters, strict=True):
+            series.s = series.s * np.sqrt(scatter.square)[:, None]
             count = len(series.days)
             limit = threshold(count, plan.days, len(own), plan.false_alarms)
-            states += series.states(group, scatter, limit, limits)
+            states += series.states(group, scatter.freedom, limit, limits)
             shared += series.shared(limit)
     rate = plan.false_alarms
     return Fleet(rows, tuple(states), tuple(shared), months, rate)

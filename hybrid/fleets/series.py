@@ -20,7 +20,6 @@ from scipy.stats import median_abs_deviation
 from hybrid.arrays import Array
 from hybrid.fleets.changes import MONTH, Change, Level, changes, crossing, level
 from hybrid.fleets.pooling import FEWEST, pooled
-from hybrid.fleets.scatter import Scatter
 
 SHARED = 5  # arms of a period that tell what all arms share
 _OF_MEDIAN = 1.2533  # times that of a mean: the standard error of a median
@@ -147,7 +146,7 @@ class Series:
     def states(
         self,
         group: str,
-        scatter: Scatter,
+        freedom: Array,
         limit: float,
         limits: Mapping[str, Mapping[str, str | float]],
     ) -> Iterator[State]:
@@ -155,18 +154,17 @@ class Series:
 
         Args:
             group: Name of the arms together.
-            scatter: Of each arm, over what the standard deviations say.
+            freedom: Degrees of freedom of each arm's standard deviations, shape (A,).
             limit: Score of an alarm.
             limits: Largest change of each parameter, by arm.
         """
-        self.s *= np.sqrt(scatter.square)[:, None]
         found = []
         for k in range(len(self.arms)):
             seen = np.isfinite(self.y[k]) & np.isfinite(self.s[k])
             t, y, s = self.days[seen], self.y[k, seen], self.s[k, seen]
             warm = self.x["temperature"][k, seen]
             known = not self.many and np.isfinite(warm).all() and np.ptp(warm) > 0
-            options = {"limit": limit, "degrees": float(scatter.freedom[k])}
+            options = {"limit": limit, "degrees": float(freedom[k])}
             own = tuple(changes(t, y, s, x=warm if known else None, **options))
             now = level(t, y, s, own[-1] if own else None)
             found.append((k, t, y, s, own, now))
