@@ -194,8 +194,10 @@ class Series:
 
     def _confounded(self, k: int, own: Sequence[Change]) -> str:
         """What the changes of an arm cannot be told from."""
+        if not own:
+            return ""
         found = []
-        if own and not self.many and not np.isfinite(self.x["temperature"][k]).any():
+        if not self.many and not np.isfinite(self.x["temperature"][k]).any():
             found.append("temperature, which is not logged")
         load = self.x["load"][k]
         seen = np.isfinite(load)
