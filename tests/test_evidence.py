@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from hybrid.diagnosis.evidence.bayes import coloured, log_bayes, memory
+from hybrid.diagnosis.evidence.bayes import coloured, log_bayes
 from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.signals import butterworth
+from hybrid.signals import butterworth, memory
 
 M = 60
 

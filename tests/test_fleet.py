@@ -4,12 +4,16 @@ import json
 import os
 import signal
 import warnings
+from dataclasses import replace
 from datetime import date, timedelta
 from functools import cache
 
+import fsspec
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from arms import MODELS
+from distributed import LocalCluster
 
 from hybrid.cli import main
 from hybrid.effects import effects_from_text
@@ -17,8 +21,9 @@ from hybrid.errors import HybridError
 from hybrid.fleets import fleet
 from hybrid.fleets import worker as workers
 from hybrid.fleets.changes import changes, crossing, level, threshold
-from hybrid.fleets.estimate import deviations
-from hybrid.fleets.plan import TRACK, plan_from_dict
+from hybrid.fleets.estimate import carrying, deviations
+from hybrid.fleets.fleet import fleet_from_rows
+from hybrid.fleets.plan import TRACK, ArmPlan, Plan, periods, plan_from_dict
 from hybrid.fleets.pooling import pooled
 from hybrid.fleets.unit import answer
 from hybrid.identification import identify
@@ -66,9 +71,52 @@ def found(rows, joint, parameter):
     return next(x for x in rows if (x.joint, x.parameter) == (joint, parameter))
 
 
+def fleet_of(values, std, **options):
+    """What a fleet says of values and their standard deviations, (arms, series, T)."""
+    names = [f"a{k}" for k in range(len(values))]
+    rows = [
+        {
+            "arm": names[a], "period": f"{t:02d}",
+            "day": date.fromordinal(int(T[t])).isoformat(), "joint": f"j{k}",
+            "parameter": "coulomb.level", "unit": "N·m", "status": "ok", "reason": None,
+            "change": values[a, k, t], "std": std[a, k, t], "baseline": 1.0,
+            "baseline_std": 0.1, "temperature": np.nan, "load": 1.0, "residual": 1.0,
+        }
+        for a, k, t in np.ndindex(*values.shape)
+    ]  # fmt: skip
+    arms = tuple(ArmPlan(name, "logs", "arm.xml", group="g") for name in names)
+    return fleet_from_rows(Plan(arms, **options), rows)
+
+
+@pytest.mark.parametrize("unlike", ["periods", "arms"])
+def test_noise_that_is_not_as_its_standard_deviations_say_raises_no_alarms(unlike):
+    rng = np.random.default_rng(5)
+    arms, series = 25, 9
+    noise = rng.standard_normal((arms, series, WEEKS))
+    far = np.exp(0.3 * rng.standard_normal(noise.shape))
+    found = (
+        fleet_of(noise, far)
+        if unlike == "periods"
+        else fleet_of(noise * far[:, :, :1], np.ones_like(noise))
+    )
+    # 25 arms of 6 months: 1.5 are stated; more than 5 would be one case in 200.
+    assert sum(len(x.changes) for x in found.alarms) <= 5
+
+
+def test_the_rate_of_false_alarms_is_the_users():
+    noise = np.random.default_rng(6).standard_normal((10, 9, WEEKS))
+    one, many = (
+        sum(len(x.changes) for x in fleet_of(noise, np.ones_like(noise), **x).alarms)
+        for x in ({}, {"false_alarms": 40.0})
+    )
+    # 60 arm-months: 24 are stated, with a standard deviation of 5.
+    assert one <= 5
+    assert 12 <= many <= 39
+
+
 def test_noise_alone_raises_no_more_alarms_than_one_in_a_hundred_arm_months():
     series, arms = 9, 25
-    limit = threshold(WEEKS, DAYS, series)
+    limit = threshold(WEEKS, DAYS, series, 1.0)
     rng = np.random.default_rng(3)
     noise = rng.standard_normal((arms * series, WEEKS))
     count = sum(len(list(changes(T, y, np.ones(WEEKS), limit=limit))) for y in noise)
@@ -77,7 +125,7 @@ def test_noise_alone_raises_no_more_alarms_than_one_in_a_hundred_arm_months():
 
 
 def test_more_parameters_that_are_watched_need_surer_alarms():
-    assert threshold(WEEKS, DAYS, 35) > threshold(WEEKS, DAYS, 9) > 3.0
+    assert threshold(WEEKS, DAYS, 35, 1.0) > threshold(WEEKS, DAYS, 9, 1.0) > 3.0
 
 
 @pytest.mark.parametrize("week", [6, 15])
@@ -116,11 +164,11 @@ def test_pooling_makes_estimates_better_and_names_the_arm_that_is_unlike():
     true = rng.normal(5.0, 0.3, 30)
     y = true + rng.normal(0.0, 0.5, 30)
     y[7], true[7] = 12.0, 12.0
-    fleet_of = pooled(y, np.full(30, 0.5))
-    assert np.flatnonzero(fleet_of.unlike).tolist() == [7]
-    assert fleet_of.value[7] == 12.0
+    found = pooled(y, np.full(30, 0.5))
+    assert np.flatnonzero(found.unlike).tolist() == [7]
+    assert found.value[7] == 12.0
     rest = np.arange(30) != 7
-    error = np.abs(fleet_of.value - true)[rest]
+    error = np.abs(found.value - true)[rest]
     assert (error**2).mean() < 0.7 * (np.abs(y - true)[rest] ** 2).mean()
 
 
@@ -147,25 +195,35 @@ def test_a_change_is_found_where_it_is(effect, joint, parameter, size):
     assert gap / std > max(others)
 
 
+def test_other_noise_on_the_same_motion_leaves_the_standard_deviations_alike():
+    log, rng = logs(seed=9)[0], np.random.default_rng(0)
+    std = []
+    for _ in range(8):
+        tau = log.tau + 0.5 * rng.standard_normal(log.tau.shape)
+        rows = deviations(baseline(), [replace(log, tau=tau)], TRACK).rows
+        std.append([x.std for x in rows])
+    assert np.log(std).std(axis=0).max() < 0.05
+
+
 def test_a_payload_that_the_arm_was_told_of_is_no_change():
     (effect,) = effects_from_text(
         HELD, ("shoulder", "elbow"), joint_scales(Robot.load(SCARA))
     )
     told, loaded = effect.gain_values.tolist(), logs(HELD, seed=9)
-    x = found(
-        deviations(baseline(), loaded, TRACK, payload=told).rows, "arm", "payload.mass"
-    )
+    rows = deviations(carrying(baseline(), told), loaded, TRACK).rows
+    x = found(rows, "arm", "payload.mass")
     assert abs(x.change) < 2 * x.std
+    assert x.baseline == 0.8
 
 
-def test_one_and_two_workers_write_the_same_and_a_rerun_does_nothing_twice(
+def test_one_and_eight_workers_write_the_same_and_a_rerun_does_nothing_twice(
     tmp_path, monkeypatch
 ):
-    plan = folder_of_arms(tmp_path)
+    plan = folder_of_arms(tmp_path, weeks=2)
     bad = tmp_path / "logs" / "arm1" / "2026-01-12.parquet"
     bad.write_bytes(b"no log")
-    results = [fleet(plan, tmp_path / str(n), workers=n) for n in (1, 2)]
-    files = [(tmp_path / str(n) / "fleet.parquet").read_bytes() for n in (1, 2)]
+    results = [fleet(plan, tmp_path / str(n), workers=n) for n in (1, 8)]
+    files = [(tmp_path / str(n) / "fleet.parquet").read_bytes() for n in (1, 8)]
     assert files[0] == files[1]
     (refused,) = results[0].refused
     assert (refused["arm"], refused["status"]) == ("arm1", "refused")
@@ -180,20 +238,41 @@ def test_one_and_two_workers_write_the_same_and_a_rerun_does_nothing_twice(
     assert (tmp_path / "1" / "fleet.parquet").read_bytes() == files[0]
 
 
-def test_a_log_elsewhere_is_fetched_and_gives_the_same_rows(tmp_path):
+def question(*logs, **options):
+    """What a worker is asked about logs of a period of the arm of the baseline."""
+    return {
+        "task": "period", "model": json.dumps(content_from_model(baseline())),
+        "track": list(TRACK), "payload": [], "tool": [], "map": None,
+        "logs": list(map(str, logs)),
+    } | options  # fmt: skip
+
+
+def test_logs_in_a_store_are_found_and_fetched_and_give_the_same_rows(tmp_path):
     path = tmp_path / "2026-01-05.parquet"
     write(logs()[0], path)
-    question = {
-        "task": "period", "model": json.dumps(content_from_model(baseline())),
-        "track": list(TRACK), "payload": [], "tool": [], "map": None, "diagnose": False,
-    }  # fmt: skip
-    here, there = (
-        answer({**question, "logs": [where]}) for where in (str(path), path.as_uri())
-    )
-    assert json.dumps(here) == json.dumps(there)
-    assert len(here["rows"]) == 9
-    missing = answer({**question, "logs": ["file:///nowhere/2026-01-05.csv"]})
-    assert missing["rows"][0]["status"] == "refused"
+    store = fsspec.filesystem("memory")
+    store.put(str(path), "/fleet/cell/2026-01-05.parquet")
+    try:
+        plan = plan_from_dict({"robot": str(SCARA), "arms": "memory://fleet"})
+        (arm,) = plan.arms
+        ((week, [(day, there, _)]),) = periods(arm, "week").items()
+        assert (arm.name, week, day) == ("cell", "2026-W02", "2026-01-05")
+        rows = [answer(question(x)) for x in (path, there, path.as_uri())]
+    finally:
+        store.rm("/fleet", recursive=True)
+    assert len({json.dumps(x) for x in rows}) == 1
+    assert len(rows[0]["rows"]) == 9
+    missing = answer(question("memory://nowhere/2026-01-05.csv"))
+    assert missing["failed"] == "lost"  # a store that does not answer is asked again
+
+
+def test_a_diagnosis_says_what_has_changed_since_the_baseline(tmp_path):
+    files = [tmp_path / f"{k}.parquet" for k in range(3)]
+    for path, log in zip(files, logs("coulomb:1(level=0.6)", seed=9), strict=True):
+        write(log, path)
+    verdict, *findings = answer(question(*files, task="diagnosis"))["rows"]
+    assert (verdict["status"], verdict["reason"]) == ("verdict", "explained")
+    assert [(x["joint"], x["parameter"]) for x in findings] == [("shoulder", "coulomb")]
 
 
 def test_a_child_that_was_killed_is_replaced_and_one_that_hangs_is_ended():
@@ -210,6 +289,88 @@ def test_a_child_that_was_killed_is_replaced_and_one_that_hangs_is_ended():
         assert hangs.process.poll() is not None
     finally:
         workers.end_children()
+
+
+class Here:
+    """A child that is no process of its own, to count what it is asked."""
+
+    asked: list[str] = []
+
+    def ask(self, question, limit):
+        self.asked.append(json.loads(question)["task"])
+        return answer(json.loads(question))
+
+    def end(self):
+        pass
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    monkeypatch.setattr(workers, "Child", Here)
+    monkeypatch.setattr(Here, "asked", [])
+    return Here
+
+
+def test_a_full_disk_is_one_line_and_the_same_command_goes_on(
+    tmp_path, capsys, monkeypatch, asked
+):
+    folder_of_arms(tmp_path, arms=1, weeks=2)
+    out, written = tmp_path / "out", []
+    words = ["fleet", str(tmp_path / "logs"), "--robot", str(SCARA), "--out", str(out)]
+    write_table = pq.write_table
+
+    def on_a_disk_with_room_for_one(table, path):
+        write_table(table, path)
+        written.append(path)
+        if len(written) > 1:
+            path.write_bytes(b"torn")
+            raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pq, "write_table", on_a_disk_with_room_for_one)
+        assert main([*words, "--workers", "1"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()[-1:]
+    assert line.startswith(f"error: {out}") and line.endswith("No space left on device")
+    (done,) = (x for x in out.rglob("*.parquet"))
+    assert pq.read_table(done).num_rows == 9
+    assert main([*words, "--workers", "1"]) == 0
+    assert asked.asked == ["baseline", "period", "period", "period"]
+    assert pq.read_table(out / "fleet.parquet").num_rows == 18
+
+
+def on_a_cluster(plan, out, when="", what=None):
+    """Run a plan on a cluster to which something happens in between."""
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+
+        def tell(text):
+            if when == text:
+                what(cluster)
+
+        return fleet(plan, out, scheduler=cluster.scheduler_address, progress=tell)
+
+
+def test_a_scheduler_that_is_lost_is_one_line_and_another_goes_on(tmp_path, asked):
+    plan, out = folder_of_arms(tmp_path, arms=1, weeks=3), tmp_path / "out"
+    with pytest.raises(HybridError, match="lost .* the same command goes on"):
+        on_a_cluster(plan, out, "1 of 3 periods", LocalCluster.close)
+    assert len(list(out.rglob("*.parquet"))) == 1
+    before = len(asked.asked)
+    assert len(on_a_cluster(plan, out).states) == 9
+    assert asked.asked[before:] == ["period", "period"]
+
+
+def test_a_worker_that_is_lost_with_all_it_holds_is_made_up_for(tmp_path, asked):
+    def another(cluster):
+        (worker,) = cluster.workers.values()
+        cluster.sync(worker.close, executor_wait=False)
+        cluster.scale(2)
+
+    plan = folder_of_arms(tmp_path, arms=1, weeks=8)
+    found = on_a_cluster(plan, tmp_path / "out", "1 of 8 periods", another)
+    assert not found.refused
+    assert found.arm_months == pytest.approx(8 * 7 / 30.4375)
 
 
 @pytest.mark.parametrize(
@@ -242,6 +403,13 @@ def test_without_the_extra_one_line_says_what_to_install(
     assert main([*words, "--out", str(tmp_path / "out")]) == 2
     assert "pip install 'hybrid-arm[fleet]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_an_address_that_is_none_is_refused_in_one_line(tmp_path, capsys):
+    folder_of_arms(tmp_path, arms=1, weeks=1)
+    words = ["fleet", str(tmp_path / "logs"), "--robot", str(SCARA)]
+    assert main([*words, "--out", str(tmp_path / "out"), "--scheduler", "there"]) == 2
+    assert "valid is an address" in capsys.readouterr().err
 
 
 def test_a_log_without_a_date_is_refused_before_any_work(tmp_path, capsys):

@@ -11,13 +11,13 @@ from hybrid.cli.screen import Screen
 HELP = """which arms of a fleet change, when, in what, and which are unlike the others
 PLAN is a YAML file: robot, arms (a folder with one folder of logs for each arm, or a
 table), and any of baseline, track, period, limits, payload, tool, group, time_limit,
-diagnose, joints, map. Dates come from the names of the logs. PLAN may be the folder of
-arms itself, with --robot.
+false_alarms, diagnose, joints, map. Dates come from the names of the logs. PLAN may be
+the folder of arms itself, with --robot.
 
 Results are stored as they come in DIR/units; the same command does what is missing.
 DIR/report.html, DIR/arms, DIR/fleet.parquet and DIR/fleet.prom say what was found.
 
---json: provenance, arm_months, alarms, unlike, refused, shared.
+--json: provenance, arm_months, alarms, unlike, refused, diagnoses, shared.
 
 examples:
   hybrid fleet plan.yaml --out fleet
@@ -55,6 +55,7 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.fleets.plan import read_plan
     from hybrid.report.fleet import (
         alarms_table,
+        diagnoses_table,
         lead_sentence,
         refused_table,
         unlike_table,
@@ -74,19 +75,23 @@ def run(args: Namespace, screen: Screen) -> None:
         )
         tell("writing the report")
         page = write_fleet_pages(args.out, found, provenance=how)
-    tables = alarms_table(found), unlike_table(found), refused_table(found)
-    names = "alarms", "unlike", "refused"
+    tables = {
+        "alarms": alarms_table(found),
+        "unlike": unlike_table(found),
+        "refused": refused_table(found),
+        "diagnoses": diagnoses_table(found),
+    }
     content = {
         "arm_months": found.arm_months,
         "shared": list(found.shared),
         **{
             name: [dict(zip(x.header, row, strict=True)) for row in x.rows]
-            for name, x in zip(names, tables, strict=True)
+            for name, x in tables.items()
         },
     }
     options.write_record(args, how, content)
-    for table in tables:
+    for table in tables.values():
         if table.rows:
-            screen.show_words(table)
+            screen.show_words(table.filled())
     screen.say(lead_sentence(found))
     screen.say(f"report: {page}")

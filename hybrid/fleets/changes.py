@@ -22,13 +22,11 @@ from hybrid.arrays import Array
 
 Kind = Literal["step", "trend"]
 
-FALSE_ALARMS = 0.01  # per arm and month
 MONTH = 30.4375  # d
 _BEFORE, _AFTER = 3, 2  # periods on either side of a step
 _LEAST = _BEFORE + _AFTER
 _LOOK_BACK = 52  # periods
 _PATHS = 20_000  # of noise, which the threshold is found from
-_TELLING = 500  # values of noise that tell its tails
 _SOLID = 0.01  # share of them down to which quantiles are read off
 _WITHIN = 3.84  # of twice the log likelihood: dates within 95 %
 _DRAWS = 2000
@@ -111,39 +109,28 @@ def _scored(t: Array, y: Array, s: Array, x: Array | None) -> tuple[Array, Array
     return (H.T @ weighted) / (size if y.ndim == 1 else size[:, None]), 1.0 / size
 
 
-def threshold(
-    count: int, days: float, series: int, noise: Array | None = None
-) -> float:
+def threshold(count: int, days: float, series: int, false_alarms: float) -> float:
     """Score above which is an alarm.
 
     Args:
         count: Number of periods.
         days: Length of a period, [d].
         series: Parameters that are watched at each arm.
-        noise: Scatter of healthy values, of unit variance, any number of them; normal
-            if there are too few to tell their tails.
+        false_alarms: Alarms that noise may raise in 100 arm-months.
     """
     count = int(np.clip(count, _LEAST, _LOOK_BACK))
-    rate = min(0.5, FALSE_ALARMS * count * days / MONTH / series)
-    if noise is None or len(noise) < _TELLING:
-        highest = _normal_highest(count)
-    else:
-        rng = np.random.default_rng(0)
-        highest = _highest(rng.choice(noise, (count, _PATHS)))
+    rate = min(0.5, false_alarms / 100 * count * days / MONTH / series)
+    highest = _highest(count)
     solid = np.quantile(highest, 1 - max(rate, _SOLID))
     excess = highest[highest > solid].mean() - solid  # the tail is exponential
     return float(np.sqrt(solid + excess * np.log(max(rate, _SOLID) / rate)))
 
 
 @lru_cache(maxsize=8)
-def _normal_highest(count: int) -> Array:
-    return _highest(np.random.default_rng(0).standard_normal((count, _PATHS)))
-
-
-def _highest(noise: Array) -> Array:
-    """Largest squared score that is ever reached, of each column of noise."""
-    count, paths = noise.shape
-    t, highest = np.arange(count, dtype=float), np.zeros(paths)
+def _highest(count: int) -> Array:
+    """Largest squared score that is ever reached, of paths of normal noise."""
+    noise = np.random.default_rng(0).standard_normal((count, _PATHS))
+    t, highest = np.arange(count, dtype=float), np.zeros(_PATHS)
     for n in range(_LEAST, count + 1):
         z, _ = _scored(t[:n], noise[:n], np.ones(n), None)
         np.maximum(highest, (z**2).max(axis=0), out=highest)

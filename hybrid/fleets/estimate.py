@@ -4,13 +4,13 @@
 parameters, with δ ~ N(0, covariance of the baseline), C those of the effects that are
 followed, with g as uncertain as their usual size. The posterior of g is one regularised
 least squares. Residuals are correlated in time: a joint's samples weigh as many
-independent ones (Bartlett 1946, doi 10.2307/2983611).
+independent ones as :func:`hybrid.signals.memory` says.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
-from hybrid.effects.payload import LinkInertia
+from hybrid.effects.payload import LinkInertia, Payload
 from hybrid.effects.registry import effect_class
 from hybrid.errors import HybridError
 from hybrid.identification.data import Data
@@ -26,12 +26,11 @@ from hybrid.identification.preparation import prepare, taken
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
-from hybrid.signals import Motion, Sampler
+from hybrid.signals import Motion, Sampler, memory
 
 _FROM_TOOL = 0.05  # m, that a payload is off the tool, and its size
 _DRAWS = 400  # of its centre
 _UNSURE = 0.05  # relative: of inertial parameters whose covariance is not known
-_LAGS = 40  # samples over which residuals are correlated, at the most
 # Effects whose gains are found, with the names of those that are followed.
 Followed = Sequence[tuple[Effect, tuple[str, ...]]]
 _PASSES = 3  # of weights by residuals
@@ -105,11 +104,23 @@ def followed(track: Sequence[str], size: int) -> Followed:
     return found
 
 
+def carrying(model: DynamicModel, payload: Sequence[float]) -> DynamicModel:
+    """The baseline of an arm that was told of a payload.
+
+    Args:
+        model: The arm without it.
+        payload: Up to ten parameters: mass [kg], first moments [kg·m], inertia [kg·m²]
+            about the last joint's frame.
+    """
+    values = dict(zip((g.name for g in Payload.gains), payload, strict=False))
+    held = Payload(tuple(range(model.robot.size)), values)
+    return replace(model, effects=(*model.effects, held)) if values else model
+
+
 def deviations(
     model: DynamicModel,
     recordings: Sequence[Recording],
     track: Sequence[str],
-    payload: Sequence[float] = (),
     tool: Sequence[float] = (),
 ) -> Deviations:
     """Deviations of an arm from its baseline; the logs are checked against physics.
@@ -118,8 +129,6 @@ def deviations(
         model: The baseline.
         recordings: Logs of one period.
         track: What is followed, see :func:`followed`.
-        payload: Parameters of the payload that the arm was told of, up to ten: mass
-            [kg], first moments [kg·m], inertia [kg·m²] about the last joint's frame.
         tool: Where a payload is held, in the last joint's frame, [m]; the centre of
             mass of the last link if not given.
 
@@ -130,9 +139,7 @@ def deviations(
     logs = taken(robot, recordings)
     data = prepare(logs, model.cutoff if np.isfinite(model.cutoff) else None)
     rigid = [k for k, c in enumerate(model.base.kept) if c < 10 * robot.size]
-    told = np.zeros(10)
-    told[: len(payload)] = payload
-    parts = [_sampled(model, rigid, effects, told, data, m) for m in data.motions]
+    parts = [_sampled(model, rigid, effects, data, m) for m in data.motions]
     theta, covariance, residual = _posterior(parts, _prior(model, rigid, effects, tool))
     warm = [m.temperature for m in data.motions if m.temperature is not None]
     load = np.concatenate([model.body(m).load for m in data.motions])
@@ -214,14 +221,12 @@ def _sampled(
     model: DynamicModel,
     rigid: Sequence[int],
     effects: Followed,
-    payload: Array,
     data: Data,
     motion: Motion,
 ) -> Array:
     """Columns with the torque left last, filtered alike, (M, n, p + 1); NaN at rest."""
     n = model.robot.size
     body, expected = model.body(motion), model.predict(motion)
-    expected = expected + body.link_columns(n - 1) @ payload
     kept = [model.base.kept[k] for k in rigid]
     columns = [body.columns[:, :, kept]]
     for effect, _ in effects:
@@ -262,10 +267,7 @@ def _posterior(parts: Sequence[Array], prior: Array) -> tuple[Array, Array, Arra
         H = precision + np.tensordot(weight, A, axes=1)
         theta = np.linalg.solve(H, weight @ b)
         left = [x[:, :, p] - x[:, :, :p] @ (scale * theta) for x in parts]
-        power = np.array([np.nanmean(np.concatenate(left)[:, j] ** 2)
-                          if counts[j] else 1.0 for j in range(n)])  # fmt: skip
-        lasting = _lasting(left)
-        weight = 1.0 / np.maximum(power * lasting, 1e-300) * (counts > 0)
+        power, weight = _noise(np.concatenate(left))
     H = precision + np.tensordot(weight, A, axes=1)
     theta = np.linalg.solve(H, weight @ b)
     covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
@@ -273,12 +275,16 @@ def _posterior(parts: Sequence[Array], prior: Array) -> tuple[Array, Array, Arra
     return np.asarray(scale * theta), covariance * scale * scale[:, None], rms
 
 
-def _lasting(left: Sequence[Array]) -> Array:
-    """Samples of which one is worth as much as an independent one, shape (n,)."""
-    total, power = 0.0, 0.0
-    for x in left:
-        x = np.nan_to_num(x)
-        power = power + (x**2).sum(axis=0)
-        for lag in range(1, min(_LAGS, len(x))):
-            total = total + (1 - lag / _LAGS) * (x[lag:] * x[:-lag]).sum(axis=0)
-    return np.asarray(np.maximum(1.0, 1.0 + 2.0 * total / np.maximum(power, 1e-300)))
+def _noise(left: Array) -> tuple[Array, Array]:
+    """Mean square of a residual, and how much each sample tells, shape (n,).
+
+    Args:
+        left: The residual, shape (M, n); NaN at rest.
+    """
+    power, weight = np.ones(left.shape[1]), np.zeros(left.shape[1])
+    for j, own in enumerate(left.T):
+        moves = np.flatnonzero(np.isfinite(own))
+        if len(moves):
+            power[j] = np.mean(own[moves] ** 2)
+            weight[j] = 1.0 / max(power[j] * memory(own[moves], moves), 1e-300)
+    return power, weight

@@ -9,9 +9,10 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import date
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -70,13 +71,15 @@ class Plan:
         track: Parameters that are followed.
         period: ``day``, ``week``, ``month`` or ``log``: what is fitted together.
         time_limit: Of one unit, [s].
+        false_alarms: Alarms that noise may raise in 100 months of an arm.
         diagnose: Whether each period is diagnosed as well; minutes each.
     """
 
     arms: tuple[ArmPlan, ...]
-    track: tuple[str, ...] = TRACK
+    track: Sequence[str] = TRACK
     period: str = "week"
-    time_limit: float = 120.0
+    time_limit: float = 600.0
+    false_alarms: float = 1.0
     diagnose: bool = False
 
     @property
@@ -103,10 +106,10 @@ class Unit:
     logs: tuple[tuple[str, str], ...]
     entry: Mapping[str, Any]
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Hash of all that the result depends on."""
-        content = json.dumps([__version__, asdict(self)], sort_keys=True)
+        content = json.dumps([__version__, vars(self)], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:32]
 
 
@@ -143,9 +146,9 @@ def plan_from_dict(
     Raises:
         HybridError: The plan says something that is not valid.
     """
-    own = {"track", "period", "time_limit", "diagnose", "arms"}
+    own = set(Plan.__dataclass_fields__) - {"arms"}
     common = set(ArmPlan.__dataclass_fields__) - {"name", "logs"}
-    _check_keys(content, own | common, source)
+    _check_keys(content, own | common | {"arms"}, source)
     arms, base = content.get("arms"), {k: content[k] for k in common & set(content)}
     if isinstance(arms, str):
         arms = {Path(x).name: {"logs": x} for x in _folders(_located(arms, folder))}
@@ -158,19 +161,20 @@ def plan_from_dict(
             raise HybridError(f"{source}: an arm's {fault}")
         _check_keys(entry, common | {"logs"}, where)
         found.append(_arm(str(name), base | dict(entry), folder, where))
-    plan = Plan(
-        tuple(sorted(found, key=lambda x: x.name)),
-        tuple(content.get("track", TRACK)),
-        content.get("period", "week"),
-        float(content.get("time_limit", 120.0)),
-        bool(content.get("diagnose", False)),
-    )
-    if plan.period not in _DAYS:
+    arms = tuple(sorted(found, key=lambda x: x.name))
+    plan = Plan(arms, **{k: content[k] for k in own & set(content)})
+    for name, x in (
+        ("time_limit", plan.time_limit),
+        ("false_alarms", plan.false_alarms),
+    ):
+        if isinstance(x, bool) or not isinstance(x, int | float) or not x > 0:
+            raise HybridError(f"{source}: {name} is {x!r}; valid is a number above 0")
+    if plan.period not in list(_DAYS):
         raise HybridError(
             f"{source}: period is {plan.period!r}; valid are {', '.join(_DAYS)}"
         )
-    if not plan.time_limit > 0:
-        raise HybridError(f"{source}: time_limit is above 0 s")
+    if not isinstance(plan.diagnose, bool) or not isinstance(plan.track, Sequence):
+        raise HybridError(f"{source}: diagnose is true or false, and track a list")
     followed(plan.track, 2)
     return plan
 
@@ -230,8 +234,12 @@ def _folders(path: str) -> list[str]:
     fs, root = opened(path)
     if not fs.isdir(root):
         raise HybridError(f"{path}: no such folder of arms")
-    inside = fs.ls(root, detail=True)
-    return sorted(_full(fs, x["name"]) for x in inside if x["type"] == "directory")
+    found = [_full(fs, x) for x in fs.ls(root, detail=False) if fs.isdir(x)]
+    if not found:
+        raise HybridError(
+            f"{path}: valid is a folder with a folder of logs for each arm"
+        )
+    return sorted(found)
 
 
 def periods(arm: ArmPlan, period: str) -> Logs:

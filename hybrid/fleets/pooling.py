@@ -25,15 +25,11 @@ class Pooled:
     """One parameter over the arms of a group.
 
     Attributes:
-        mean: Mean of the fleet.
-        spread: Standard deviation between arms, τ.
         value: Best guess of each arm, shape (A,).
         std: Its standard deviation, shape (A,).
         unlike: Arms that are not of this fleet, shape (A,).
     """
 
-    mean: float
-    spread: float
     value: Array
     std: Array
     unlike: NDArray[np.bool_]
@@ -62,7 +58,7 @@ def pooled(y: Array, s: Array) -> Pooled:
     mean, spread, error = _between(y[~unlike], s[~unlike])
     own = np.where(unlike, 1.0, spread**2 / (spread**2 + s**2))
     std = np.sqrt(own * s**2 + (1 - own) ** 2 * error**2)
-    return Pooled(mean, spread, own * y + (1 - own) * mean, std, unlike)
+    return Pooled(own * y + (1 - own) * mean, std, unlike)
 
 
 def _without(

@@ -37,7 +37,7 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Client]:
 
     try:
         if scheduler:
-            with Client(scheduler, timeout=_CONNECT) as client:
+            with _reached(scheduler) as client:
                 yield client
             return
         logging.getLogger("distributed").setLevel(logging.ERROR)
@@ -60,6 +60,18 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Client]:
         ) from error
     finally:
         end_children()
+
+
+def _reached(scheduler: str) -> Client:
+    from distributed import Client
+
+    try:
+        return Client(scheduler, timeout=_CONNECT)
+    except ValueError as error:
+        raise HybridError(
+            f"scheduler {scheduler}: valid is an address as tcp://10.0.0.1:8786 "
+            f"({error})"
+        ) from error
 
 
 def answers(
@@ -85,7 +97,8 @@ def answers(
         for name, message, model in islice(source, count):
             if model is not None and model not in models:
                 models.clear()  # jobs come arm by arm
-                models[model] = client.scatter(model, hash=True)
+                # A task is done again where a worker is lost; what is scattered is not.
+                models[model] = client.submit(str, model)
             future = client.submit(
                 ask, message, models.get(model or ""), limit, pure=False, retries=2
             )
@@ -94,18 +107,18 @@ def answers(
         return new
 
     threads = max(1, sum(client.nthreads().values()))
-    running = as_completed(send(_WAITING * threads))
-    for future in running:
-        yield names.pop(future), _result(future)
-        for new in send(1):
-            running.add(new)
+    first = send(_WAITING * threads)
+    running = as_completed(first, with_results=True, raise_errors=False)
+    for future, result in running:
+        running.update(send(1))
+        yield names.pop(future), _answer(result)
 
 
-def _result(future: Any) -> dict[str, Any]:
+def _answer(result: Any) -> dict[str, Any]:
     """What a unit gave; what its workers died of is an answer, too."""
-    error = future.exception()
-    if isinstance(error, CancelledError):
-        raise error
-    if error is not None:
+    if isinstance(result, CancelledError):
+        raise result
+    if isinstance(result, tuple):
+        _, error, _ = result
         return {"failed": LOST, "reason": " ".join(str(error).split())}
-    return dict(future.result())
+    return dict(result)

@@ -15,7 +15,7 @@ from hybrid.errors import HybridError
 from hybrid.files import atomic_path, read_json, write_json
 from hybrid.fleets.plan import FIRST, ArmPlan, Logs, Plan, Unit, opened, periods
 from hybrid.fleets.run import answers
-from hybrid.fleets.worker import LATE, LOST, REFUSED
+from hybrid.fleets.worker import LATE, LOST, REFUSED, VERDICT
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -102,7 +102,7 @@ def run_plan(
     for unit, baseline in _units(plan, store, client, tell):
         rows = store.rows(unit.key) or store.rows(_late(unit, plan).key)
         if baseline.text is None:
-            rows = _named(unit, [{"status": REFUSED, "reason": baseline.reason}])
+            rows = _failed(unit, REFUSED, baseline.reason)
         if rows is None:
             todo.append((unit, _message(unit), baseline.text))
         else:
@@ -110,8 +110,12 @@ def run_plan(
     answered = answers(client, iter(todo), plan.time_limit)
     for done, (unit, content) in enumerate(answered, 1):
         tell(f"{done:,} of {len(todo):,} periods")
-        failed, reason = content.get("failed"), content.get("reason")
-        rows = _named(unit, content.get("rows", [{"status": failed, "reason": reason}]))
+        failed = content.get("failed", "")
+        rows = (
+            _failed(unit, failed, content["reason"])
+            if failed
+            else _named(unit, content["rows"])
+        )
         if failed != LOST:  # that says nothing of the logs
             store.put((_late(unit, plan) if failed == LATE else unit).key, rows)
         found += rows
@@ -123,6 +127,13 @@ def _late(unit: Unit, plan: Plan) -> Unit:
     return replace(unit, entry={**unit.entry, "late": plan.time_limit})
 
 
+def _failed(unit: Unit, failed: str, reason: str) -> list[dict[str, Any]]:
+    """What stands for a unit without a result; a log is refused once, not twice."""
+    if unit.entry["task"] == "diagnosis":
+        failed, reason = VERDICT, f"{failed}: {reason}"
+    return _named(unit, [{"status": failed, "reason": reason}])
+
+
 def _named(unit: Unit, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     own = {"arm": unit.arm, "period": unit.period, "day": unit.day}
     blank = dict.fromkeys((*_TEXT, *_NUMBERS))
@@ -131,7 +142,7 @@ def _named(unit: Unit, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]
 
 def _message(unit: Unit) -> dict[str, Any]:
     entry = {k: x for k, x in unit.entry.items() if k != "baseline"}
-    return {"task": "period", "logs": [path for path, _ in unit.logs], **entry}
+    return {"logs": [path for path, _ in unit.logs], **entry}
 
 
 def _units(
@@ -141,18 +152,23 @@ def _units(
     logs = {arm.name: periods(arm, plan.period) for arm in plan.arms}
     known = _baselines(plan, logs, store, client, tell)
     for arm in plan.arms:
-        entry = {
+        # A baseline from the arm's own logs has its payload in it.
+        told = arm.payload if arm.baseline.endswith(".json") else ()
+        common = {
             "baseline": known[arm.name].key,
-            "track": list(plan.track),
-            "payload": list(arm.payload),
-            "tool": list(arm.tool),
+            "payload": list(told),
             "map": arm.map,
-            "diagnose": plan.diagnose,
         }
+        tasks: list[dict[str, Any]] = [
+            {"task": "period", "track": list(plan.track), "tool": list(arm.tool)}
+        ]
+        if plan.diagnose:
+            tasks.append({"task": "diagnosis"})
         for period, own in logs[arm.name].items():
             states = tuple((path, state) for _, path, state in own)
-            unit = Unit(arm.name, period, min(own)[0], states, entry)
-            yield unit, known[arm.name]
+            for task in tasks:
+                unit = Unit(arm.name, period, min(own)[0], states, common | task)
+                yield unit, known[arm.name]
 
 
 def _baselines(

@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from hybrid.errors import HybridError
-from hybrid.fleets.estimate import Deviations, deviations
+from hybrid.fleets.estimate import carrying, deviations
 from hybrid.fleets.plan import opened
-from hybrid.fleets.worker import FINDING, OK, REFUSED
+from hybrid.fleets.worker import FINDING, LOST, OK, REFUSED, VERDICT
 from hybrid.identification import DynamicModel, identify
 from hybrid.model.model_file import content_from_model
 from hybrid.recording import Recording, read_all
@@ -34,11 +34,20 @@ from hybrid.threads import one_thread
 
 @one_thread
 def answer(message: Mapping[str, Any]) -> dict[str, Any]:
-    """Do what a message asks: ``baseline`` gives a model, ``period`` gives rows."""
+    """Do what a message asks: ``baseline`` gives a model, the others give rows."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        task = {"baseline": _baseline, "period": _period}[message["task"]]
-        return task(message)
+        try:
+            if message["task"] == "baseline":
+                return _baseline(message)
+            model = carrying(_model(message["model"]), message["payload"])
+            logs = _read(message["logs"], model.robot.joints, message["map"])
+            task = {"period": _period, "diagnosis": _diagnosis}[message["task"]]
+            return {"rows": list(task(message, model, logs))}
+        except HybridError as error:
+            return {"failed": REFUSED, "reason": _line(error)}
+        except OSError as error:  # of a network or a full disk, not of the log
+            return {"failed": LOST, "reason": _line(error)}
 
 
 def _baseline(message: Mapping[str, Any]) -> dict[str, Any]:
@@ -52,28 +61,17 @@ def _baseline(message: Mapping[str, Any]) -> dict[str, Any]:
             # Friction stays linear: parameters of all arms mean the same.
             fit = identify(robot, found, stages=("rigid",))
             return {"period": period, "model": content_from_model(fit.model)}
-        except (HybridError, OSError) as error:
+        except HybridError as error:
             reason = reason if reason != "no period" else _line(error)
     return {"period": None, "reason": reason}
 
 
-def _period(message: Mapping[str, Any]) -> dict[str, Any]:
-    """Rows of one period of one arm."""
-    model = _model(message["model"])
-    try:
-        logs = _read(message["logs"], model.robot.joints, message["map"])
-        options = (message[name] for name in ("track", "payload", "tool"))
-        found = deviations(model, logs, *options)
-        rows = list(_rows(found, model.robot.joints))
-        if message["diagnose"]:
-            rows += _diagnosed(model, logs)
-    except (HybridError, OSError) as error:
-        return {"rows": [{"status": REFUSED, "reason": _line(error)}]}
-    return {"rows": rows}
-
-
-def _rows(found: Deviations, joints: Sequence[str]) -> Iterator[dict[str, Any]]:
-    places = {joint: k for k, joint in enumerate(joints)}
+def _period(
+    message: Mapping[str, Any], model: DynamicModel, logs: Sequence[Recording]
+) -> Iterator[dict[str, Any]]:
+    """Parameters of one period of one arm."""
+    found = deviations(model, logs, message["track"], message["tool"])
+    places = {joint: k for k, joint in enumerate(model.robot.joints)}
     for row in found.rows:
         at = places.get(row.joint)
         here = slice(None) if at is None else slice(at, at + 1)
@@ -86,16 +84,18 @@ def _rows(found: Deviations, joints: Sequence[str]) -> Iterator[dict[str, Any]]:
         }
 
 
-def _diagnosed(
-    model: DynamicModel, logs: Sequence[Recording]
+def _diagnosis(
+    message: Mapping[str, Any], model: DynamicModel, logs: Sequence[Recording]
 ) -> Iterator[dict[str, Any]]:
-    """What the robot file lacks in these logs: minutes, not milliseconds."""
+    """What has changed since the baseline: minutes, not milliseconds."""
     from hybrid.diagnosis.diagnose import diagnose
 
-    found = diagnose(model.robot, logs)
-    yield {"status": FINDING, "parameter": "verdict", "reason": found.verdict}
-    for finding in found.findings:
-        yield {"status": FINDING, "parameter": "finding", "reason": finding.sentence}
+    found = diagnose(model, logs)
+    yield {"status": VERDICT, "reason": found.verdict}
+    for x in found.findings:
+        where = ", ".join(x.joints)
+        row = {"joint": where, "parameter": x.effect, "reason": x.sentence}
+        yield {"status": FINDING, **row}
 
 
 def _read(

@@ -17,7 +17,8 @@ from contextlib import suppress
 from typing import Any
 
 # What becomes of a unit.
-OK, REFUSED, LATE, LOST, FINDING = "ok", "refused", "late", "lost", "finding"
+OK, REFUSED, LATE, LOST = "ok", "refused", "late", "lost"
+VERDICT, FINDING = "verdict", "finding"  # of a diagnosis
 _START = 300.0  # s that a child may take to load on a busy machine
 _TRIES = 2  # a child may have been killed for what others did
 _SINGLE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,8 +14,8 @@ from markupsafe import Markup
 from scipy.stats import median_abs_deviation
 
 from hybrid.files import atomic_path
+from hybrid.fleets import Fleet, State
 from hybrid.fleets.changes import MONTH, Change
-from hybrid.fleets.fleet import Fleet, State
 from hybrid.names import figure_text, file_stem
 from hybrid.report.page import Section, write_page
 from hybrid.report.style import (
@@ -35,7 +36,12 @@ if TYPE_CHECKING:
 _MOST_ROWS = 40  # arms of the heat map and of the list
 _MOST_PAGES = 100  # arms with a page of their own
 _DRAWN = 8  # changes drawn in the report
-_TIMELINE = "Deviation from the baseline; red: when a change began, with 95 % interval."
+_TIMELINE = (
+    "Deviation from the baseline, with 95 % intervals. Upright line: when a change "
+    "began; band: 95 % interval of that; dotted: limits."
+)
+_CHANGED = "Diagnosed against the baseline"
+_DIAGNOSIS = "What hybrid diagnose --baseline says has changed since."
 _FAR = 6.0  # standard deviations between arms at which the colours end
 
 
@@ -119,6 +125,22 @@ def _fleet_mean(fleet: Fleet, state: State) -> float:
     return float(np.median(others)) if others else np.nan
 
 
+def diagnoses_table(fleet: Fleet, arm: str = "") -> Table:
+    """What has changed since the baseline: an arm's periods, or the last of each."""
+    shown = [x for x in fleet.diagnoses if x[0] == arm]
+    if not arm:
+        shown = list(
+            {name: (name, period) for name, period in fleet.diagnoses}.values()
+        )
+    rows = []
+    for key in shown:
+        verdict, *findings = fleet.diagnoses[key]
+        said = " ".join(x["reason"] for x in findings)
+        rows.append((*key, verdict["reason"].replace("_", " "), said))
+    header = ("arm", "period", "verdict", "what was found")
+    return Table(header, tuple(rows), words=True)
+
+
 def refused_table(fleet: Fleet) -> Table:
     """Periods without a result, and why."""
     rows = [(x["arm"], x["period"], x["status"], x["reason"]) for x in fleet.refused]
@@ -147,9 +169,10 @@ def heat_figure(fleet: Fleet) -> Figure:
     axes = figure.subplots()
     image = axes.imshow(values, cmap="RdBu_r", vmin=-_FAR, vmax=_FAR, aspect="auto")
     if dots:
-        axes.plot(*np.array(dots).T, ".", color="black", markersize=5)
+        axes.plot(*np.array(dots).T, "o", color="black", mec="white", markersize=5)
     names = [
-        figure_text(f"{joint} {name.partition('.')[0]}") for joint, name in columns
+        figure_text(f"{joint} {name.partition('.')[0].replace('_', ' ')}")
+        for joint, name in columns
     ]
     axes.set_xticks(range(len(columns)), names, rotation=60, ha="right", fontsize=7)
     axes.set_yticks(range(len(arms)), [figure_text(x) for x in arms], fontsize=7)
@@ -176,7 +199,7 @@ def timeline_figure(states: Sequence[State]) -> Figure:
             for side in (-x.limit, x.limit):
                 axes.axhline(side, color=GREY, linewidth=0.8, linestyle=":")
         clean(axes, grid="y")
-        name = f"{x.joint}: {x.parameter.replace('_', ' ')}"
+        name = f"{x.arm}: {x.joint}, {x.parameter.replace('_', ' ')}"
         axes.set_title(figure_text(name), loc="left", fontsize=8, fontweight="bold")
         axes.set_ylabel(figure_text(f"[{x.unit}]" if x.unit else "[–]"))
     finish(figure, [axes for (axes,) in cells], f"days since {_day(start)}")
@@ -210,17 +233,17 @@ def write_fleet_pages(
     """
     named = dict.fromkeys(x.arm for x in fleet.alarms)
     named |= dict.fromkeys(x.arm for x in fleet.states if x.unlike)
+    named |= dict.fromkeys(arm for arm, _ in fleet.diagnoses)
     pages = {arm: f"arms/{file_stem(arm)}.html" for arm in list(named)[:_MOST_PAGES]}
     (folder / "arms").mkdir(parents=True, exist_ok=True)
     for arm, page in pages.items():
         own = [x for x in fleet.states if x.arm == arm]
-        lines = [
+        lead = " ".join(
             f"{x.joint}, {x.parameter}: {change_sentence(x, c)}."
             for x in own for c in x.changes
-        ]  # fmt: skip
-        section = Section("Over time", figure=timeline_figure(own), caption=_TIMELINE)
-        lead = " ".join(lines)
-        write_page(folder / page, arm, [section], lead=lead, provenance=provenance)
+        )  # fmt: skip
+        parts = list(_of_arm(fleet, arm, own))
+        write_page(folder / page, arm, parts, lead=lead, provenance=provenance)
     path, lead = folder / "report.html", lead_sentence(fleet)
     sections = list(_sections(fleet, pages))
     write_page(path, "Fleet", sections, lead=lead, provenance=provenance)
@@ -229,31 +252,56 @@ def write_fleet_pages(
     return path
 
 
+def _of_arm(fleet: Fleet, arm: str, own: Sequence[State]) -> Iterator[Section]:
+    """What the page of one arm says."""
+    diagnoses = diagnoses_table(fleet, arm)
+    if diagnoses.rows:
+        yield Section(_CHANGED, _DIAGNOSIS, table=diagnoses)
+    if own:
+        yield Section("Over time", figure=timeline_figure(own), caption=_TIMELINE)
+
+
 def _sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]:
-    links = Markup(", ").join(
-        Markup('<a href="{}">{}</a>').format(page, arm) for arm, page in pages.items()
+    """What the page of the fleet says."""
+    text = (
+        f"False alarms that noise raises: {fleet.false_alarms:g} in 100 arm-months. A "
+        "score is the size of a change over its standard deviation."
     )
-    yield Section(
-        "What changed",
-        "The threshold lets noise raise one false alarm in 100 arm-months. A score is "
-        "the size of a change over its standard deviation.",
-        table=alarms_table(fleet),
-        html=Markup("<p>Pages: {}</p>").format(links) if links else None,
-    )
+    alarms = alarms_table(fleet)
+    if alarms.rows:
+        yield Section("What changed", text, table=_linked(alarms, pages))
+    else:
+        yield Section("What changed", f"Nothing. {text}")
     if fleet.states:
         caption = "How far each arm stands from the fleet; dots are changes."
         yield Section("The fleet", figure=heat_figure(fleet), caption=caption)
     if fleet.alarms:
         figure = timeline_figure(fleet.alarms[:_DRAWN])
         yield Section("The surest changes", figure=figure, caption=_TIMELINE)
-    for title, table in (
-        ("Unlike the others", unlike_table(fleet)),
-        ("Without a result", refused_table(fleet)),
+    for title, text, table in (
+        (
+            _CHANGED,
+            f"The last period of each arm. {_DIAGNOSIS}",
+            diagnoses_table(fleet),
+        ),
+        ("Unlike the others", "", unlike_table(fleet)),
+        ("Without a result", "", refused_table(fleet)),
     ):
         if table.rows:
-            yield Section(title, table=table)
+            yield Section(title, text, table=_linked(table, pages))
     if fleet.shared:
-        yield Section("What all arms share", "\n\n".join(f"{x}." for x in fleet.shared))
+        text = "\n\n".join(f"{x[:1].upper()}{x[1:]}." for x in fleet.shared)
+        yield Section("What all arms share", text)
+
+
+def _linked(table: Table, pages: Mapping[str, str]) -> Table:
+    """A table whose arms, in its first column, lead to their pages."""
+    link, filled = Markup('<a href="{}">{}</a>'), table.filled()
+    rows = [
+        (link.format(pages[arm], arm) if arm in pages else arm, *rest)
+        for arm, *rest in filled.rows
+    ]
+    return replace(filled, rows=tuple(rows))
 
 
 def prometheus_text(fleet: Fleet) -> str:

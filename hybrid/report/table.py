@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,6 +32,16 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     caption: str = ""
     words: bool = False
+
+    def filled(self) -> Table:
+        """The table without columns that say nothing."""
+        kept = [
+            k for k, column in enumerate(zip(*self.rows, strict=True)) if any(column)
+        ]
+        header, *rows = (
+            tuple(row[k] for k in kept) for row in (self.header, *self.rows)
+        )
+        return replace(self, header=header, rows=tuple(rows))
 
 
 def table_from_validation(validation: Validation) -> Table:

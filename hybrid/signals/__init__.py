@@ -12,6 +12,7 @@ from hybrid.signals.filters import (
     central_difference,
     filter_reach,
 )
+from hybrid.signals.memory import memory
 from hybrid.signals.motion import Motion, motion_from_recording
 from hybrid.signals.speed import SpeedCheck, speed_against_position
 
@@ -24,6 +25,7 @@ __all__ = [
     "central_difference",
     "choose_cutoff",
     "filter_reach",
+    "memory",
     "motion_from_recording",
     "speed_against_position",
 ]

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.bayes import heavy_tailed, memory, quiet
+from hybrid.diagnosis.evidence.bayes import heavy_tailed, quiet
 from hybrid.diagnosis.evidence.noise import LAGS, autocovariance
 from hybrid.diagnosis.evidence.products import Index, Products, slices
 from hybrid.diagnosis.evidence.screening import Screening, by_size
 from hybrid.diagnosis.gap.gap import Columns, Gap
+from hybrid.signals import memory
 
 _NONE = np.zeros(0, dtype=np.intp)
 _SCREENS = 4  # that are kept: two bases, and on each causes and unknown laws

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.bayes import memory, most_noise
+from hybrid.diagnosis.evidence.bayes import most_noise
 from hybrid.diagnosis.gap.servo import (
     LATENCIES,
     MOST_SHIFT,
@@ -17,6 +17,7 @@ from hybrid.diagnosis.gap.servo import (
     Law,
     ServoLog,
 )
+from hybrid.signals import memory
 
 WORTH = 14.0  # nat, with the price of a shape
 _ROUNDS, _LONGEST, _CONVERGED = 12, 0.004, 1e-6  # s

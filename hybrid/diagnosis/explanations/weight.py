@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.bayes import memory
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise import LAGS, autocovariance, floored
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.prior import Prior
+from hybrid.signals import memory
 
 
 def weigh(

@@ -1,0 +1,226 @@
+"""The values of one parameter of the arms of a group, and what each arm did in it.
+
+``value = level of the arm + slope · (temperature, load) + what all arms share in a
+period + change + noise``: the slopes and what is shared come from all arms together,
+by medians, so that arms with a fault do not count; the noise from differences between
+successive periods, see :mod:`hybrid.fleets.scatter`. What is left of an arm is its own,
+see :mod:`hybrid.fleets.changes`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date
+from typing import Any
+
+import numpy as np
+from scipy.stats import median_abs_deviation
+
+from hybrid.arrays import Array
+from hybrid.fleets.changes import MONTH, Change, Level, changes, crossing, level
+from hybrid.fleets.pooling import FEWEST, pooled
+
+SHARED = 5  # arms of a period that tell what all arms share
+_OF_MEDIAN = 1.2533  # times that of a mean: the standard error of a median
+_SURE = 1.96
+_CLEARLY = 4.0  # standard errors, of a load that changed along with a parameter
+_COVARIATES = ("temperature", "load")
+
+
+@dataclass(frozen=True)
+class State:
+    """One parameter of one joint of one arm, over time and against the fleet.
+
+    Attributes:
+        arm: Name of the arm.
+        group: Arms that it is held against.
+        joint: Name of the joint, or ``arm``.
+        parameter: Effect and gain.
+        unit: SI unit.
+        days: Dates of the periods, as ordinals, shape (T,), [d].
+        values: Deviation from the baseline, less what temperature, load and the fleet
+            explain, shape (T,).
+        std: Standard deviation of the values, shape (T,).
+        baseline: What the baseline says.
+        changes: Changes, in order of time.
+        confounded: What changed along with it, or was not logged; empty if nothing.
+        level: Where it stands.
+        pooled: Best guess of where it stands, given the fleet, with the baseline.
+        pooled_std: Standard deviation of that.
+        unlike: Whether the arm is not like the others in it.
+        limit: Largest change that the plan allows; infinite if none.
+        crossing: Days from the last period until it passes the limit: median, and
+            95 % interval; infinite if never.
+    """
+
+    arm: str
+    group: str
+    joint: str
+    parameter: str
+    unit: str
+    days: Array
+    values: Array
+    std: Array
+    baseline: float
+    changes: tuple[Change, ...]
+    confounded: str
+    level: Level
+    pooled: float
+    pooled_std: float
+    unlike: bool
+    limit: float
+    crossing: tuple[float, float, float]
+
+    @property
+    def score(self) -> float:
+        """Largest score of its changes; 0 without one."""
+        return max((abs(x.score) for x in self.changes), default=0.0)
+
+
+class Series:
+    """One parameter of the arms of a group: A arms, T periods, NaN where missing."""
+
+    def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        self.arms = sorted({x["arm"] for x in rows})
+        names = sorted({(x["day"], x["period"]) for x in rows})
+        periods = list(dict.fromkeys(name for _, name in names))
+        first = {name: day for day, name in reversed(names)}
+        self.days = np.array([
+            float(date.fromisoformat(first[x]).toordinal()) if first[x] else float(k)
+            for k, x in enumerate(periods)
+        ])  # fmt: skip
+        self.row = rows[0]
+        shape = len(self.arms), len(periods)
+        at = {name: k for k, name in enumerate(self.arms)}
+        when = {name: k for k, name in enumerate(periods)}
+        self.y, self.s, self.baseline = np.full((3, *shape), np.nan)
+        self.x = {name: np.full(shape, np.nan) for name in _COVARIATES}
+        for row in rows:
+            here = at[row["arm"]], when[row["period"]]
+            self.y[here], self.s[here] = row["change"], row["std"]
+            self.baseline[here] = row["baseline"]
+            for name in _COVARIATES:
+                self.x[name][here] = row[name]
+        self.many = len(self.arms) >= SHARED
+
+    def remove_common(self) -> None:
+        """Take away what temperature, load and the whole fleet explain."""
+        self.common = np.zeros(self.y.shape[1])
+        if not self.many:
+            return
+        for name in _COVARIATES:
+            self._remove_slope(name)
+        counts = np.isfinite(self.y).sum(axis=0)
+        level = np.nanmedian(self.y, axis=1, keepdims=True)
+        self.common = np.where(counts >= SHARED, _median(self.y - level), 0.0)
+        self.y = self.y - self.common
+
+    def shared(self, limit: float) -> Iterator[str]:
+        """What all arms did together, in words."""
+        counts = np.isfinite(self.y).sum(axis=0)
+        std = _OF_MEDIAN * np.nanmedian(self.s) / np.sqrt(np.maximum(counts, 1))
+        for x in changes(self.days, self.common, std, limit=limit):
+            yield (
+                f"{self.row['joint']}, {self.row['parameter']}: all arms together, "
+                f"{_said(x, self.row['unit'])}; "
+                "season, ageing and a change of the measurement are confounded"
+            )
+
+    def _remove_slope(self, name: str) -> None:
+        seen = np.isfinite(self.x[name])
+        x = self.x[name] - (self.x[name][seen].mean() if seen.any() else 0.0)
+        slopes = []
+        for own, y in zip(x, self.y, strict=True):
+            seen = np.isfinite(own) & np.isfinite(y)
+            off = own[seen] - own[seen].mean() if seen.any() else own[seen]
+            if off @ off > 0:
+                slopes.append(off @ y[seen] / (off @ off))
+        if len(slopes) < SHARED:
+            return
+        slope = float(np.median(slopes))
+        error = _OF_MEDIAN * median_abs_deviation(slopes, scale="normal")
+        if abs(slope) > _SURE * error / np.sqrt(len(slopes)):
+            self.y = self.y - slope * np.nan_to_num(x)
+
+    def states(
+        self,
+        group: str,
+        freedom: Array,
+        limit: float,
+        limits: Mapping[str, Mapping[str, str | float]],
+    ) -> Iterator[State]:
+        """Every arm's state.
+
+        Args:
+            group: Name of the arms together.
+            freedom: Degrees of freedom of each arm's standard deviations, shape (A,).
+            limit: Score of an alarm.
+            limits: Largest change of each parameter, by arm.
+        """
+        found = []
+        for k in range(len(self.arms)):
+            seen = np.isfinite(self.y[k]) & np.isfinite(self.s[k])
+            t, y, s = self.days[seen], self.y[k, seen], self.s[k, seen]
+            warm = self.x["temperature"][k, seen]
+            known = not self.many and np.isfinite(warm).all() and np.ptp(warm) > 0
+            options = {"limit": limit, "degrees": float(freedom[k])}
+            own = tuple(changes(t, y, s, x=warm if known else None, **options))
+            now = level(t, y, s, own[-1] if own else None)
+            found.append((k, t, y, s, own, now))
+        base = np.nanmedian(self.baseline, axis=1)
+        value = np.array([base[k] + now.value for k, *_, now in found])
+        std = np.array([now.std for *_, now in found])
+        fleet = pooled(value, std) if len(found) >= FEWEST else None
+        for k, t, y, s, own, now in found:
+            arm, most = self.arms[k], self._limit(limits[self.arms[k]], base[k])
+            yield State(
+                arm, group, self.row["joint"], self.row["parameter"], self.row["unit"],
+                t, y, s, float(base[k]), own, self._confounded(k, own), now,
+                float(fleet.value[k]) if fleet else float(value[k]),
+                float(fleet.std[k]) if fleet else now.std,
+                bool(fleet is not None and fleet.unlike[k]), most,
+                crossing(now, most) if np.isfinite(most) else (np.inf, np.inf, np.inf),
+            )  # fmt: skip
+
+    def _limit(self, limits: Mapping[str, str | float], baseline: float) -> float:
+        parameter = self.row["parameter"]
+        given = limits.get(parameter, limits.get(parameter.partition(".")[0]))
+        if given is None:
+            return np.inf
+        text = str(given)
+        share = float(text.removesuffix("%")) / 100 * abs(baseline)
+        return share if text.endswith("%") else float(text)
+
+    def _confounded(self, k: int, own: Sequence[Change]) -> str:
+        """What the changes of an arm cannot be told from."""
+        if not own:
+            return ""
+        found = []
+        if not self.many and not np.isfinite(self.x["temperature"][k]).any():
+            found.append("temperature, which is not logged")
+        load = self.x["load"][k]
+        seen = np.isfinite(load)
+        gaps = np.diff(load[seen])
+        noise = median_abs_deviation(gaps, scale="normal") / np.sqrt(2)
+        for change in own:
+            later = self.days >= change.day
+            before, after = load[seen & ~later], load[seen & later]
+            if len(before) and len(after):
+                error = noise * np.sqrt(1 / len(before) + 1 / len(after))
+                if abs(after.mean() - before.mean()) > _CLEARLY * error > 0:
+                    found.append("load")
+        return ", ".join(dict.fromkeys(found))
+
+
+def _median(x: Array) -> Array:
+    """Median over arms of each period, 0 where there is none."""
+    return np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0
+                     for c in x.T])  # fmt: skip
+
+
+def _said(x: Change, unit: str) -> str:
+    when = date.fromordinal(max(1, int(x.day))).isoformat()
+    if x.kind == "trend":
+        return f"{MONTH * x.size:+.3g} {unit} a month since {when}"
+    return f"{x.size:+.3g} {unit} on {when}"
