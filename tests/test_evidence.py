@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from hybrid.diagnosis.evidence.bayes import coloured, log_bayes, memory
+from hybrid.diagnosis.evidence.bayes import coloured, log_bayes, memory, quiet
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.signals import butterworth
 
@@ -256,6 +256,29 @@ def test_memory_counts_samples_for_an_independent_one(rho):
         rows = np.flatnonzero(rng.random(4000) < 0.8)  # with gaps, as where it stands
         found.append(memory(x[rows], rows))
     assert np.median(found) == pytest.approx((1 + rho) / (1 - rho), rel=0.15)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_memory_is_the_sum_of_pairs_of_correlations_while_these_are_positive(seed):
+    rng = np.random.default_rng(seed)
+    row = np.array([3, *range(40, 140)])[rng.random(101) < 0.9]
+    x = np.cumsum(rng.standard_normal(len(row)))  # with a mean: it lasts long
+    apart = np.subtract.outer(row, row)
+    product = np.outer(x, x) / np.mean(x**2)
+    lags = np.arange((row[-1] - row[0] + 1) // 4 * 2)  # half of it, in pairs
+    correlation = [product[apart == k].mean() if k in apart else 0.0 for k in lags]
+    pairs = np.add(correlation[::2], correlation[1::2])
+    positive = np.cumprod(pairs >= 0).astype(bool)
+    expected = max(1.0, 2 * pairs[positive].sum() - 1)
+    assert memory(x, row) == pytest.approx(expected)
+
+
+def test_a_stretch_in_which_something_happened_is_not_quiet():
+    x = np.random.default_rng(2).standard_normal(1000)
+    x[300:350] *= 10.0  # half a second
+    np.testing.assert_array_equal(
+        quiet(x, np.arange(1000), 100.0), np.arange(1000) // 50 != 6
+    )
 
 
 @pytest.mark.parametrize("size", [0.0, 0.3, 2.0])
