@@ -72,6 +72,19 @@ class TestShapes:
         error = nudge[1][:, 0] - expected
         assert np.linalg.norm(error) < 0.05 * np.linalg.norm(expected)
 
+    def test_at_the_end_of_a_range_the_change_is_that_to_what_lies_within(self):
+        robot, recordings = logs([], count=1, quiet=True)
+        gap = measure_gap(robot, recordings)
+        arm = {"spring": 1.0, "preload": 0.5, "crank_ratio": 0.5}
+        end = Counterbalance((1,), {**arm, "dead_centre": 4.0})
+        (before, now) = (
+            gap.columns(end.at({"dead_centre": x}))[1] @ end.gain_values
+            for x in (3.999, 4.0)
+        )
+        expected = (now - before) / 1e-3 * shape_units(gap, end)[0]
+        error = nudges(gap, end)[0][1][:, 0] - expected
+        assert np.linalg.norm(error) < 0.2 * np.linalg.norm(expected)  # one-sided
+
 
 class TestGap:
     def test_of_a_faultless_simulator_it_is_the_noise(self):
