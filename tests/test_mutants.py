@@ -100,6 +100,13 @@ def test_a_constant_meets_the_tests_that_execute_a_line_which_names_it():
     assert not _witnesses(costs, mutant.path, "int(rate / (5.0").of(mutant)
 
 
+def test_a_constant_that_its_module_never_names_meets_tests_of_those_that_do():
+    prior = _mutant("file_factor: float", "hybrid/diagnosis/prior.py")
+    path, costs = "hybrid/diagnosis/explanations/search.py", {"a::b": 1.0}
+    assert _witnesses(costs, path, "file_factor").of(prior) == ("a::b",)
+    assert not _witnesses(costs, path, "no such line").of(prior)
+
+
 def test_a_test_file_that_is_watched_anew_replaces_what_it_executed_before():
     path = "hybrid/signals/filters.py"
     old = _witnesses({"a::x": 1.0, "b::x": 1.0}, path, "_PART")

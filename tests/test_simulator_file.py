@@ -361,6 +361,26 @@ def test_a_xacro_file_is_expanded_and_edited(tmp_path):
     assert made.robot.path == robot.path and made.text.count(b"<geom") > 0
 
 
+def test_friction_of_a_tendon_counts_as_often_as_it_pulls(tmp_path):
+    text = (MODELS / "planar.xml").read_text()
+    joint = '<joint name="elbow"'
+    assert text.count(joint) == 1
+    soft = f'{joint} solreffriction="0 -1"'  # its own rises, the tendon's is dry
+    rope = '<fixed frictionloss="0.4"><joint joint="elbow" coef="-2"/></fixed>'
+    text = text.replace(joint, soft).replace(
+        "</mujoco>", f"<tendon>{rope}</tendon></mujoco>"
+    )
+    (tmp_path / "arm.xml").write_text(text)
+    robot = Robot.load(tmp_path / "arm.xml")
+    assert robot.knee[1] > 0
+    assert robot.frictionloss[1] == pytest.approx(0.8)
+    more = replace(robot, frictionloss=robot.frictionloss + [0.0, 0.4])
+    build_simulator(more).write(tmp_path / "new.xml")
+    again = Robot.load(tmp_path / "new.xml")
+    assert again.frictionloss[1] == pytest.approx(1.2)
+    assert again.knee[1] == robot.knee[1]
+
+
 @pytest.mark.parametrize("dry", [0.0, 1.5])
 def test_friction_that_rises_to_a_level_is_written_and_read_back(dry, tmp_path):
     robot = Robot.load(MODELS / "planar.xml")
