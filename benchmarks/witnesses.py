@@ -80,7 +80,7 @@ class Witnesses:
         if not found:  # a constant that only other modules take
             *outer, statement = _around(text, mutant.row)
             before = r"\." if outer else r"\b"  # of a class, or of the module
-            for path in self.lines:
+            for path in (x for x in self.lines if x.endswith(".py")):
                 naming = _naming((ROOT / path).read_text(), _names(statement), before)
                 found |= self._executing(path, naming)
         return self._affordable(found)

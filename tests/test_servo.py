@@ -255,6 +255,10 @@ def test_a_goal_moves_no_faster_than_its_pace(robot):
     ramp = slowed(jump, np.array([2.0, 0.0])).command[:, 0]
     assert np.diff(ramp).max() == pytest.approx(0.5 / RATE)
     assert ramp[-1] == pytest.approx(goal[0])
+    # A joint that keeps to its pace anyway leaves the next one to its own.
+    calm = replace(jump, command=np.column_stack([0 * ramp, jump.command[:, 1]]))
+    both = slowed(calm, np.array([2.0, 2.0])).command
+    assert np.diff(both[:, 1]).max() == pytest.approx(0.5 / RATE)
 
 
 def test_axes_that_point_the_other_way_mirror_the_arm(robot):
