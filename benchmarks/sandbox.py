@@ -193,8 +193,8 @@ class Job:
 class _Forks:
     """A plugin that runs collected tests once for each job, in a fork.
 
-    A test that fails must pass alone on the code as it is, and tests that run out of time
-    must end in it there, or they say nothing.
+    A test that fails must pass alone on the code as it is, and tests that run out of
+    time must not do so there, or they say nothing.
     """
 
     def __init__(self, jobs: list[Job], outlet: int, confirm: bool) -> None:
