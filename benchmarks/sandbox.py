@@ -39,7 +39,7 @@ _HEAVY = (
     "scipy.signal", "scipy.spatial", "scipy.stats", "sklearn.cluster", "torch", "yaml",
 )  # fmt: skip
 _PATIENCE = 4.0  # times the processor time of the unchanged code, ended as "timeout"
-_GRACE = 20.0  # s more, for what tests share: it is charged to the first of them only
+_GRACE = 5.0  # s more
 _WALL = 8.0  # times that limit in wall-clock time, for a process that sleeps
 _BROKEN = 99
 _OUTCOMES = {0: "survived", 1: "killed"}
@@ -97,7 +97,7 @@ class Sandbox:
         inner, jobs, outer = [], [], []
         for mutant in mutants:
             tests = witnesses.of(mutant)
-            limit = _PATIENCE * sum(map(witnesses.costs.__getitem__, tests)) + _GRACE
+            limit = _PATIENCE * witnesses.price(tests) + _GRACE
             patch = patch_of((ROOT / mutant.path).read_text(), mutant)
             if not tests:
                 yield mutant, ("survived", 0.0, "")

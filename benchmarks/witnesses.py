@@ -11,7 +11,7 @@ import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import accumulate
+from functools import cached_property
 from pathlib import Path
 
 from mutation import ROOT, Mutant, digest, places
@@ -95,15 +95,35 @@ class Witnesses:
         met = self.of(mutant)
         return digest(repr([(x, self.files[_file(x)]) for x in met]))
 
+    def price(self, tests: Iterable[str]) -> float:
+        """Processor time of some tests, with what each of their files shares, [s]."""
+        files = set(map(_file, tests))
+        shared = sum(map(self._shared.__getitem__, files))
+        return shared + sum(map(self.costs.__getitem__, tests))
+
+    @cached_property
+    def _shared(self) -> dict[str, float]:
+        """Cost of each file's dearest test: that of the fixtures of them all, [s]."""
+        found: dict[str, float] = {}
+        for test, cost in self.costs.items():
+            found[_file(test)] = max(cost, found.get(_file(test), 0.0))
+        return found
+
     def _affordable(self, tests: Iterable[str]) -> tuple[str, ...]:
-        """The cheapest tests within the budget; tests of a file stay together."""
-        ranked = sorted(tests, key=lambda x: (self.costs[x], x))
-        sums = accumulate(self.costs[x] for x in ranked)
-        kept = [x for x, s in zip(ranked, sums, strict=True) if s <= _BUDGET]
-        files: dict[str, float] = {}
-        for test in kept or ranked[:1]:
-            files[_file(test)] = files.get(_file(test), 0.0) + self.costs[test]
-        return tuple(sorted(kept or ranked[:1], key=lambda x: (files[_file(x)], x)))
+        """The cheapest tests within the budget, the cheapest file's first."""
+        files: dict[str, list[str]] = {}
+        for test in sorted(tests, key=lambda x: (self.costs[x], x)):
+            files.setdefault(_file(test), []).append(test)
+        kept: list[str] = []
+        spent = 0.0
+        for own in sorted(files.values(), key=lambda x: (self.price(x), x)):
+            more = self._shared[_file(own[0])]
+            for test in own:
+                if kept and spent + more + self.costs[test] > _BUDGET:
+                    break
+                spent, more = spent + more + self.costs[test], 0.0
+                kept.append(test)
+        return tuple(kept)
 
 
 def test_files() -> dict[str, str]:
