@@ -222,6 +222,8 @@ def without_speed(log: Recording, cutoff: float | None = None) -> Motion:
 @pytest.mark.parametrize("speed", [{}, {"lag": 0.004}, {"lag": -0.003, "scale": 0.98}])
 def test_a_measured_speed_of_little_noise_makes_the_motion_better(speed):
     log, true = measured(**speed)
+    # Differences of the positions have seventy times its noise: it counts alone.
+    assert speed_against_position(log).weight.max(axis=0) == pytest.approx(1, abs=0.05)
     fused, plain = motion_from_recording(log, cutoff=20.0), without_speed(log, 20.0)
     for order in ("v", "a"):
         mask, x = fused.mask, true
