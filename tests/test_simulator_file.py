@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -316,6 +317,22 @@ def test_an_mjcf_becomes_a_urdf_with_its_tree_and_shapes(own, tmp_path):
     assert {before.body(b).name for b in range(1, before.nbody)} <= {
         shown.body(b).name for b in range(shown.nbody)
     }
+
+
+def test_boxes_keep_their_size_and_what_mujoco_hides_is_not_seen(tmp_path):
+    text = (MODELS / "planar.xml").read_text()
+    for name, group in (("upper_link_1", 2), ("upper_link_2", 3)):
+        text = text.replace(f'name="{name}"', f'name="{name}" group="{group}"')
+    (tmp_path / "arm.xml").write_text(text)
+    robot = Robot.load(tmp_path / "arm.xml")
+    build_simulator(robot, kind="urdf").write(tmp_path / "arm.urdf")
+    model = mujoco.MjModel.from_xml_path(robot.path)
+    root = ElementTree.parse(tmp_path / "arm.urdf").getroot()
+    assert len(root.findall(".//collision")) == model.ngeom
+    assert len(root.findall(".//visual")) == model.ngeom - 1  # group 3 is hidden
+    boxes = {x.get("size") for x in root.findall(".//box")}
+    own = 2.0 * model.geom_size[model.geom_type == mujoco.mjtGeom.mjGEOM_BOX]
+    assert sorted(boxes) == sorted(" ".join(map(repr, x)) for x in own.tolist())
 
 
 def test_meshes_of_a_urdf_are_where_those_of_the_mjcf_were(own, tmp_path):
