@@ -249,6 +249,17 @@ def test_scale_and_lag_of_a_measured_speed_are_found():
     assert not backward.weight.any()
 
 
+@pytest.mark.parametrize("seconds", [2.0, 3.0])
+def test_of_a_short_log_without_noise_scale_and_lag_are_exact(seconds):
+    t, lag = np.arange(0.0, seconds + 1e-9, 0.01), 0.04
+    q = np.sin(6 * t) + 0.3 * np.cos(11 * t + 0.3)
+    late = 6 * np.cos(6 * (t - lag)) - 3.3 * np.sin(11 * (t - lag) + 0.3)
+    log = Recording(t, q[:, None], tau=0 * q[:, None], v=late[:, None], joints=("a",))
+    check = speed_against_position(log)
+    assert check.lag == pytest.approx(lag, rel=1e-3)
+    assert check.scale == pytest.approx(1.0, abs=1e-3)
+
+
 def stops(v: np.ndarray, first: int, last: int) -> np.ndarray:
     """The same, but zero for a while."""
     v = v.copy()
