@@ -259,6 +259,11 @@ def test_what_one_pose_alone_tells_has_the_noise_of_its_kind():
     np.testing.assert_allclose(degrees[:5], others, rtol=1e-6)
     noise = np.linalg.inv(alone[:2].T @ alone[:2])
     assert (np.diagonal(covariance)[5:] > np.diagonal(noise)).all()
+    # Of nothing else, its noise is as well known as that of all rows together.
+    apart = np.hstack([np.where(np.arange(len(J))[:, None] < 2, 0.0, J), alone])
+    covariance, degrees = clustered_covariance(apart, residual, pose)
+    np.testing.assert_allclose(np.diagonal(covariance)[5:], np.diagonal(noise))
+    np.testing.assert_allclose(degrees[5:], len(J) - 7)
 
 
 def test_a_unit_fits_as_badly_whether_it_was_fitted_or_left_out():
