@@ -116,10 +116,11 @@ def frames(count=20):
     return q, R, p, Frame(R, p)
 
 
+@pytest.mark.parametrize("far", [1.0, 30.0])
 @pytest.mark.parametrize(("base", "tool"), [(True, True), (True, False), (False, True)])
-def test_frames_of_an_exact_arm_are_guessed_exactly(base, tool):
+def test_frames_of_an_exact_arm_are_guessed_exactly(base, tool, far):
     q, R, p, frame = frames()
-    B, b = (turned(0.8) @ turned(0.5, 1), np.array([1.0, -2.0, 0.5]))
+    B, b = (turned(0.8) @ turned(0.5, 1), far * np.array([1.0, -2.0, 0.5]))
     X, x = (turned(-0.6, 0), np.array([0.1, 0.05, 0.2]))
     if not base:
         B, b = np.eye(3), np.zeros(3)
