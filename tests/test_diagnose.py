@@ -15,7 +15,7 @@ from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.contacts import Contacts
 from hybrid.diagnosis.evidence.shapes import nudges, shape_units
-from hybrid.diagnosis.gap.background import background, rest, soft_friction
+from hybrid.diagnosis.gap.background import rest, soft_friction
 from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.gap.split import between, split
@@ -72,36 +72,8 @@ class TestShapes:
         error = nudge[1][:, 0] - expected
         assert np.linalg.norm(error) < 0.05 * np.linalg.norm(expected)
 
-    def test_at_the_end_of_a_range_the_change_is_that_to_what_lies_within(self):
-        robot, recordings = logs([], count=1, quiet=True)
-        gap = measure_gap(robot, recordings)
-        arm = {"spring": 1.0, "preload": 0.5, "crank_ratio": 0.5}
-        end = Counterbalance((1,), {**arm, "dead_centre": 4.0})
-        (before, now) = (
-            gap.columns(end.at({"dead_centre": x}))[1] @ end.gain_values
-            for x in (3.999, 4.0)
-        )
-        expected = (now - before) / 1e-3 * shape_units(gap, end)[0]
-        error = nudges(gap, end)[0][1][:, 0] - expected
-        assert np.linalg.norm(error) < 0.2 * np.linalg.norm(expected)  # one-sided
-
 
 class TestGap:
-    def test_declared_numbers_times_their_columns_are_the_torque_of_the_file(self):
-        robot, recordings = logs([], count=1, quiet=True)
-        spring = {"stiffness": np.array([30.0, 5.0]), "springref": np.array([0.5, 0.0])}
-        chain = replace(robot.chain, armature=np.zeros(2))
-        sprung = replace(robot, chain=chain, frictionloss=np.zeros(2), **spring)
-        gap = measure_gap(sprung, recordings)
-        found = np.zeros_like(gap.left)
-        for block, size in zip(*background(gap), strict=True):
-            if len(size) == 1:
-                ((j, column),) = block.items()
-                found[:, j] += column[:, 0] * size[0]
-        (m,) = gap.motions
-        own = sprung.joint_torque(m.q, m.v, m.a)
-        np.testing.assert_allclose(found, gap.samplers[0](own), atol=1e-9)
-
     def test_of_a_faultless_simulator_it_is_the_noise(self):
         result = faultless()
         assert result.diagnosis.verdict == "no_gap"

@@ -1,7 +1,6 @@
 """The link from command to torque: latency and gains of a servo, and nothing else."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -10,7 +9,7 @@ from arms import LIFT
 from loop import Loop, commanded_torque
 from simulated import arm
 
-from hybrid.diagnosis.answer.command import _Servo, command_link
+from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.fixed import MODEL, SIMULATOR, write_fixed
 from hybrid.diagnosis.answer.links import COMMAND_TO_TORQUE, joined
 from hybrid.diagnosis.answer.replayed import replayed
@@ -310,20 +309,3 @@ def test_declared_gains_are_those_that_mujoco_pulls_with(tmp_path):
     pulled = -robot.kp * data.qpos - robot.kd * data.qvel
     np.testing.assert_allclose(pulled[:2], data.qfrc_actuator[:2])
     assert np.isnan(pulled[2])
-
-
-def test_two_effects_of_a_servo_share_what_they_explain_together():
-    """Each by what it adds, alone and beside the other (Shapley)."""
-    both = CommandLatency, ControllerGain
-    sizes = {(False, False): 9.0, (True, False): 5.0, (False, True): 4.0}
-    fits = {
-        key: SimpleNamespace(left=np.full(10, size))
-        for key, size in {**sizes, (True, True): 1.0}.items()
-    }
-    servo = _Servo(0, None, None, fits, both, (), noise=2.0, scale=False)
-    late, off = map(servo.share, both)
-    assert late + off == pytest.approx(5 * (9.0**2 - 1.0**2))
-    assert late == pytest.approx(5 * ((4.0**2 - 1.0**2) + (9.0**2 - 5.0**2)) / 2)
-    alone = replace(servo, found=both[:1])
-    assert alone.share(both[0]) == pytest.approx(5 * (4.0**2 - 1.0**2))
-    assert alone.share(both[1]) == 0.0

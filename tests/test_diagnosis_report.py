@@ -16,7 +16,6 @@ from hypothesis.extra.numpy import arrays
 
 from hybrid.diagnosis.answer.diagnosis import (
     Advice,
-    Diagnosis,
     Finding,
     Region,
     Shrink,
@@ -474,12 +473,3 @@ def test_the_name_of_a_joint_does_nothing_in_a_browser(browser, tmp_path):
     assert console == [] and found["errors"] == []
     assert found["images"] == 0
     assert found["joints"][0][1] == f"{nasty}: gap over time"
-
-
-def test_of_a_joint_that_does_not_move_nothing_is_said_to_be_measured():
-    found = Diagnosis(
-        "arm", ("a", "b"), rms=(0.0, 2.0), relative=(0.0, 0.5), noise_floor=(0.0, 0.1),
-        where=(), findings=(), verdict="no_gap", unexplained=0.0, background=0.01,
-    ).as_dict()  # fmt: skip
-    gap = {"rms": [None, 2.0], "relative": [None, 0.5], "noise_floor": [None, 0.1]}
-    assert {x: found["gap"][x] for x in gap} == gap
