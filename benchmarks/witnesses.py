@@ -16,7 +16,7 @@ from pathlib import Path
 
 from mutation import ROOT, Mutant, digest, places
 
-_BUDGET = 20.0  # s of processor time for one mutant's tests
+_BUDGET = 10.0  # s of processor time for one mutant's tests
 _Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 

@@ -88,11 +88,11 @@ def _witnesses(costs, path, *words):
 
 def test_a_mutant_meets_the_cheapest_tests_that_execute_its_line():
     mutant = _mutant("int(rate / (5.0 * cutoff)")
-    costs = {"a::dear": 8.0, "a::cheap": 1.0, "b::cheap": 2.0, "c::dear": 15.0}
+    costs = {"a::dear": 4.0, "a::cheap": 0.5, "b::cheap": 1.0, "c::dear": 7.0}
     found = _witnesses(costs, mutant.path, "int(rate / (5.0 * cutoff)")
     assert found.of(mutant) == ("b::cheap", "a::cheap")
-    # Two of b and what it shares, one of a and the eight seconds that this takes.
-    assert found.price(("b::cheap", "a::cheap")) == 2.0 + 2.0 + 1.0 + 8.0
+    # That of b and what it shares, one of a and the four seconds that this takes.
+    assert found.price(("b::cheap", "a::cheap")) == 1.0 + 1.0 + 0.5 + 4.0
     assert not _witnesses(costs, mutant.path, "no such line").of(mutant)
 
 
