@@ -8,15 +8,29 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnosis.answer.command import _Servo
+from hybrid.diagnosis.advice.menu import Experiment, gap_along
+from hybrid.diagnosis.answer.command import _off, _Servo
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
+from hybrid.diagnosis.answer.events import events_at_rest
+from hybrid.diagnosis.answer.intervals import shrink
+from hybrid.diagnosis.answer.simulator import corrected
+from hybrid.diagnosis.evidence.contacts import _Clock
 from hybrid.diagnosis.evidence.shapes import nudges, shape_units
 from hybrid.diagnosis.gap.background import background
 from hybrid.diagnosis.gap.measure import measure_gap
+from hybrid.dynamics import RigidBody
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
 from hybrid.effects.counterbalance import Counterbalance
-from hybrid.plant import Noise, Plant, simulate
+from hybrid.plant import Noise, Plant, random_fourier, simulate
+from hybrid.recording import Recording
+from hybrid.signals import Motion
+
+
+def quiet_motion(t, q) -> Motion:
+    """An arm that stands."""
+    zero = np.zeros_like(q)
+    return Motion(t, q, zero, zero, zero, np.ones(len(t), dtype=bool))
 
 
 @cache
@@ -80,3 +94,71 @@ def test_two_effects_of_a_servo_share_what_they_explain_together():
     alone = replace(servo, found=both[:1])
     assert alone.share(both[0]) == pytest.approx(5 * (4.0**2 - 1.0**2))
     assert alone.share(both[1]) == 0.0
+
+
+@pytest.mark.parametrize("rate", [100.0, 1000.0])
+def test_what_is_expected_along_an_experiment_starts_when_it_does(rate):
+    gap = measure_gap(*quiet_logs())
+    reference = random_fourier(arm("planar"), duration=6.0, rate=rate, seed=0)
+    later = gap_along(gap, Experiment("once more", reference, start=1200.0))
+    (motion,) = later.motions
+    assert motion.t[0] == 1200.0 and motion.t[-1] == pytest.approx(1206.0, abs=0.1)
+    step = np.diff(motion.t)
+    # Five samples a period of what the gap is filtered at, or all there are.
+    assert (step > 0).all() and (step >= 0.999 / rate).all()
+    assert step.max() <= max(1 / rate, 0.2 / min(gap.cutoff, 30.0)) * 1.001
+    assert not later.left.any()
+
+
+def test_gains_of_a_servo_are_off_by_their_part_however_small_they_are():
+    robot = replace(arm("planar"), kp=np.array([50.0, 0.2]), kd=np.array([0.5, 0.0]))
+    gap, law = SimpleNamespace(robot=robot), SimpleNamespace(scaled=False)
+    covariance = np.diag([1.0, 1.0, 25.0, 0.01])
+    fit = SimpleNamespace(law=law, gains=[35.0, 0.6], covariance=covariance)
+    off, std = _off(fit, gap, 0)
+    np.testing.assert_allclose(off, [-0.3, 0.2])
+    np.testing.assert_allclose(std, [0.1, 0.2])
+    fit = SimpleNamespace(law=law, gains=[0.3, 0.6], covariance=covariance)
+    np.testing.assert_allclose(_off(fit, gap, 1)[0], [0.5, 0.0])  # it has no damping
+
+
+def test_numbers_of_the_file_are_corrected_in_their_order():
+    robot = replace(arm("planar"), stiffness=np.array([0.0, 3.0]))
+    names = ("damping", "frictionloss", "stiffness")
+    known = [robot.chain.armature, *(getattr(robot, x) for x in names)]
+    change = 0.01 * np.arange(1.0, 1.0 + sum(np.count_nonzero(x) for x in known))
+    scored = SimpleNamespace(gap=SimpleNamespace(robot=robot))
+    found, rest = corrected(scored, (), np.concatenate([np.zeros(20), change]))
+    assert rest == ()
+    after = [found.chain.armature, *(getattr(found, x) for x in names)]
+    more = np.concatenate([(x - y)[y != 0] for x, y in zip(after, known, strict=True)])
+    np.testing.assert_allclose(more, change)
+    assert found.stiffness[0] == 0.0
+    np.testing.assert_array_equal(found.chain.inertial, robot.chain.inertial)
+
+
+def test_chunks_of_time_follow_each_other_within_a_recording():
+    number, recording = np.array([0, 1, 2, 5, 6, 7, 7, 8]), np.repeat([0, 1], [6, 2])
+    clock = _Clock.cut(number, recording)
+    assert clock.unbroken(3).tolist() == [True, False, False, True, False, False]
+    assert clock.unbroken(2).tolist() == [True, True, False, True, True, False, True]
+
+
+def test_of_nothing_scored_no_gap_is_left():
+    found = shrink(np.zeros((2, 3)), 0, "N·m", np.random.default_rng(0))
+    assert (found.before, found.after, found.removed) == (0.0, 0.0, 0.0)
+
+
+def test_a_push_on_an_arm_that_only_stands_is_told():
+    robot, t = arm("planar"), np.arange(0.0, 6.0, 0.005)
+    rng, q = np.random.default_rng(0), np.tile([0.4, -0.8], (len(t), 1))
+    held = RigidBody(robot.chain, quiet_motion(t, q)).load
+    held = held + 0.05 * rng.standard_normal(held.shape)
+    for first, last, push in ((2.0, 2.6, 5.0), (4.0, 4.3, -4.0)):
+        held[(t >= first) & (t < last), 1] += push
+    log = Recording(t, q, tau=held, joints=robot.joints, source="standing")
+    events = events_at_rest(measure_gap(robot, [log], cutoff=20.0))
+    assert [x.recording for x in events] == ["standing"] * 2
+    times = [(x.start, x.end) for x in events]
+    np.testing.assert_allclose(times, [(2.0, 2.6), (4.0, 4.3)], atol=0.05)
+    np.testing.assert_allclose([x.torque[1] for x in events], [5, -4], rtol=0.15)

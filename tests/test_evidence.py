@@ -393,3 +393,10 @@ def test_no_two_simulators_agree_by_noise_that_has_no_memory():
     added = 0.1**2 * gap.measured.var()
     assert found[0] > kept[0] + added
     assert evidence.noise[0] == pytest.approx(1.0 + added, rel=0.5)
+
+
+def test_gains_may_be_held_to_a_part_of_the_size_they_came_with():
+    _, _, std, evidence, index = problem()
+    evidence.spread(index[1], 0.1)
+    expected = np.concatenate([std[0], 0.1 * std[1], std[2]]) ** -2.0
+    np.testing.assert_allclose(evidence.precision, expected)
