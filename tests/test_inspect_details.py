@@ -1,6 +1,7 @@
 """What single checks of a log say of made-up samples: rows, clocks, scales."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ from simulated import arm
 
 from hybrid.dynamics import inverse_dynamics
 from hybrid.inspect.leaps import doubts_of_rows
+from hybrid.inspect.physics import _doubt
+from hybrid.inspect.reading import OtherReading, readings
 from hybrid.inspect.samples import doubts_of_samples
 from hybrid.inspect.scale import doubts_of_scale, scales
 from hybrid.inspect.state import State
@@ -99,3 +102,78 @@ def test_a_torque_that_is_zero_has_no_scale():
         found = scales(robot, state)
     assert found[0] == pytest.approx(1.0, rel=0.05)
     assert np.isnan(found[1])
+
+
+def columns(state, order, channels=("q", "tau"), factor=1.0) -> State:
+    """A state with its columns in another order, or times a factor."""
+    names = {"q": ("q", "v", "a"), "tau": ("tau",)}
+    own = {x: getattr(state, x) for c in channels for x in names[c]}
+    return replace(state, **{x: factor * y[:, order] for x, y in own.items()})
+
+
+def sped(state, clock) -> State:
+    """A state whose time was logged as a multiple of what it was."""
+    return replace(state, v=state.v * clock, a=state.a * clock**2)
+
+
+STRAIGHT, TURNED = np.arange(6), np.where(np.arange(6) == 2, -1.0, 1.0)
+SWAPPED, SORTED = np.array([0, 3, 2, 1, 4, 5]), np.array([4, 2, 3, 5, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda s: columns(s, STRAIGHT[::-1]), "in reverse order"),
+        (lambda s: columns(s, STRAIGHT[::-1], ("tau",)), "in reverse order"),
+        (lambda s: columns(s, SWAPPED, ("q",)), "swapped"),
+        (lambda s: columns(s, SORTED, ("tau",)), "in the order"),
+        (lambda s: columns(s, STRAIGHT, ("q", "tau"), TURNED), "the other way round"),
+        (lambda s: columns(s, STRAIGHT, ("tau",), TURNED), "the other way round"),
+        (lambda s: columns(s, STRAIGHT, ("tau",), -1.0), "the other way round"),
+        (lambda s: columns(s, STRAIGHT, ("tau",), 0.001 ** (TURNED < 0)), "kN·m"),
+        (lambda s: columns(s, STRAIGHT, ("tau",), 1000.0 ** (TURNED < 0)), "mN·m"),
+        (lambda s: columns(s, STRAIGHT, ("q",), np.rad2deg(1.0)), "degrees"),
+        (lambda s: sped(s, 1e-3), "milliseconds"),
+        (lambda s: sped(s, 1e-6), "microseconds"),
+        (lambda s: sped(s, 1e-9), "nanoseconds"),
+        (lambda s: sped(s, 0.1), "scaled by 10"),
+        (lambda s: sped(s, 0.25), "scaled by 4"),
+        (lambda s: sped(s, 0.5), "scaled by 2"),
+        (lambda s: sped(s, 2.0), "scaled by 1/2"),
+        (lambda s: sped(s, 4.0), "scaled by 1/4"),
+        (lambda s: sped(s, 10.0), "scaled by 1/10"),
+    ],
+)
+def test_some_reading_undoes_what_is_wrong_and_says_what_it_is(spoil, words):
+    robot = arm("coman_like")
+    right = state_of(robot)
+    wrong = spoil(right)
+    found = [
+        reading.looks_like
+        for reading in readings(robot.chain, list(STRAIGHT), np.argsort(SORTED))
+        for read in [reading.of(wrong)]
+        if all(
+            np.allclose(getattr(read, x), getattr(right, x), rtol=1e-9)
+            for x in ("q", "v", "a", "tau")
+        )
+    ]
+    assert any(words in x for x in found), found
+
+
+@pytest.mark.parametrize(
+    ("channels", "joints", "says"),
+    [
+        (("tau",), (1,), "tau2 (b) looks odd: read so, an arm of real masses leaves"),
+        (("tau",), (0, 1), "tau1 (a) and tau2 (b) look odd"),
+        (("q", "tau"), (1,), "q2 (b) and tau2 (b) look odd"),
+        (("tau",), (0, 1, 2), "tau look odd"),
+        (("t",), (), "time looks odd"),
+    ],
+)
+def test_what_looks_odd_is_said_in_words(channels, joints, says):
+    recording = Recording(T, np.zeros((len(T), 3)), tau=None, joints=("a", "b", "c"))
+    reading = OtherReading(channels, joints, "odd", np.arange(3), np.ones(3))
+    before, after = np.array([0.9, 0.8, 0.7]), np.array([0.9, 0.1, 0.7])
+    doubt = _doubt(recording, reading, before, after, "error")
+    assert says in doubt.text
+    assert "leaves 0.1 of the variance of tau2 (b) unexplained" in doubt.text
