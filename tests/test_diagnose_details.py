@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from simulated import arm
+from simulated import arm, quiet
 
 from hybrid.diagnosis.advice.menu import Experiment, gap_along
 from hybrid.diagnosis.answer.command import _off, _Servo
@@ -162,3 +162,22 @@ def test_a_push_on_an_arm_that_only_stands_is_told():
     times = [(x.start, x.end) for x in events]
     np.testing.assert_allclose(times, [(2.0, 2.6), (4.0, 4.3)], atol=0.05)
     np.testing.assert_allclose([x.torque[1] for x in events], [5, -4], rtol=0.15)
+
+
+def test_a_log_with_one_stamp_that_is_off_is_measured_to_its_end():
+    """A clock made even may end a rounding behind the last stamp."""
+    robot, t = arm("planar"), 0.004 * np.arange(500)
+    t[100] += 0.001
+    q = np.tile([0.4, -0.8], (len(t), 1))
+    log = Recording(t, q, tau=0 * q, joints=robot.joints)
+    gap, told = quiet(measure_gap, robot, [log], cutoff=20.0)
+    assert len(gap.motions[0].t) == len(t) and gap.motions[0].t[-1] >= t[-1]
+    assert any("irregular clock" in x for x in told)
+
+
+def test_a_slow_arm_moves():
+    robot, (log,) = quiet_logs()
+    slow = replace(log, t=50.0 * log.t, v=None, command=None)
+    assert np.abs(np.diff(log.q, axis=0)).max() / (slow.t[1] - slow.t[0]) < 0.1
+    gap = measure_gap(robot, [slow], cutoff=1.0)
+    assert (gap.moving.mean(axis=0) > 0.5).all()
