@@ -22,8 +22,10 @@ from hybrid.dynamics import RigidBody
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
 from hybrid.effects.counterbalance import Counterbalance
+from hybrid.effects.elasticity import Elasticity
 from hybrid.plant import Noise, Plant, random_fourier, simulate
 from hybrid.recording import Recording
+from hybrid.robot.chain import INERTIAL_NAMES
 from hybrid.signals import Motion
 
 
@@ -135,6 +137,20 @@ def test_numbers_of_the_file_are_corrected_in_their_order():
     np.testing.assert_allclose(more, change)
     assert found.stiffness[0] == 0.0
     np.testing.assert_array_equal(found.chain.inertial, robot.chain.inertial)
+
+
+def test_a_spring_that_needs_a_rotor_gets_a_fiftieth_of_what_the_joint_moves():
+    robot = arm("planar")
+    bare = replace(robot, chain=replace(robot.chain, armature=np.array([0.5, 0.0])))
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
+    gap = SimpleNamespace(robot=bare, sampled=SimpleNamespace(q=q))
+    spring = Elasticity((1,), {"compliance": 0.001, "damping": 0.1})
+    scored = SimpleNamespace(gap=gap)
+    found, (kept,) = corrected(scored, (spring,), np.zeros(20 + 5))
+    assert kept is spring and found.chain.armature[0] == 0.5
+    # The last joint moves its own link about its axis, z, whatever the posture.
+    about_axis = robot.chain.inertial[1, INERTIAL_NAMES.index("Izz")]
+    assert found.chain.armature[1] == pytest.approx(0.02 * about_axis)
 
 
 def test_chunks_of_time_follow_each_other_within_a_recording():

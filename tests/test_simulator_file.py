@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import mujoco
@@ -31,6 +32,7 @@ from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, RobotError
 from hybrid.exports import build_simulator
+from hybrid.exports.simulator.check import file_torque
 from hybrid.model.declared import declared_effects
 from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.robot import Robot
@@ -350,6 +352,19 @@ def test_meshes_of_a_urdf_are_where_those_of_the_mjcf_were(own, tmp_path):
             data.geom_xpos[g] + model.mesh_vert @ data.geom_xmat[g].reshape(3, 3).T
         )
     np.testing.assert_allclose(*(np.sort(x, axis=0) for x in corners), atol=1e-6)
+
+
+def test_torque_of_a_file_is_that_of_its_arm_in_any_format():
+    robot = Robot.load(MODELS / "planar.xml")
+    (motion,) = motions(robot, count=1, duration=3.0)
+    model = SimpleNamespace(robot=robot)
+    ours, by_mujoco, by_urdf = (
+        file_torque(x, model, motion)
+        for x in (robot, MODELS / "planar.xml", str(MODELS / "planar.urdf"))
+    )
+    np.testing.assert_allclose(by_urdf, ours, atol=1e-9)
+    moving = np.abs(motion.v) > 0.05
+    np.testing.assert_allclose(by_mujoco[moving], ours[moving], atol=1e-6)
 
 
 def test_a_ball_joint_has_no_place_in_a_urdf(tmp_path):
