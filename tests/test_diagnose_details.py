@@ -19,11 +19,15 @@ from hybrid.diagnosis.evidence.shapes import nudges, shape_units
 from hybrid.diagnosis.gap.background import background
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import RigidBody
+from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
 from hybrid.effects.counterbalance import Counterbalance
+from hybrid.effects.delay import Delay
 from hybrid.effects.elasticity import Elasticity
+from hybrid.effects.torque_gain import TorqueGain
 from hybrid.plant import Noise, Plant, random_fourier, simulate
+from hybrid.plant.rollout import _before_report
 from hybrid.recording import Recording
 from hybrid.robot.chain import INERTIAL_NAMES
 from hybrid.signals import Motion
@@ -197,3 +201,21 @@ def test_a_slow_arm_moves():
     assert np.abs(np.diff(log.q, axis=0)).max() / (slow.t[1] - slow.t[0]) < 0.1
     gap = measure_gap(robot, [slow], cutoff=1.0)
     assert (gap.moving.mean(axis=0) > 0.5).all()
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        TorqueGain((0,), {"gain": 0.2}),
+        Delay((0,), {"time": 0.004}),
+        ActuatorLag((0,), {"time": 0.01}),
+    ],
+)
+def test_the_torque_before_a_report_is_reported_as_the_logged_one(effect):
+    t = np.arange(0.0, 3.0, 0.002)
+    logged = (np.sin(5.0 * t) + 0.3 * np.cos(20.0 * t))[:, None]
+    before = _before_report(effect, t, logged)
+    assert effect.reports
+    assert np.abs(before - logged).max() > 0.02
+    off = np.abs(effect.report(t, before) - logged)[50:-50]
+    assert off.max() < 1e-3
