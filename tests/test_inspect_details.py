@@ -13,6 +13,7 @@ from hybrid.inspect.physics import _doubt
 from hybrid.inspect.reading import OtherReading, readings
 from hybrid.inspect.samples import doubts_of_samples
 from hybrid.inspect.scale import doubts_of_scale, scales
+from hybrid.inspect.speeds import bear_out, doubts_of_pace, doubts_of_speeds
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 
@@ -177,3 +178,67 @@ def test_what_looks_odd_is_said_in_words(channels, joints, says):
     doubt = _doubt(recording, reading, before, after, "error")
     assert says in doubt.text
     assert "leaves 0.1 of the variance of tau2 (b) unexplained" in doubt.text
+
+
+def of_one(change):
+    """Speeds of three joints, of which the second is changed."""
+
+    def spoil(v):
+        v = v.copy()
+        v[:, 1] = change(v)
+        return v
+
+    return spoil
+
+
+def hum(v):
+    return np.random.default_rng(2).normal(size=len(v))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says", "severity"),
+    [
+        (lambda v: v, None, None),
+        (lambda v: 1.08 * v, None, None),
+        (lambda v: np.rad2deg(v), "degrees per second", "error"),
+        (lambda v: v * 30 / np.pi, "revolutions per minute", "error"),
+        (lambda v: np.deg2rad(v), "positions look to be in degrees", "error"),
+        (lambda v: 1e3 * v, "milliseconds", "error"),
+        (lambda v: 1e6 * v, "microseconds", "error"),
+        (lambda v: 1e9 * v, "nanoseconds", "error"),
+        (lambda v: 3.0 * v, "scaled by that", "error"),
+        (of_one(lambda v: v[:, 2]), "looks like the speed of c", "error"),
+        (of_one(hum), "does not follow dq2/dt", "warning"),
+        (of_one(lambda v: -v[:, 1]), "one counts the other way round", "error"),
+        (of_one(lambda v: 1.3 * v[:, 1]), "1.3 times dq2/dt", "warning"),
+        (of_one(lambda v: 0.5 * v[:, 1]), "0.5 times dq2/dt", "error"),
+    ],
+)
+def test_a_speed_that_is_not_that_of_its_position_is_told(spoil, says, severity):
+    rng = np.random.default_rng(1)
+    w, phase = rng.uniform(1.0, 6.0, (2, 4, 1, 3))
+    angle = w * T[:, None] + phase
+    q, v = np.sin(angle).sum(axis=0), (w * np.cos(angle)).sum(axis=0)
+    state = State(q, v, 0 * q, 0 * q, spoil(v), np.full(3, np.nan))
+    recording = Recording(T, q, tau=None, v=spoil(v), joints=("a", "b", "c"))
+    found = list(doubts_of_speeds(recording, None, state))
+    assert len(found) == (says is not None)
+    for doubt in found:
+        assert says in doubt.text and doubt.severity == severity
+    # Of three joints one that is wrong does not outvote the others.
+    assert bear_out(state) == (says is None or np.array_equal(spoil(v)[:, 0], v[:, 0]))
+
+
+@pytest.mark.parametrize(
+    ("times", "severity"), [(0.9, None), (4.0, "warning"), (20.0, "error")]
+)
+def test_a_joint_that_is_faster_than_its_drive_is_told(times, severity):
+    robot = arm("planar")
+    q = np.zeros((len(T), 2))
+    v = times * np.outer(np.sin(T), robot.v_max)
+    state = State(q, v, 0 * q, 0 * q, None, np.full(2, np.nan))
+    recording = Recording(T, q, tau=None, joints=robot.joints)
+    found = list(doubts_of_pace(recording, robot, state))
+    assert [x.severity for x in found] == [severity] * 2 * (severity is not None)
+    for doubt, limit in zip(found, robot.v_max, strict=False):
+        assert f"up to {limit:.4g} rad/s" in doubt.remedy
