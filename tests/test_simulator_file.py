@@ -367,6 +367,34 @@ def test_torque_of_a_file_is_that_of_its_arm_in_any_format():
     np.testing.assert_allclose(by_mujoco[moving], ours[moving], atol=1e-6)
 
 
+NAMELESS = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/>
+  <body><joint name="turns" axis="0 1 0" damping=".2" range="-90 90"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 .1" size=".02"/>
+    <body pos=".3 0 .1" euler="20 10 0"><joint name="bends" axis="0 1 0"/>
+      <geom type="box" size=".02 .05 .1" pos="0 .2 0"/>
+  </body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("head", ["", '<compiler inertiafromgeom="true"/>'])
+def test_bodies_without_a_name_or_a_mass_of_their_own_take_new_ones(head, tmp_path):
+    """Their links are those of their shapes, by MuJoCo's density, until then."""
+    text = NAMELESS.replace("<worldbody>", f"{head}<worldbody>", 1)
+    (tmp_path / "arm.xml").write_text(text)
+    robot = Robot.load(tmp_path / "arm.xml")
+    new = robot.with_inertial(1.3 * robot.chain.inertial)
+    tilted = replace(new, chain=replace(new.chain, gravity=np.array([1.0, 0.0, -9.0])))
+    spring = {"stiffness": np.array([3.0, 0.0]), "springref": np.array([0.4, 0.0])}
+    changed = replace(tilted, damping=np.array([0.2, 0.7]), **spring)
+    build_simulator(changed).write(tmp_path / "new.xml")
+    again = Robot.load(tmp_path / "new.xml")
+    for name in ("inertial", "gravity", "armature"):
+        np.testing.assert_allclose(
+            getattr(again.chain, name), getattr(changed.chain, name), atol=1e-12
+        )
+    for name in ("damping", "stiffness", "springref", "q_max", "frictionloss"):
+        np.testing.assert_allclose(getattr(again, name), getattr(changed, name))
+
+
 def test_a_ball_joint_has_no_place_in_a_urdf(tmp_path):
     text = (MODELS / "planar.xml").read_text()
     ball = '<body><joint type="ball"/><geom size=".01"/></body></worldbody>'
