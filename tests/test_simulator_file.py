@@ -395,6 +395,41 @@ def test_bodies_without_a_name_or_a_mass_of_their_own_take_new_ones(head, tmp_pa
         np.testing.assert_allclose(getattr(again, name), getattr(changed, name))
 
 
+BARE = """<robot name="bare"><link name="base"/><link name="upper"><inertial>
+  <origin xyz=".1 0 0"/><mass value="2"/><inertia ixx=".01" ixy="0" ixz="0" iyy=".02"
+  iyz="0" izz=".02"/></inertial></link>{}
+  <joint name="first" type="revolute"><parent link="base"/><child link="upper"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="2"/></joint>
+  <joint name="second" type="revolute"><parent link="upper"/><child link="lower"/>
+    <origin xyz=".3 0 0" rpy="0 .2 0"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="9" velocity="2"/></joint>
+  <link name="tool"><inertial><mass value=".1"/><inertia ixx=".001" ixy="0" ixz="0"
+    iyy=".001" iyz="0" izz=".001"/></inertial></link>
+  <joint name="held" type="fixed"><parent link="lower"/><child link="tool"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize(
+    "link", ['<link name="lower"/>', '<link name="lower"><!-- nothing --></link>']
+)
+def test_a_link_of_a_urdf_that_only_holds_a_tool_takes_mass_rotor_and_friction(
+    link, tmp_path
+):
+    (tmp_path / "arm.urdf").write_text(BARE.format(link))
+    robot, _ = quiet(Robot.load, tmp_path / "arm.urdf")
+    inertial = robot.chain.inertial.copy()
+    inertial[1] = [1.5, 0.15, 0.0, 0.03, 0.01, 0.0, 0.03, -0.002, 0.0, 0.03]
+    chain = replace(robot.chain, inertial=inertial, armature=np.array([0.2, 0.1]))
+    dry = {"damping": np.array([0.3, 0.2]), "frictionloss": np.array([0.0, 0.4])}
+    new = replace(robot, chain=chain, **dry)
+    build_simulator(new, kind="urdf").write(tmp_path / "new.urdf")
+    again, _ = quiet(Robot.load, tmp_path / "new.urdf")
+    np.testing.assert_allclose(again.chain.inertial, inertial, atol=1e-12)
+    np.testing.assert_allclose(again.chain.armature, [0.2, 0.1])
+    for name, values in dry.items():
+        np.testing.assert_allclose(getattr(again, name), values)
+
+
 def test_a_ball_joint_has_no_place_in_a_urdf(tmp_path):
     text = (MODELS / "planar.xml").read_text()
     ball = '<body><joint type="ball"/><geom size=".01"/></body></worldbody>'

@@ -96,7 +96,9 @@ def urdf_parts(robot: Robot, text: str) -> list[Part]:
         if frame.type != pin.FrameType.BODY or k < 0:
             continue
         pose = home[k].actInv(data.oMf[f])
-        inertial = pose.act(frame.inertia).toDynamicParameters()
+        # That of a body held by another is kept at the fixed joint between them.
+        inertia = model.frames[frame.parentFrame].inertia
+        inertial = pose.act(inertia).toDynamicParameters()
         own = frame.parentJoint in index and frame.placement.isIdentity(1e-12)
         own = own and not any(p.own and p.link == k for p in parts)
         R, p = np.array(pose.rotation), np.array(pose.translation)
