@@ -36,6 +36,7 @@ from hybrid.exports.simulator.check import file_torque
 from hybrid.model.declared import declared_effects
 from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.robot import Robot
+from hybrid.robot.edit.change import Actuator
 
 CUBE = """v 0 0 0
 v .1 0 0
@@ -428,6 +429,59 @@ def test_a_link_of_a_urdf_that_only_holds_a_tool_takes_mass_rotor_and_friction(
     np.testing.assert_allclose(again.chain.armature, [0.2, 0.1])
     for name, values in dry.items():
         np.testing.assert_allclose(getattr(again, name), values)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "effect", "note"),
+    [
+        (
+            "",
+            ActuatorLag((0,), {"time": 0.02}),
+            "drive of turns, which has no actuator",
+        ),
+        (
+            '<general joint="turns" gaintype="affine" gainprm="1 0 0"/>',
+            TorqueGain((0,), {"gain": 0.1}),
+            "a change of the torque of turns, whose actuator has no place",
+        ),
+        (
+            '<general joint="turns" dyntype="integrator" actrange="-1 1"/>',
+            ActuatorLag((0,), {"time": 0.02}),
+            "a lag of turns, whose actuator has no place",
+        ),
+    ],
+)
+def test_what_an_actuator_has_no_place_for_is_said(actuator, effect, note, tmp_path):
+    text = NAMELESS.replace("</mujoco>", f"<actuator>{actuator}</actuator></mujoco>")
+    (tmp_path / "arm.xml").write_text(text)
+    made = build_simulator(Robot.load(tmp_path / "arm.xml"), [effect])
+    assert any(note in x for x in made.notes), made.notes
+
+
+def test_a_servo_that_inherits_its_range_keeps_it_with_other_gains(tmp_path):
+    servo = '<position joint="turns" kp="20" kv="2" inheritrange="0.5"/>'
+    text = NAMELESS.replace("</mujoco>", f"<actuator>{servo}</actuator></mujoco>")
+    (tmp_path / "arm.xml").write_text(text)
+    softer = ControllerGain((0,), {"stiffness": -0.4, "damping": 0.5})
+    made = build_simulator(Robot.load(tmp_path / "arm.xml"), [softer])
+    made.write(tmp_path / "new.xml")
+    old, new = (
+        mujoco.MjModel.from_xml_path(str(tmp_path / name))
+        for name in ("arm.xml", "new.xml")
+    )
+    np.testing.assert_allclose(new.actuator_ctrlrange, old.actuator_ctrlrange)
+    np.testing.assert_allclose(new.actuator_gainprm[0, 0], 0.6 * 20.0)
+    np.testing.assert_allclose(new.actuator_biasprm[0, :3], [0.0, -12.0, -3.0])
+
+
+def test_changes_of_an_actuator_add_up_each_in_its_way():
+    first = {"gain": 0.5, "limit": 10.0, "lag": 0.01, "damping": 3.0}
+    then = {"gain": 0.5, "limit": 12.0, "lag": 0.02, "stiffness": 2.0, "latency": 0.1}
+    both = Actuator(
+        gain=0.25, lag=0.03, limit=10.0, latency=0.1, stiffness=2.0, damping=3.0
+    )
+    assert Actuator().and_then(first).and_then(then) == both
+    assert Actuator().and_then(then).and_then(first) == both
 
 
 def test_a_ball_joint_has_no_place_in_a_urdf(tmp_path):
