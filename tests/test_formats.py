@@ -3,6 +3,7 @@
 from importlib import import_module
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -243,3 +244,25 @@ def test_a_write_that_fails_leaves_the_old_recording(tmp_path, monkeypatch, suff
         write(log(ARM), path)
     assert read(path) == log()
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_files_of_a_folder_that_hold_no_joint_are_left_out_and_said(tmp_path):
+    good, other = tmp_path / "a.csv", tmp_path / "b.h5"
+    write(log(), good)
+    with h5py.File(other, "w") as file:
+        for k in range(2):
+            file[f"demo_{k}/humidity"] = np.arange(200.0)
+    with pytest.warns(HybridWarning, match="left out: .*b.h5"):
+        (found,) = read_all(tmp_path)
+    assert found.source == str(good)
+    with pytest.raises(RecordingError, match="b.h5"):
+        read_all([tmp_path, other])  # it is asked for by itself as well
+    good.rename(tmp_path / "a.txt")
+    (tmp_path / "c.h5").write_bytes(other.read_bytes())
+    with (
+        pytest.raises(RecordingError, match="no file there holds joints"),
+        pytest.warns(HybridWarning, match="left out"),
+    ):
+        read_all(tmp_path)
+    with pytest.raises(RecordingError, match="no paths given"):
+        read_all([])
