@@ -14,6 +14,7 @@ from pyarrow import parquet
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all, write
+from hybrid.recording.words import meaning
 
 # import_module, because the package exports the function of the same name
 WRITERS = import_module("hybrid.recording.write").WRITERS
@@ -266,3 +267,29 @@ def test_files_of_a_folder_that_hold_no_joint_are_left_out_and_said(tmp_path):
         read_all(tmp_path)
     with pytest.raises(RecordingError, match="no paths given"):
         read_all([])
+
+
+@pytest.mark.parametrize(
+    ("label", "channel", "joint", "number"),
+    [
+        ("q_shoulder_actual", "q", "shoulder", None),
+        ("position_shoulder_actual", "q", "shoulder", None),
+        ("shoulder_pos_desired", "command", "shoulder", None),
+        ("elbow_torque_meas", "tau", "elbow", None),
+        ("velocity/elbow/measured", "v", "elbow", None),
+        ("q_actual_shoulder", "q", "shoulder", None),
+        ("actual_q_0", "q", "0", 0),
+        ("q1_ref", "command", "1", 1),
+        ("position_1_actual", "q", "1", 1),
+    ],
+)
+def test_words_around_a_label_say_what_it_is_of_and_are_no_joint(
+    label, channel, joint, number
+):
+    found = meaning(label)
+    assert (found.channel, found.joint, found.number) == (channel, joint, number)
+
+
+def test_a_torque_that_is_commanded_is_not_taken_for_a_measured_one():
+    found = meaning("tau_elbow_desired")
+    assert found.channel == "" and "commanded" in found.why
