@@ -19,7 +19,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +97,7 @@ class Sandbox:
         inner, jobs, outer = [], [], []
         for mutant in mutants:
             tests = witnesses.of(mutant)
-            limit = _PATIENCE * sum(map(witnesses.costs.__getitem__, tests)) + _GRACE
+            limit = _PATIENCE * witnesses.price(tests) + _GRACE
             patch = patch_of((ROOT / mutant.path).read_text(), mutant)
             if not tests:
                 yield mutant, ("survived", 0.0, "")
@@ -193,7 +193,8 @@ class Job:
 class _Forks:
     """A plugin that runs collected tests once for each job, in a fork.
 
-    A test that fails must pass alone on the code as it is, or it says nothing.
+    A test that fails must pass alone on the code as it is, and tests that run out of
+    time must not do so there, or they say nothing.
     """
 
     def __init__(self, jobs: list[Job], outlet: int, confirm: bool) -> None:
@@ -211,16 +212,23 @@ class _Forks:
             return None
         for job in self.jobs:
             outcome = self._run(session, job)
-            while outcome[2] and not self._confirmed(session, outcome[2], job.limit):
-                outcome = self._run(session, job)
+            while again := self._again(session, job, outcome):
+                job, outcome = again, self._run(session, again)
             os.write(self.outlet, (json.dumps(outcome) + "\n").encode())
         return True
 
-    def _confirmed(self, session: pytest.Session, test: str, limit: float) -> bool:
-        if self.confirm and test not in self.sound | self.unsound:
-            alone = self._run(session, Job(None, (test,), limit))
+    def _again(self, session: pytest.Session, job: Job, outcome: Outcome) -> Job | None:
+        """What to try anew, where an outcome says nothing of the change."""
+        word, _, test = outcome
+        plain = replace(job, patch=None)
+        if not self.confirm:
+            return None
+        if word == "timeout" and self._run(session, plain)[0] == "timeout":
+            return replace(job, limit=2 * job.limit)
+        if test and test not in self.sound | self.unsound:
+            alone = self._run(session, replace(plain, tests=(test,)))
             (self.sound if alone[0] == "survived" else self.unsound).add(test)
-        return test not in self.unsound
+        return job if test in self.unsound else None
 
     def _run(self, session: pytest.Session, job: Job) -> Outcome:
         """Outcome of a job, with the test that failed."""
@@ -292,7 +300,7 @@ def _waited(child: int, limit: float) -> tuple[str, float]:
         time.sleep(0.01)
     seconds = usage.ru_utime + usage.ru_stime
     if os.WIFSIGNALED(status):
-        if seconds > 0.9 * limit:
+        if seconds > 0.9 * limit or os.WTERMSIG(status) == signal.SIGXCPU:
             return "timeout", seconds
         # Of a process that got no processor, nothing is known.
         stalled = os.WTERMSIG(status) == signal.SIGKILL

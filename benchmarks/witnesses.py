@@ -1,7 +1,7 @@
 """Which tests a mutant meets: the cheapest of all that execute its line.
 
 What lies outside functions, a constant or a default, runs when its module is loaded; it
-meets the tests that execute a line of the module that names it.
+meets the tests that execute a line that names it, of its module or else of another.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import accumulate
+from functools import cached_property
 from pathlib import Path
 
 from mutation import ROOT, Mutant, digest, places
 
-_BUDGET = 20.0  # s of processor time for one mutant's tests
+_BUDGET = 10.0  # s of processor time for one mutant's tests
 _Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -75,26 +75,55 @@ class Witnesses:
 
     def of(self, mutant: Mutant) -> tuple[str, ...]:
         """Tests that may notice a mutant, cheapest file first."""
-        text, executed = (ROOT / mutant.path).read_text(), self.lines.get(mutant.path)
-        lines, found = places(text), set[str]()
-        for row in _rows(text, mutant.row):
-            found.update((executed or {}).get(lines[row - 1], ()))
+        text = (ROOT / mutant.path).read_text()
+        found = self._executing(mutant.path, _rows(text, mutant.row))
+        if not found:  # a constant that only other modules take
+            *outer, statement = _around(text, mutant.row)
+            before = r"\." if outer else r"\b"  # of a class, or of the module
+            for path in (x for x in self.lines if x.endswith(".py")):
+                naming = _naming((ROOT / path).read_text(), _names(statement), before)
+                found |= self._executing(path, naming)
         return self._affordable(found)
+
+    def _executing(self, path: str, rows: Iterable[int]) -> set[str]:
+        """Tests that execute one of some lines of a module."""
+        names, executed = places((ROOT / path).read_text()), self.lines.get(path, {})
+        return {x for row in rows for x in executed.get(names[row - 1], ())}
 
     def digest(self, mutant: Mutant) -> str:
         """Short hash of the tests that a mutant meets."""
         met = self.of(mutant)
         return digest(repr([(x, self.files[_file(x)]) for x in met]))
 
+    def price(self, tests: Iterable[str]) -> float:
+        """Processor time of some tests, with what each of their files shares, [s]."""
+        files = set(map(_file, tests))
+        shared = sum(map(self._shared.__getitem__, files))
+        return shared + sum(map(self.costs.__getitem__, tests))
+
+    @cached_property
+    def _shared(self) -> dict[str, float]:
+        """Cost of each file's dearest test: that of the fixtures of them all, [s]."""
+        found: dict[str, float] = {}
+        for test, cost in self.costs.items():
+            found[_file(test)] = max(cost, found.get(_file(test), 0.0))
+        return found
+
     def _affordable(self, tests: Iterable[str]) -> tuple[str, ...]:
-        """The cheapest tests within the budget; tests of a file stay together."""
-        ranked = sorted(tests, key=lambda x: (self.costs[x], x))
-        sums = accumulate(self.costs[x] for x in ranked)
-        kept = [x for x, s in zip(ranked, sums, strict=True) if s <= _BUDGET]
-        files: dict[str, float] = {}
-        for test in kept or ranked[:1]:
-            files[_file(test)] = files.get(_file(test), 0.0) + self.costs[test]
-        return tuple(sorted(kept or ranked[:1], key=lambda x: (files[_file(x)], x)))
+        """The cheapest tests within the budget, the cheapest file's first."""
+        files: dict[str, list[str]] = {}
+        for test in sorted(tests, key=lambda x: (self.costs[x], x)):
+            files.setdefault(_file(test), []).append(test)
+        kept: list[str] = []
+        spent = 0.0
+        for own in sorted(files.values(), key=lambda x: (self.price(x), x)):
+            more = self._shared[_file(own[0])]
+            for test in own:
+                if kept and spent + more + self.costs[test] > _BUDGET:
+                    break
+                spent, more = spent + more + self.costs[test], 0.0
+                kept.append(test)
+        return tuple(kept)
 
 
 def test_files() -> dict[str, str]:
@@ -110,23 +139,40 @@ def _file(test: str) -> str:
 
 def _rows(text: str, row: int) -> set[int]:
     """Lines by whose execution a test meets the statement at a line."""
-    tree, lines = ast.parse(text), text.splitlines()
-    around = [x for x in ast.walk(tree) if isinstance(x, ast.stmt) and row in _span(x)]
-    *outer, statement = sorted(around, key=lambda x: -len(_span(x)))
+    *outer, statement = _around(text, row)
     if isinstance(statement, _Function):
         return _body(statement)
     if any(isinstance(x, _Function) for x in outer):
         body = getattr(statement, "body", None)
         end = body[0].lineno if body else (statement.end_lineno or row) + 1
         return {row, *range(statement.lineno, end)}
-    bodies = [_body(x) for x in ast.walk(tree) if isinstance(x, _Function)]
-    inner = set[int]().union(*bodies)
-    stored = [x for x in ast.walk(statement) if isinstance(x, ast.Name)]
-    names = {x.id for x in stored if isinstance(x.ctx, ast.Store)}
-    word = re.compile(rf"\b({'|'.join(map(re.escape, names))})\b") if names else None
+    functions = (x for x in ast.walk(ast.parse(text)) if isinstance(x, _Function))
+    return _naming(text, _names(statement)) or set[int]().union(*map(_body, functions))
+
+
+def _around(text: str, row: int) -> list[ast.stmt]:
+    """Statements around a line, outermost first."""
+    every = (x for x in ast.walk(ast.parse(text)) if isinstance(x, ast.stmt))
+    return sorted((x for x in every if row in _span(x)), key=lambda x: -len(_span(x)))
+
+
+def _names(statement: ast.stmt) -> set[str]:
+    """Names to which a statement gives a value."""
+    stored = (x for x in ast.walk(statement) if isinstance(x, ast.Name))
+    return {x.id for x in stored if isinstance(x.ctx, ast.Store)}
+
+
+def _naming(text: str, names: set[str], before: str = r"\b") -> set[int]:
+    """Lines of the functions that name one of some names, after a pattern."""
+    if not names:
+        return set()
+    word, lines = re.compile(rf"{before}({'|'.join(names)})\b"), text.splitlines()
+    functions = (x for x in ast.walk(ast.parse(text)) if isinstance(x, _Function))
     # Of a table over several lines, not each is executed by itself.
-    naming = (x for x in bodies if word and any(word.search(lines[y - 1]) for y in x))
-    return set[int]().union(*naming) or inner
+    bodies = (
+        x for x in map(_body, functions) if any(word.search(lines[y - 1]) for y in x)
+    )
+    return set[int]().union(*bodies)
 
 
 def _span(x: ast.stmt) -> range:

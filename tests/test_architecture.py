@@ -281,6 +281,19 @@ def test_everything_public_has_a_docstring():
     check(wrong, "Say what it is, with shapes and units:")
 
 
+def test_data_are_frozen():
+    """Private ones that a single function fills may not be."""
+    wrong = [
+        f"{source.at(node.lineno)} {node.name}"
+        for source in sources()
+        for node in ast.walk(source.tree)
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+        for mark in map(ast.unparse, node.decorator_list)
+        if mark.startswith("dataclass") and "frozen=True" not in mark
+    ]
+    check(wrong, "Make these @dataclass(frozen=True):")
+
+
 def run(code: str) -> str:
     """Standard output of a fresh interpreter."""
     done = subprocess.run(

@@ -116,10 +116,11 @@ def frames(count=20):
     return q, R, p, Frame(R, p)
 
 
+@pytest.mark.parametrize("far", [1.0, 30.0])
 @pytest.mark.parametrize(("base", "tool"), [(True, True), (True, False), (False, True)])
-def test_frames_of_an_exact_arm_are_guessed_exactly(base, tool):
+def test_frames_of_an_exact_arm_are_guessed_exactly(base, tool, far):
     q, R, p, frame = frames()
-    B, b = (turned(0.8) @ turned(0.5, 1), np.array([1.0, -2.0, 0.5]))
+    B, b = (turned(0.8) @ turned(0.5, 1), far * np.array([1.0, -2.0, 0.5]))
     X, x = (turned(-0.6, 0), np.array([0.1, 0.05, 0.2]))
     if not base:
         B, b = np.eye(3), np.zeros(3)
@@ -259,6 +260,11 @@ def test_what_one_pose_alone_tells_has_the_noise_of_its_kind():
     np.testing.assert_allclose(degrees[:5], others, rtol=1e-6)
     noise = np.linalg.inv(alone[:2].T @ alone[:2])
     assert (np.diagonal(covariance)[5:] > np.diagonal(noise)).all()
+    # Of nothing else, its noise is as well known as that of all rows together.
+    apart = np.hstack([np.where(np.arange(len(J))[:, None] < 2, 0.0, J), alone])
+    covariance, degrees = clustered_covariance(apart, residual, pose)
+    np.testing.assert_allclose(np.diagonal(covariance)[5:], np.diagonal(noise))
+    np.testing.assert_allclose(degrees[5:], len(J) - 7)
 
 
 def test_a_unit_fits_as_badly_whether_it_was_fitted_or_left_out():

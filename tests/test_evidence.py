@@ -9,8 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from hybrid.diagnosis.evidence.bayes import coloured, log_bayes
+from hybrid.diagnosis.answer.unseen import left_unseen
+from hybrid.diagnosis.evidence.bayes import coloured, log_bayes, quiet
+from hybrid.diagnosis.evidence.contacts import _OF_ALL, _Stretch
 from hybrid.diagnosis.evidence.evidence import Evidence
+from hybrid.diagnosis.evidence.ripples import ripple_orders
+from hybrid.diagnosis.explanations.weight import weigh
+from hybrid.diagnosis.prior import Prior
 from hybrid.signals import butterworth, memory
 
 M = 60
@@ -258,6 +263,29 @@ def test_memory_counts_samples_for_an_independent_one(rho):
     assert np.median(found) == pytest.approx((1 + rho) / (1 - rho), rel=0.15)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_memory_is_the_sum_of_pairs_of_correlations_while_these_are_positive(seed):
+    rng = np.random.default_rng(seed)
+    row = np.array([3, *range(40, 140)])[rng.random(101) < 0.9]
+    x = np.cumsum(rng.standard_normal(len(row)))  # with a mean: it lasts long
+    apart = np.subtract.outer(row, row)
+    product = np.outer(x, x) / np.mean(x**2)
+    lags = np.arange((row[-1] - row[0] + 1) // 4 * 2)  # half of it, in pairs
+    correlation = [product[apart == k].mean() if k in apart else 0.0 for k in lags]
+    pairs = np.add(correlation[::2], correlation[1::2])
+    positive = np.cumprod(pairs >= 0).astype(bool)
+    expected = max(1.0, 2 * pairs[positive].sum() - 1)
+    assert memory(x, row) == pytest.approx(expected)
+
+
+def test_a_stretch_in_which_something_happened_is_not_quiet():
+    x = np.random.default_rng(2).standard_normal(1000)
+    x[300:350] *= 10.0  # half a second
+    np.testing.assert_array_equal(
+        quiet(x, np.arange(1000), 100.0), np.arange(1000) // 50 != 6
+    )
+
+
 @pytest.mark.parametrize("size", [0.0, 0.3, 2.0])
 def test_what_is_stronger_at_low_frequencies_is_told_from_noise(size):
     rng, t = np.random.default_rng(3), np.arange(6000) / 200.0
@@ -311,3 +339,64 @@ def test_what_is_too_slow_for_noise_is_never_more_than_all_of_it():
     x = 5.0 + rng.standard_normal(400)
     slow = coloured(x, np.arange(400), 100.0, 20.0)
     assert 0.9 < slow / (x @ x) < 1.0
+
+
+def test_orders_of_a_ripple_are_the_strongest_waves_over_position():
+    rng, t = np.random.default_rng(0), np.arange(0.0, 20.0, 0.005)
+    q, v = 2.0 * np.sin(1.3 * t), 2.6 * np.cos(1.3 * t)
+    left = np.sin(7 * q) + 0.6 * np.cos(31 * q) + 0.2 * rng.standard_normal(len(t))
+    assert set(ripple_orders(left, q, v, 100.0, 2)) == {7, 31}
+    assert ripple_orders(left, q, v, 100.0, 1) == [7]
+    # Below 2 Hz the faster one is hardly seen, and noise of its order stays noise.
+    assert ripple_orders(left, q, v, 2.0, 1) == [7]
+    # The last order that is tried is 399: one beyond a peak has to be lower.
+    assert ripple_orders(np.sin(399 * q), q, v, 1e4, 1) == [399]
+
+
+@pytest.mark.parametrize(
+    ("of", "first", "meets"),
+    [(0, 12, True), (0, 20, False), (1, 12, False), (_OF_ALL, 12, True)],
+)
+def test_contacts_meet_in_the_same_recording_at_the_same_time(of, first, meets):
+    """From the tenth chunk to the twentieth of one, and ten of the same or another."""
+    own, other = _Stretch(9.0, 10, 10, 0), _Stretch(5.0, first, 10, of)
+    assert own.overlaps(other) == other.overlaps(own) == meets
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "part"), [(1.0, 1.0, 0.0), (9.0, 1.0, 0.0), (100.0, 50.0, 0.5)]
+)
+def test_what_is_left_unseen_counts_beyond_noise_only(before, after, part):
+    """Mean squares of a joint's gap on motions kept apart, in units of noise."""
+    size = 1000
+    gap = [[np.sqrt(x) * np.ones(size)] for x in (before, after)]
+    count = SimpleNamespace(count=np.array([[size]]))
+    left = left_unseen(
+        SimpleNamespace(before=gap[0], after=gap[1]),
+        SimpleNamespace(noise=np.array([float(size)])),
+        SimpleNamespace(evidence=count, noise=np.array([1.0])),
+    )
+    assert left == pytest.approx(part, abs=0.01)
+
+
+def test_no_two_simulators_agree_by_noise_that_has_no_memory():
+    rng = np.random.default_rng(0)
+    gap = one_joint(rng.standard_normal(400), cutoff=20.0)
+    gap.measured, gap.known = 30.0 * rng.standard_normal((400, 1)), None
+    gap.trajectory = np.zeros(400, dtype=int)
+    evidence = Evidence(gap, None)
+    (index,) = evidence.add([{0: rng.standard_normal((400, 2))}], [np.ones(2)])
+    kept = evidence.covariances[0].copy()
+    prior = Prior(inexact=0.0, solver=0.1)
+    (found,) = weigh(evidence, np.ones(1), index, prior)
+    np.testing.assert_array_equal(found[1:], kept[1:])
+    added = 0.1**2 * gap.measured.var()
+    assert found[0] > kept[0] + added
+    assert evidence.noise[0] == pytest.approx(1.0 + added, rel=0.5)
+
+
+def test_gains_may_be_held_to_a_part_of_the_size_they_came_with():
+    _, _, std, evidence, index = problem()
+    evidence.spread(index[1], 0.1)
+    expected = np.concatenate([std[0], 0.1 * std[1], std[2]]) ** -2.0
+    np.testing.assert_allclose(evidence.precision, expected)

@@ -268,6 +268,30 @@ def test_what_cannot_be_met_is_named():
         )
 
 
+class Apart:
+    """The first joint above 0.3 rad and below −0.3 rad: each, but not both, can be."""
+
+    is_linear, names = False, ("upper side", "lower side")
+
+    def excess(self, path):
+        return np.stack([0.3 - path.q[:, 0], path.q[:, 0] + 0.3], axis=1)
+
+    def slope(self, path, which):
+        out = np.zeros((len(which), 4, path.q.shape[1]))
+        out[:, 0, 0] = np.where(which, 1.0, -1.0)
+        return out
+
+
+def test_conditions_that_exclude_each_other_end_with_the_best_motion_and_its_excess():
+    planar = Robot.load(MODELS / "planar.xml")
+    with pytest.raises(ExcitationError, match="(upper|lower) side by") as error:
+        design(
+            planar, observe(planar.chain), Fourier(2, 1.0), seed=0, starts=1,
+            constraints=[Apart()], criterion=DOptimal(), rate=10.0,
+        )  # fmt: skip
+    assert "no motion within the limits was found" in str(error.value)
+
+
 @pytest.mark.parametrize(
     "make, says",
     [

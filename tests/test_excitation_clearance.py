@@ -1,5 +1,6 @@
 """Distances between links: geometry, gradients, and motions that keep them."""
 
+import mujoco
 import numpy as np
 import pytest
 from arms import MODELS, public_arm
@@ -14,7 +15,12 @@ from hybrid.excitation import (
     design,
     observe,
 )
-from hybrid.excitation.clearance import closest_points, ends_in_world, frames
+from hybrid.excitation.clearance import (
+    closest_points,
+    ends_in_world,
+    frames,
+    point_change,
+)
 from hybrid.excitation.path import Path, uniform
 from hybrid.robot import Robot
 from hybrid.robot.chain import zero_frames
@@ -48,6 +54,79 @@ def test_capsules_of_urdf_and_mjcf_are_alike():
     first, second = (capsules_from_robot(x) for x in (COMAN, other))
     assert np.array_equal(first.link, second.link)
     np.testing.assert_allclose(first.radius, second.radius, atol=1e-6)
+
+
+SHAPES = """<mujoco><compiler angle="radian"/><asset>
+  <mesh name="wedge" vertex="0 0 0  .2 0 0  0 .1 0  0 0 .3  .2 .1 .3"/></asset>
+  <worldbody><body><joint name="turns" axis="0 0 1"/>
+    <geom name="rod" type="capsule" fromto="0 0 0 .3 0 .1" size=".02"/>
+    <geom name="ball" type="sphere" pos=".1 .1 0" size=".05"/>
+    <body pos=".3 0 .1" euler=".4 .2 0"><joint name="slides" type="slide" axis="1 0 0"/>
+      <geom name="block" type="box" size=".02 .05 .1" pos="0 .2 0"/>
+      <geom name="egg" type="ellipsoid" size=".02 .05 .1" pos="0 -.2 0"/>
+      <geom name="part" type="mesh" mesh="wedge" pos="0 0 .2" euler="0 1 0"/>
+  </body></body></worldbody></mujoco>"""
+
+
+@pytest.fixture
+def shapes(tmp_path):
+    (tmp_path / "shapes.xml").write_text(SHAPES)
+    return Robot.load(tmp_path / "shapes.xml")
+
+
+def surface(model, data, g, rng):
+    """Points of a geom in the world, shape (N, 3)."""
+    size, kind = model.geom_size[g], model.geom_type[g]
+    way = rng.normal(size=(200, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    kinds = mujoco.mjtGeom
+    if kind == kinds.mjGEOM_MESH:
+        x = model.mesh_vert
+    elif kind == kinds.mjGEOM_BOX:
+        x = size * np.sign(way)
+    elif kind == kinds.mjGEOM_ELLIPSOID:
+        x = size * way
+    else:  # a ball at either end, or alone
+        half = size[1] * (kind == kinds.mjGEOM_CAPSULE)
+        x = size[0] * way + np.outer(np.sign(way[:, 2]), [0.0, 0.0, half])
+    return x @ data.geom_xmat[g].reshape(3, 3).T + data.geom_xpos[g]
+
+
+@pytest.mark.parametrize("q", [[0.0, 0.0], [0.7, 0.3]])
+def test_capsules_cover_every_shape_of_an_mjcf_wherever_it_is(shapes, q):
+    capsules, rng = capsules_from_robot(shapes), np.random.default_rng(0)
+    (ends,) = ends_in_world(shapes.chain, capsules, np.array([q]))
+    model = mujoco.MjModel.from_xml_path(shapes.path)
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    for g in range(model.ngeom):
+        own = [k for k, x in enumerate(capsules.names) if x == model.geom(g).name]
+        points = surface(model, data, g, rng)
+        both = np.stack([points, points], axis=1)
+        away = [
+            np.linalg.norm(
+                np.subtract(*closest_points(both, np.tile(ends[k], (len(both), 1, 1)))),
+                axis=1,
+            ) - capsules.radius[k]
+            for k in own
+        ]  # fmt: skip
+        assert np.min(away, axis=0).max() < 1e-9, model.geom(g).name
+
+
+def test_points_move_with_a_joint_that_slides_as_with_one_that_turns(shapes):
+    chain, way = shapes.chain, np.array([[0.3, -0.5, 0.8]])
+    q, local = np.array([[0.7, 0.3]]), np.array([0.1, 0.2, 0.3])
+
+    def along(x):
+        R, p, _ = frames(chain, x)
+        return float(way[0] @ (R[1, 0] @ local + p[1, 0]))
+
+    R, p, _ = frames(chain, q)
+    found = point_change(chain, q, 1, (R[1, 0] @ local + p[1, 0])[None], way)
+    step = 1e-6 * np.eye(2)[:, None]
+    expected = [(along(q + s) - along(q - s)) / 2e-6 for s in step]
+    np.testing.assert_allclose(found[0], expected, atol=1e-8)
 
 
 def test_capsules_cover_every_point_of_a_mesh():

@@ -7,18 +7,20 @@ import mujoco
 import numpy as np
 import pytest
 from arms import MODELS
-from simulated import quiet
+from simulated import motions, quiet
 from test_export import full_model, model_of, motion_of
 
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.payload import Payload
+from hybrid.effects.presliding import Presliding
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
 from hybrid.exports import CompiledModel, export, missing_model, model_simulator
+from hybrid.exports.simulator.check import file_torque
 from hybrid.plant import install, load_truth, simulate
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.native import split_effects
@@ -118,6 +120,53 @@ def test_exported_c_beside_an_exported_simulator_moves_as_the_callback(tmp_path)
     off = np.abs(beside - called).max()
     assert off < 3e-3  # rad, after half a second
     assert off < 0.25 * np.abs(alone - called).max()
+
+
+RIPPLE = TorqueRipple((1,), {"sine": 0.6, "cosine": 0.3, "periods": 3.0})
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        [RIPPLE],
+        [RIPPLE.at({"fastest": 1.0})],
+        [LoadFriction((1,), {"coefficient": 0.2})],
+        [Viscous((0,), {"coefficient": 3.0}), Coulomb((1,), {"level": 0.7})],
+    ],
+    ids=["ripple", "ripple that fades", "friction with load", "friction"],
+)
+def test_a_file_and_what_it_misses_are_the_model(effects, tmp_path):
+    robot = Robot.load(MODELS / "planar.xml")
+    model = model_of(robot, [*declared(robot), *effects])
+    made = model_simulator(model, folder=tmp_path)
+    made.write(tmp_path / "arm.xml")
+    (motion,) = motions(robot, count=1, duration=6.0)
+    file = file_torque(tmp_path / "arm.xml", model, motion)
+    found = file + missing_model(model, made).predict(motion)
+    off = np.abs(found - model.predict(motion))[np.abs(motion.v).min(axis=1) > 0.05]
+    assert off.max() < 1e-6
+
+
+def test_friction_with_a_memory_holds_a_joint_in_a_running_simulation():
+    """A push below the level bends the asperities and moves nothing else."""
+    robot = Robot.load(MODELS / "planar.xml")
+    mj = mujoco.MjModel.from_xml_path(robot.path)
+    mj.opt.gravity[:], mj.dof_frictionloss[:], mj.dof_damping[:] = 0.0, 0.0, 0.5
+    law = {"level": 2.0, "distance": 0.01}
+    slow = Viscous((1,), {"coefficient": 20.0})  # so that it does not overshoot
+    model = model_of(robot, [Presliding((1,), law), slow])
+    data, moved = mujoco.MjData(mj), []
+    for held in (True, False):
+        mujoco.mj_resetData(mj, data)
+        added = install(mj, data, model) if held else None
+        data.ctrl[1] = 1.0
+        mujoco.mj_step(mj, data, 1000)
+        moved.append(data.qpos[1])
+        if added:
+            added.remove()
+    # It settles where half the level is reached: 1 − exp(−x/δ) = ½.
+    assert moved[0] == pytest.approx(0.01 * np.log(2.0), rel=0.2)
+    assert moved[1] > 0.2
 
 
 def test_friction_with_load_is_that_of_the_load_behind_the_ripple(tmp_path):

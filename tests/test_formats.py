@@ -3,6 +3,7 @@
 from importlib import import_module
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -13,6 +14,7 @@ from pyarrow import parquet
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all, write
+from hybrid.recording.words import meaning
 
 # import_module, because the package exports the function of the same name
 WRITERS = import_module("hybrid.recording.write").WRITERS
@@ -243,3 +245,51 @@ def test_a_write_that_fails_leaves_the_old_recording(tmp_path, monkeypatch, suff
         write(log(ARM), path)
     assert read(path) == log()
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_files_of_a_folder_that_hold_no_joint_are_left_out_and_said(tmp_path):
+    good, other = tmp_path / "a.csv", tmp_path / "b.h5"
+    write(log(), good)
+    with h5py.File(other, "w") as file:
+        for k in range(2):
+            file[f"demo_{k}/humidity"] = np.arange(200.0)
+    with pytest.warns(HybridWarning, match="left out: .*b.h5"):
+        (found,) = read_all(tmp_path)
+    assert found.source == str(good)
+    with pytest.raises(RecordingError, match="b.h5"):
+        read_all([tmp_path, other])  # it is asked for by itself as well
+    good.rename(tmp_path / "a.txt")
+    (tmp_path / "c.h5").write_bytes(other.read_bytes())
+    with (
+        pytest.raises(RecordingError, match="no file there holds joints"),
+        pytest.warns(HybridWarning, match="left out"),
+    ):
+        read_all(tmp_path)
+    with pytest.raises(RecordingError, match="no paths given"):
+        read_all([])
+
+
+@pytest.mark.parametrize(
+    ("label", "channel", "joint", "number"),
+    [
+        ("q_shoulder_actual", "q", "shoulder", None),
+        ("position_shoulder_actual", "q", "shoulder", None),
+        ("shoulder_pos_desired", "command", "shoulder", None),
+        ("elbow_torque_meas", "tau", "elbow", None),
+        ("velocity/elbow/measured", "v", "elbow", None),
+        ("q_actual_shoulder", "q", "shoulder", None),
+        ("actual_q_0", "q", "0", 0),
+        ("q1_ref", "command", "1", 1),
+        ("position_1_actual", "q", "1", 1),
+    ],
+)
+def test_words_around_a_label_say_what_it_is_of_and_are_no_joint(
+    label, channel, joint, number
+):
+    found = meaning(label)
+    assert (found.channel, found.joint, found.number) == (channel, joint, number)
+
+
+def test_a_torque_that_is_commanded_is_not_taken_for_a_measured_one():
+    found = meaning("tau_elbow_desired")
+    assert found.channel == "" and "commanded" in found.why

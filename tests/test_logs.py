@@ -466,6 +466,16 @@ def test_torques_that_hold_no_number_are_not_measured(tmp_path):
     assert not recording.has_torque and "tau holds no number" in recording.reading.notes
 
 
+def test_a_speed_that_holds_no_number_is_not_measured():
+    log = truth()
+    table = {"t": log.t} | columns(log, DIALECTS["hybrid"])
+    speeds = [DIALECTS["hybrid"]("v", k, joint) for k, joint in enumerate(ARM)]
+    table |= {name: np.full(len(log.t), np.nan) for name in speeds}
+    recording = taken(recording_from_table, table)
+    assert recording.v is None and recording.has_torque
+    assert "v holds no number" in recording.reading.notes
+
+
 def test_plain_labels_come_before_those_of_motors():
     log = truth()
     table = {"t": log.t} | columns(log, DIALECTS["hybrid"])

@@ -88,9 +88,11 @@ def _witnesses(costs, path, *words):
 
 def test_a_mutant_meets_the_cheapest_tests_that_execute_its_line():
     mutant = _mutant("int(rate / (5.0 * cutoff)")
-    costs = {"a::dear": 15.0, "a::cheap": 1.0, "b::cheap": 2.0, "b::dearest": 19.0}
-    met = _witnesses(costs, mutant.path, "int(rate / (5.0 * cutoff)").of(mutant)
-    assert met == ("b::cheap", "a::cheap", "a::dear")
+    costs = {"a::dear": 4.0, "a::cheap": 0.5, "b::cheap": 1.0, "c::dear": 7.0}
+    found = _witnesses(costs, mutant.path, "int(rate / (5.0 * cutoff)")
+    assert found.of(mutant) == ("b::cheap", "a::cheap")
+    # That of b and what it shares, one of a and the four seconds that this takes.
+    assert found.price(("b::cheap", "a::cheap")) == 1.0 + 1.0 + 0.5 + 4.0
     assert not _witnesses(costs, mutant.path, "no such line").of(mutant)
 
 
@@ -98,6 +100,13 @@ def test_a_constant_meets_the_tests_that_execute_a_line_which_names_it():
     mutant, costs = _mutant("_PART ="), {"a::b": 1.0}
     assert _witnesses(costs, mutant.path, "< _PART").of(mutant) == ("a::b",)
     assert not _witnesses(costs, mutant.path, "int(rate / (5.0").of(mutant)
+
+
+def test_a_constant_that_its_module_never_names_meets_tests_of_those_that_do():
+    prior = _mutant("file_factor: float", "hybrid/diagnosis/prior.py")
+    path, costs = "hybrid/diagnosis/explanations/search.py", {"a::b": 1.0}
+    assert _witnesses(costs, path, "file_factor").of(prior) == ("a::b",)
+    assert not _witnesses(costs, path, "no such line").of(prior)
 
 
 def test_a_test_file_that_is_watched_anew_replaces_what_it_executed_before():

@@ -363,6 +363,16 @@ def test_a_polynomial_of_fourth_order_is_known_at_any_stamps(seed, rate, group):
             )
 
 
+@pytest.mark.parametrize("late", [0, -1])
+def test_a_window_that_lasts_too_long_is_not_whole(late):
+    """Its bandwidth would be less than it has to be, wherever the gap is."""
+    to = LocalPolynomial(1000.0, 50.0)
+    t = np.arange(2 * to.margin + 1) / 1000.0
+    assert to.windows(t)[1].all()
+    t[late] += np.sign(late + 0.5) * -0.3 * to.span
+    assert not to.windows(t)[1].any()
+
+
 def test_a_window_has_at_least_three_samples_on_either_side():
     assert LocalPolynomial(100.0, 19.9).margin == 3
     assert LocalPolynomial(100.0, 19.9, 9).margin == 3

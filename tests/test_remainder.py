@@ -66,6 +66,15 @@ def nothing(q, v):
     return np.zeros_like(q)
 
 
+def test_a_joint_that_never_moves_is_off_by_nothing():
+    data = rest(bump)
+    still = replace(data, standing=np.array([-1.0, -1.0, np.inf]))
+    tau = [m.tau for m in still.motions]
+    error = np.sqrt(still.squares(tau).sum(axis=0) / still.moving)
+    np.testing.assert_allclose(error[:2], rms(data)[:2])
+    assert error[2] == 0.0
+
+
 @pytest.fixture(scope="module")
 def data():
     return rest(bump)

@@ -76,16 +76,20 @@ def test_points_without_a_value_are_no_obstacle(kind):
     assert np.all(empty.ask() >= LOWER)
 
 
-def test_annealing_accepts_what_is_worse_while_it_is_hot_and_not_when_cold():
-    def moved(temperature):
-        hill = search(AnnealedGenetic, temperature=temperature, population=100)
-        hill.tell(valley(hill.ask()))
-        before = hill._values.copy()
-        hill.tell(valley(hill.ask()))
-        return np.sum(hill._values > before)
+def test_steps_uphill_and_long_ones_end_as_annealing_cools():
+    hill = search(AnnealedGenetic, temperature=1.0, cooling=1e-9, chain=1)
 
-    assert moved(1.0) > 10
-    assert moved(1e-9) == 0
+    def annealed():
+        hill.tell(valley(hill.ask()))  # the offspring
+        x, before = hill._x.copy(), hill._values.copy()
+        near = hill.ask()
+        hill.tell(valley(near))
+        distance = np.median(np.abs(near - x) / (UPPER - LOWER))
+        return np.mean(hill._values > before), distance
+
+    uphill, distance = zip(*(annealed() for _ in range(11)), strict=True)
+    assert uphill[0] > 0.1 and uphill[10] == 0.0
+    assert distance[10] < 1e-3 * distance[0]
 
 
 def test_the_temperature_of_the_inner_loop_falls_by_the_cooling_in_ten_generations():

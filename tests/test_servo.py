@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hybrid.cli import main
+from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import RecordingError, RobotError
 from hybrid.recording import Recording, write
 from hybrid.robot import Robot
@@ -254,6 +255,10 @@ def test_a_goal_moves_no_faster_than_its_pace(robot):
     ramp = slowed(jump, np.array([2.0, 0.0])).command[:, 0]
     assert np.diff(ramp).max() == pytest.approx(0.5 / RATE)
     assert ramp[-1] == pytest.approx(goal[0])
+    # A joint that keeps to its pace anyway leaves the next one to its own.
+    calm = replace(jump, command=np.column_stack([0 * ramp, jump.command[:, 1]]))
+    both = slowed(calm, np.array([2.0, 2.0])).command
+    assert np.diff(both[:, 1]).max() == pytest.approx(0.5 / RATE)
 
 
 def test_axes_that_point_the_other_way_mirror_the_arm(robot):
@@ -373,6 +378,39 @@ def test_parts_come_from_all_logs_alike():
     assert [sum(p.source == f"log {k}" for p in parts) for k in range(3)] == [2, 2, 2]
     for part in parts:
         assert part.duration == pytest.approx(5.0, abs=3 / RATE)
+
+
+def test_the_log_that_asks_most_comes_first():
+    t = np.arange(0.0, 4.0, 1 / RATE)[:, None]
+    slow, fast = (np.sin(w * t) * [1.0, 1.0] for w in (2.0, 6.0))
+    logs = [
+        Stretch(1 / RATE, x, x, np.zeros(2), source)
+        for x, source in ((slow, "slow"), (fast, "fast"))
+    ]
+    (part,) = chosen(logs, 4.0, 4.0)
+    assert part.source == "fast"
+
+
+def test_a_part_starts_at_the_speed_that_the_arm_has_there():
+    t = 0.1 * np.arange(12)
+    q = np.stack([0.5 * t**2, 1.0 - 2.0 * t], axis=1)
+    whole = Stretch(0.1, q, q, np.array([0.0, -2.0]))
+    for first in (0, 3, 6):
+        part = whole.cut(first, 4)
+        np.testing.assert_array_equal(part.q, q[first : first + 4])
+        np.testing.assert_allclose(part.v, [t[first], -2.0], atol=1e-12)
+
+
+def test_a_servo_of_which_a_file_says_nothing_holds_the_arm_anywhere(robot):
+    unknown = np.full(2, np.nan)
+    bare = replace(robot, tau_max=np.full(2, np.inf), kp=unknown, kd=unknown)
+    drive, chain = Drive.declared(bare), bare.chain
+    q, still = np.random.default_rng(0).uniform(-3, 3, (200, 2)), np.zeros((200, 2))
+    weight = np.abs(inverse_dynamics(chain, chain.inertial, q, still, still))
+    assert (drive.stall > 2.0 * weight.max(axis=0)).all()
+    assert (drive.stall < 20.0 * weight.max(axis=0)).all()
+    # ... and sags by less than three degrees under half of what it can hold.
+    assert (0.5 * drive.stall / drive["stiffness"] < np.deg2rad(3.0)).all()
 
 
 def test_a_log_without_command_is_refused(robot):

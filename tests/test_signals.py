@@ -222,6 +222,8 @@ def without_speed(log: Recording, cutoff: float | None = None) -> Motion:
 @pytest.mark.parametrize("speed", [{}, {"lag": 0.004}, {"lag": -0.003, "scale": 0.98}])
 def test_a_measured_speed_of_little_noise_makes_the_motion_better(speed):
     log, true = measured(**speed)
+    # Differences of the positions have seventy times its noise: it counts alone.
+    assert speed_against_position(log).weight.max(axis=0) == pytest.approx(1, abs=0.05)
     fused, plain = motion_from_recording(log, cutoff=20.0), without_speed(log, 20.0)
     for order in ("v", "a"):
         mask, x = fused.mask, true
@@ -245,6 +247,17 @@ def test_scale_and_lag_of_a_measured_speed_are_found():
     backward = speed_against_position(measured(scale=-1.0)[0])
     assert backward.scale == pytest.approx(-1.0, abs=0.01)
     assert not backward.weight.any()
+
+
+@pytest.mark.parametrize("seconds", [2.0, 3.0])
+def test_of_a_short_log_without_noise_scale_and_lag_are_exact(seconds):
+    t, lag = np.arange(0.0, seconds + 1e-9, 0.01), 0.04
+    q = np.sin(6 * t) + 0.3 * np.cos(11 * t + 0.3)
+    late = 6 * np.cos(6 * (t - lag)) - 3.3 * np.sin(11 * (t - lag) + 0.3)
+    log = Recording(t, q[:, None], tau=0 * q[:, None], v=late[:, None], joints=("a",))
+    check = speed_against_position(log)
+    assert check.lag == pytest.approx(lag, rel=1e-3)
+    assert check.scale == pytest.approx(1.0, abs=1e-3)
 
 
 def stops(v: np.ndarray, first: int, last: int) -> np.ndarray:

@@ -44,15 +44,26 @@ def test_a_sampler_gives_every_so_manieth_sample_of_the_filter():
         assert found.flags.c_contiguous
 
 
-def test_a_short_event_is_filtered_as_in_the_whole():
+@pytest.mark.parametrize(
+    "when", [slice(9000, 9100), slice(0, 1), slice(19_999, 20_000)]
+)
+def test_a_short_event_is_filtered_as_in_the_whole(when):
     x = np.zeros((20_000, 2))
-    x[9000:9100, 0] = 1.0
+    x[when, 0] = 1.0
     for factor in (1, 5, 8):
         sampler = Sampler(1000.0, 20.0, factor)
         lasting = np.ones((20_000, 2))
         together = sampler(np.concatenate([x, lasting], axis=1))[:, :2]
         np.testing.assert_allclose(sampler(x), together, atol=1e-8)
     assert not Sampler(1000.0, 20.0, 4)(np.zeros((1000, 3))).any()
+
+
+def test_a_slow_log_is_filtered_below_one_hertz():
+    t = np.arange(0.0, 2000.0, 2.0)
+    slow, fast = np.sin(2 * np.pi * 0.005 * t), np.sin(2 * np.pi * 0.2 * t)
+    inside = slice(100, -100)
+    found = Sampler(0.5, 0.05, 1)(slow + fast)
+    np.testing.assert_allclose(found[inside], slow[inside], atol=5e-3)
 
 
 def test_signals_shorter_than_the_filter_keep_their_line():

@@ -2,6 +2,8 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -30,9 +32,11 @@ from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, RobotError
 from hybrid.exports import build_simulator
+from hybrid.exports.simulator.check import file_torque
 from hybrid.model.declared import declared_effects
 from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.robot import Robot
+from hybrid.robot.edit.change import Actuator
 
 CUBE = """v 0 0 0
 v .1 0 0
@@ -318,6 +322,22 @@ def test_an_mjcf_becomes_a_urdf_with_its_tree_and_shapes(own, tmp_path):
     }
 
 
+def test_boxes_keep_their_size_and_what_mujoco_hides_is_not_seen(tmp_path):
+    text = (MODELS / "planar.xml").read_text()
+    for name, group in (("upper_link_1", 2), ("upper_link_2", 3)):
+        text = text.replace(f'name="{name}"', f'name="{name}" group="{group}"')
+    (tmp_path / "arm.xml").write_text(text)
+    robot = Robot.load(tmp_path / "arm.xml")
+    build_simulator(robot, kind="urdf").write(tmp_path / "arm.urdf")
+    model = mujoco.MjModel.from_xml_path(robot.path)
+    root = ElementTree.parse(tmp_path / "arm.urdf").getroot()
+    assert len(root.findall(".//collision")) == model.ngeom
+    assert len(root.findall(".//visual")) == model.ngeom - 1  # group 3 is hidden
+    boxes = {x.get("size") for x in root.findall(".//box")}
+    own = 2.0 * model.geom_size[model.geom_type == mujoco.mjtGeom.mjGEOM_BOX]
+    assert sorted(boxes) == sorted(" ".join(map(repr, x)) for x in own.tolist())
+
+
 def test_meshes_of_a_urdf_are_where_those_of_the_mjcf_were(own, tmp_path):
     build_simulator(own, kind="urdf", folder=tmp_path).write(tmp_path / "arm.urdf")
     spec = mujoco.MjSpec.from_file(str(tmp_path / "arm.urdf"))
@@ -333,6 +353,135 @@ def test_meshes_of_a_urdf_are_where_those_of_the_mjcf_were(own, tmp_path):
             data.geom_xpos[g] + model.mesh_vert @ data.geom_xmat[g].reshape(3, 3).T
         )
     np.testing.assert_allclose(*(np.sort(x, axis=0) for x in corners), atol=1e-6)
+
+
+def test_torque_of_a_file_is_that_of_its_arm_in_any_format():
+    robot = Robot.load(MODELS / "planar.xml")
+    (motion,) = motions(robot, count=1, duration=3.0)
+    model = SimpleNamespace(robot=robot)
+    ours, by_mujoco, by_urdf = (
+        file_torque(x, model, motion)
+        for x in (robot, MODELS / "planar.xml", str(MODELS / "planar.urdf"))
+    )
+    np.testing.assert_allclose(by_urdf, ours, atol=1e-9)
+    moving = np.abs(motion.v) > 0.05
+    np.testing.assert_allclose(by_mujoco[moving], ours[moving], atol=1e-6)
+
+
+NAMELESS = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/>
+  <body><joint name="turns" axis="0 1 0" damping=".2" range="-90 90"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 .1" size=".02"/>
+    <body pos=".3 0 .1" euler="20 10 0"><joint name="bends" axis="0 1 0"/>
+      <geom type="box" size=".02 .05 .1" pos="0 .2 0"/>
+  </body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("head", ["", '<compiler inertiafromgeom="true"/>'])
+def test_bodies_without_a_name_or_a_mass_of_their_own_take_new_ones(head, tmp_path):
+    """Their links are those of their shapes, by MuJoCo's density, until then."""
+    text = NAMELESS.replace("<worldbody>", f"{head}<worldbody>", 1)
+    (tmp_path / "arm.xml").write_text(text)
+    robot = Robot.load(tmp_path / "arm.xml")
+    new = robot.with_inertial(1.3 * robot.chain.inertial)
+    tilted = replace(new, chain=replace(new.chain, gravity=np.array([1.0, 0.0, -9.0])))
+    spring = {"stiffness": np.array([3.0, 0.0]), "springref": np.array([0.4, 0.0])}
+    changed = replace(tilted, damping=np.array([0.2, 0.7]), **spring)
+    build_simulator(changed).write(tmp_path / "new.xml")
+    again = Robot.load(tmp_path / "new.xml")
+    for name in ("inertial", "gravity", "armature"):
+        np.testing.assert_allclose(
+            getattr(again.chain, name), getattr(changed.chain, name), atol=1e-12
+        )
+    for name in ("damping", "stiffness", "springref", "q_max", "frictionloss"):
+        np.testing.assert_allclose(getattr(again, name), getattr(changed, name))
+
+
+BARE = """<robot name="bare"><link name="base"/><link name="upper"><inertial>
+  <origin xyz=".1 0 0"/><mass value="2"/><inertia ixx=".01" ixy="0" ixz="0" iyy=".02"
+  iyz="0" izz=".02"/></inertial></link>{}
+  <joint name="first" type="revolute"><parent link="base"/><child link="upper"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="2"/></joint>
+  <joint name="second" type="revolute"><parent link="upper"/><child link="lower"/>
+    <origin xyz=".3 0 0" rpy="0 .2 0"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="9" velocity="2"/></joint>
+  <link name="tool"><inertial><mass value=".1"/><inertia ixx=".001" ixy="0" ixz="0"
+    iyy=".001" iyz="0" izz=".001"/></inertial></link>
+  <joint name="held" type="fixed"><parent link="lower"/><child link="tool"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize(
+    "link", ['<link name="lower"/>', '<link name="lower"><!-- nothing --></link>']
+)
+def test_a_link_of_a_urdf_that_only_holds_a_tool_takes_mass_rotor_and_friction(
+    link, tmp_path
+):
+    (tmp_path / "arm.urdf").write_text(BARE.format(link))
+    robot, _ = quiet(Robot.load, tmp_path / "arm.urdf")
+    inertial = robot.chain.inertial.copy()
+    inertial[1] = [1.5, 0.15, 0.0, 0.03, 0.01, 0.0, 0.03, -0.002, 0.0, 0.03]
+    chain = replace(robot.chain, inertial=inertial, armature=np.array([0.2, 0.1]))
+    dry = {"damping": np.array([0.3, 0.2]), "frictionloss": np.array([0.0, 0.4])}
+    new = replace(robot, chain=chain, **dry)
+    build_simulator(new, kind="urdf").write(tmp_path / "new.urdf")
+    again, _ = quiet(Robot.load, tmp_path / "new.urdf")
+    np.testing.assert_allclose(again.chain.inertial, inertial, atol=1e-12)
+    np.testing.assert_allclose(again.chain.armature, [0.2, 0.1])
+    for name, values in dry.items():
+        np.testing.assert_allclose(getattr(again, name), values)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "effect", "note"),
+    [
+        (
+            "",
+            ActuatorLag((0,), {"time": 0.02}),
+            "drive of turns, which has no actuator",
+        ),
+        (
+            '<general joint="turns" gaintype="affine" gainprm="1 0 0"/>',
+            TorqueGain((0,), {"gain": 0.1}),
+            "a change of the torque of turns, whose actuator has no place",
+        ),
+        (
+            '<general joint="turns" dyntype="integrator" actrange="-1 1"/>',
+            ActuatorLag((0,), {"time": 0.02}),
+            "a lag of turns, whose actuator has no place",
+        ),
+    ],
+)
+def test_what_an_actuator_has_no_place_for_is_said(actuator, effect, note, tmp_path):
+    text = NAMELESS.replace("</mujoco>", f"<actuator>{actuator}</actuator></mujoco>")
+    (tmp_path / "arm.xml").write_text(text)
+    made = build_simulator(Robot.load(tmp_path / "arm.xml"), [effect])
+    assert any(note in x for x in made.notes), made.notes
+
+
+def test_a_servo_that_inherits_its_range_keeps_it_with_other_gains(tmp_path):
+    servo = '<position joint="turns" kp="20" kv="2" inheritrange="0.5"/>'
+    text = NAMELESS.replace("</mujoco>", f"<actuator>{servo}</actuator></mujoco>")
+    (tmp_path / "arm.xml").write_text(text)
+    softer = ControllerGain((0,), {"stiffness": -0.4, "damping": 0.5})
+    made = build_simulator(Robot.load(tmp_path / "arm.xml"), [softer])
+    made.write(tmp_path / "new.xml")
+    old, new = (
+        mujoco.MjModel.from_xml_path(str(tmp_path / name))
+        for name in ("arm.xml", "new.xml")
+    )
+    np.testing.assert_allclose(new.actuator_ctrlrange, old.actuator_ctrlrange)
+    np.testing.assert_allclose(new.actuator_gainprm[0, 0], 0.6 * 20.0)
+    np.testing.assert_allclose(new.actuator_biasprm[0, :3], [0.0, -12.0, -3.0])
+
+
+def test_changes_of_an_actuator_add_up_each_in_its_way():
+    first = {"gain": 0.5, "limit": 10.0, "lag": 0.01, "damping": 3.0}
+    then = {"gain": 0.5, "limit": 12.0, "lag": 0.02, "stiffness": 2.0, "latency": 0.1}
+    both = Actuator(
+        gain=0.25, lag=0.03, limit=10.0, latency=0.1, stiffness=2.0, damping=3.0
+    )
+    assert Actuator().and_then(first).and_then(then) == both
+    assert Actuator().and_then(then).and_then(first) == both
 
 
 def test_a_ball_joint_has_no_place_in_a_urdf(tmp_path):
@@ -359,6 +508,26 @@ def test_a_xacro_file_is_expanded_and_edited(tmp_path):
         again = Robot.load(tmp_path / f"new.{suffix}", joints=robot.joints)
         assert again.frictionloss[0] == robot.frictionloss[0] + 0.5
     assert made.robot.path == robot.path and made.text.count(b"<geom") > 0
+
+
+def test_friction_of_a_tendon_counts_as_often_as_it_pulls(tmp_path):
+    text = (MODELS / "planar.xml").read_text()
+    joint = '<joint name="elbow"'
+    assert text.count(joint) == 1
+    soft = f'{joint} solreffriction="0 -1"'  # its own rises, the tendon's is dry
+    rope = '<fixed frictionloss="0.4"><joint joint="elbow" coef="-2"/></fixed>'
+    text = text.replace(joint, soft).replace(
+        "</mujoco>", f"<tendon>{rope}</tendon></mujoco>"
+    )
+    (tmp_path / "arm.xml").write_text(text)
+    robot = Robot.load(tmp_path / "arm.xml")
+    assert robot.knee[1] > 0
+    assert robot.frictionloss[1] == pytest.approx(0.8)
+    more = replace(robot, frictionloss=robot.frictionloss + [0.0, 0.4])
+    build_simulator(more).write(tmp_path / "new.xml")
+    again = Robot.load(tmp_path / "new.xml")
+    assert again.frictionloss[1] == pytest.approx(1.2)
+    assert again.knee[1] == robot.knee[1]
 
 
 @pytest.mark.parametrize("dry", [0.0, 1.5])

@@ -173,9 +173,8 @@ def _log_derivative(vector: Array) -> Array:
     Inverse left Jacobian of SO(3): Barfoot 2017, doi 10.1017/9781316671528, eq. 7.77.
     """
     angle = np.linalg.norm(vector, axis=-1)
-    far = np.where(angle > 1e-3, angle, 1.0)
+    far = np.maximum(angle, 1e-3)  # below, the factor is 1/12 to seven digits
     factor = 1 / far**2 - (1 + np.cos(far)) / (2 * far * np.sin(far))
-    factor = np.where(angle > 1e-3, factor, 1 / 12 + angle**2 / 720)
     skew = np.cross(np.eye(3), vector[:, None, :])  # row k: eₖ × v
     derivative: Array = np.eye(3) - 0.5 * skew + factor[:, None, None] * (skew @ skew)
     return derivative

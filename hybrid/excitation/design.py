@@ -35,7 +35,7 @@ from hybrid.shown import Shown
 _EXPLORE = (4.0, 80)
 _POLISH = ((4.0, 80), (16.0, 100), (64.0, 200))
 _MARGIN = 1e-3
-_RETRIES, _REPAIR = 6, 60
+_TRIES, _REPAIR = 7, 60
 _KEPT = 1e-4  # an excess below is rounding, not a limit in the way
 
 
@@ -280,11 +280,11 @@ def best_point(
     for power, iterations in _POLISH:
         solution = _continued(replace(program, power=power), solution, iterations)
     margin, penalty = program.margin, PENALTY
-    left = _RETRIES
-    while (worst := max((excess := program.verified(solution.x)).values())) > 0:
-        if left == 0:
-            raise ExcitationError(_infeasible(excess))
-        left -= 1
+    for _ in range(_TRIES):
+        excess = program.verified(solution.x)
+        worst = max(excess.values())
+        if worst <= 0:
+            return solution.x, excess
         if solution.excess > _KEPT:
             penalty *= 10.0
         # Between the samples of the design grid the torque may be a little higher, and
@@ -292,7 +292,7 @@ def best_point(
         margin += 1.2 * worst
         sharp = replace(program, power=_POLISH[-1][0], margin=margin)
         solution = _continued(sharp, solution, _REPAIR, penalty)
-    return solution.x, excess
+    raise ExcitationError(_infeasible(excess))
 
 
 def _merit(solution: Optimum) -> tuple[bool, float]:

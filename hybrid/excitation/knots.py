@@ -56,7 +56,8 @@ class Walk:
             (duration, duration, 1.0),
             (ramp, 0.5 * ramp, 0.0),
         ):
-            q, rest = self._q[-1].copy(), np.zeros_like(self._q[-1])
+            q = self._q[-1].copy()
+            rest = np.zeros_like(q)
             q[joint] += way * speed
             rest[joint] = v * speed
             self._add(time, q, rest)

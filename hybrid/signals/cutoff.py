@@ -38,8 +38,8 @@ def choose_cutoff(recording: Recording) -> float:
     above = power > 30 * np.maximum(noise, 1e-14 * power.max(axis=0))
     # Single bins above or below the floor by chance do not count: majority over 2 Hz.
     width = max(1, int(np.searchsorted(f, 2.0)))
-    window = np.ones((width, 1)) / width
-    share = np.apply_along_axis(np.convolve, 0, above, window[:, 0], mode="same")
+    window = np.ones(width) / width
+    share = np.apply_along_axis(np.convolve, 0, above, window, mode="same")
     ended = (share < 0.5) & (f > 0.5)[:, None]
     ends = np.where(ended.any(axis=0), f[np.argmax(ended, axis=0)], highest)
     return float(np.clip(1.5 * np.median(ends), 5.0, highest))

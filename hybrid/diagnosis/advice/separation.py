@@ -243,7 +243,7 @@ class _Told:
             s += x.T @ self._y[i]
         H -= across.T @ cho_solve(self._known.factor, across)
         s -= across.T @ self._explained
-        gain, gains, _ = heavy_tailed(H, s, np.maximum(c.std, 1e-12) ** -2.0, c.lower)
+        gain, gains, _ = heavy_tailed(H, s, c.std**-2.0, c.lower)
         return float(gain) - price(c.effect), gains
 
 

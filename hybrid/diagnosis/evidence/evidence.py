@@ -240,8 +240,7 @@ class Evidence(Products):
             made_at: Their values, shape (p,), where the columns are of these alone.
         """
         H, s = self._beyond(base, columns, len(std))
-        weight = 1.0 / np.maximum(std, 1e-12) ** 2
-        worth, gains, wider = heavy_tailed(H, s, weight, lower, made_at)
+        worth, gains, wider = heavy_tailed(H, s, std**-2.0, lower, made_at)
         return Trial(float(worth), gains, float(wider))
 
     def at(self, base: Index, columns: Columns, gains: Array) -> float:

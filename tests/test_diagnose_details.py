@@ -1,0 +1,221 @@
+"""Parts of the diagnosis by themselves, on a log without noise or made-up numbers."""
+
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from simulated import arm, quiet
+
+from hybrid.diagnosis.advice.menu import Experiment, gap_along
+from hybrid.diagnosis.answer.command import _off, _Servo
+from hybrid.diagnosis.answer.diagnosis import Diagnosis
+from hybrid.diagnosis.answer.events import events_at_rest
+from hybrid.diagnosis.answer.intervals import shrink
+from hybrid.diagnosis.answer.simulator import corrected
+from hybrid.diagnosis.evidence.contacts import _Clock
+from hybrid.diagnosis.evidence.shapes import nudges, shape_units
+from hybrid.diagnosis.gap.background import background
+from hybrid.diagnosis.gap.measure import measure_gap
+from hybrid.dynamics import RigidBody
+from hybrid.effects.actuator_lag import ActuatorLag
+from hybrid.effects.command_latency import CommandLatency
+from hybrid.effects.controller_gain import ControllerGain
+from hybrid.effects.counterbalance import Counterbalance
+from hybrid.effects.delay import Delay
+from hybrid.effects.elasticity import Elasticity
+from hybrid.effects.torque_gain import TorqueGain
+from hybrid.plant import Noise, Plant, random_fourier, simulate
+from hybrid.plant.rollout import _before_report
+from hybrid.recording import Recording
+from hybrid.robot.chain import INERTIAL_NAMES
+from hybrid.signals import Motion
+
+
+def quiet_motion(t, q) -> Motion:
+    """An arm that stands."""
+    zero = np.zeros_like(q)
+    return Motion(t, q, zero, zero, zero, np.ones(len(t), dtype=bool))
+
+
+@cache
+def quiet_logs():
+    robot = arm("planar")
+    plant = Plant(robot, [], nominal=robot, noise=Noise.none(robot.size))
+    return robot, simulate(plant, trajectories=1, duration=4.5, seed=1)
+
+
+def test_at_the_end_of_a_range_the_change_is_that_to_what_lies_within():
+    robot, recordings = quiet_logs()
+    gap = measure_gap(robot, recordings)
+    law = {"spring": 1.0, "preload": 0.5, "crank_ratio": 0.5}
+    end = Counterbalance((1,), {**law, "dead_centre": 4.0})
+    (before, now) = (
+        gap.columns(end.at({"dead_centre": x}))[1] @ end.gain_values
+        for x in (3.999, 4.0)
+    )
+    expected = (now - before) / 1e-3 * shape_units(gap, end)[0]
+    error = nudges(gap, end)[0][1][:, 0] - expected
+    assert np.linalg.norm(error) < 0.2 * np.linalg.norm(expected)  # one-sided
+
+
+def test_declared_numbers_times_their_columns_are_the_torque_of_the_file():
+    robot, recordings = quiet_logs()
+    spring = {"stiffness": np.array([30.0, 5.0]), "springref": np.array([0.5, 0.0])}
+    chain = replace(robot.chain, armature=np.zeros(2))
+    sprung = replace(robot, chain=chain, frictionloss=np.zeros(2), **spring)
+    gap = measure_gap(sprung, recordings)
+    found = np.zeros_like(gap.left)
+    for block, size in zip(*background(gap), strict=True):
+        if len(size) == 1:
+            ((j, column),) = block.items()
+            found[:, j] += column[:, 0] * size[0]
+    (m,) = gap.motions
+    own = sprung.joint_torque(m.q, m.v, m.a)
+    np.testing.assert_allclose(found, gap.samplers[0](own), atol=1e-9)
+
+
+def test_of_a_joint_that_does_not_move_nothing_is_said_to_be_measured():
+    found = Diagnosis(
+        "arm", ("a", "b"), rms=(0.0, 2.0), relative=(0.0, 0.5), noise_floor=(0.0, 0.1),
+        where=(), findings=(), verdict="no_gap", unexplained=0.0, background=0.01,
+    ).as_dict()  # fmt: skip
+    gap = {"rms": [None, 2.0], "relative": [None, 0.5], "noise_floor": [None, 0.1]}
+    assert {x: found["gap"][x] for x in gap} == gap
+
+
+def test_two_effects_of_a_servo_share_what_they_explain_together():
+    """Each by what it adds, alone and beside the other (Shapley)."""
+    both = CommandLatency, ControllerGain
+    sizes = {(False, False): 9.0, (True, False): 5.0, (False, True): 4.0}
+    fits = {
+        key: SimpleNamespace(left=np.full(10, size))
+        for key, size in {**sizes, (True, True): 1.0}.items()
+    }
+    servo = _Servo(0, None, None, fits, both, (), noise=2.0, scale=False)
+    late, off = map(servo.share, both)
+    assert late + off == pytest.approx(5 * (9.0**2 - 1.0**2))
+    assert late == pytest.approx(5 * ((4.0**2 - 1.0**2) + (9.0**2 - 5.0**2)) / 2)
+    alone = replace(servo, found=both[:1])
+    assert alone.share(both[0]) == pytest.approx(5 * (4.0**2 - 1.0**2))
+    assert alone.share(both[1]) == 0.0
+
+
+@pytest.mark.parametrize("rate", [100.0, 1000.0])
+def test_what_is_expected_along_an_experiment_starts_when_it_does(rate):
+    gap = measure_gap(*quiet_logs())
+    reference = random_fourier(arm("planar"), duration=6.0, rate=rate, seed=0)
+    later = gap_along(gap, Experiment("once more", reference, start=1200.0))
+    (motion,) = later.motions
+    assert motion.t[0] == 1200.0 and motion.t[-1] == pytest.approx(1206.0, abs=0.1)
+    step = np.diff(motion.t)
+    # Five samples a period of what the gap is filtered at, or all there are.
+    assert (step > 0).all() and (step >= 0.999 / rate).all()
+    assert step.max() <= max(1 / rate, 0.2 / min(gap.cutoff, 30.0)) * 1.001
+    assert not later.left.any()
+
+
+def test_gains_of_a_servo_are_off_by_their_part_however_small_they_are():
+    robot = replace(arm("planar"), kp=np.array([50.0, 0.2]), kd=np.array([0.5, 0.0]))
+    gap, law = SimpleNamespace(robot=robot), SimpleNamespace(scaled=False)
+    covariance = np.diag([1.0, 1.0, 25.0, 0.01])
+    fit = SimpleNamespace(law=law, gains=[35.0, 0.6], covariance=covariance)
+    off, std = _off(fit, gap, 0)
+    np.testing.assert_allclose(off, [-0.3, 0.2])
+    np.testing.assert_allclose(std, [0.1, 0.2])
+    fit = SimpleNamespace(law=law, gains=[0.3, 0.6], covariance=covariance)
+    np.testing.assert_allclose(_off(fit, gap, 1)[0], [0.5, 0.0])  # it has no damping
+
+
+def test_numbers_of_the_file_are_corrected_in_their_order():
+    robot = replace(arm("planar"), stiffness=np.array([0.0, 3.0]))
+    names = ("damping", "frictionloss", "stiffness")
+    known = [robot.chain.armature, *(getattr(robot, x) for x in names)]
+    change = 0.01 * np.arange(1.0, 1.0 + sum(np.count_nonzero(x) for x in known))
+    scored = SimpleNamespace(gap=SimpleNamespace(robot=robot))
+    found, rest = corrected(scored, (), np.concatenate([np.zeros(20), change]))
+    assert rest == ()
+    after = [found.chain.armature, *(getattr(found, x) for x in names)]
+    more = np.concatenate([(x - y)[y != 0] for x, y in zip(after, known, strict=True)])
+    np.testing.assert_allclose(more, change)
+    assert found.stiffness[0] == 0.0
+    np.testing.assert_array_equal(found.chain.inertial, robot.chain.inertial)
+
+
+def test_a_spring_that_needs_a_rotor_gets_a_fiftieth_of_what_the_joint_moves():
+    robot = arm("planar")
+    bare = replace(robot, chain=replace(robot.chain, armature=np.array([0.5, 0.0])))
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 2))
+    gap = SimpleNamespace(robot=bare, sampled=SimpleNamespace(q=q))
+    spring = Elasticity((1,), {"compliance": 0.001, "damping": 0.1})
+    scored = SimpleNamespace(gap=gap)
+    found, (kept,) = corrected(scored, (spring,), np.zeros(20 + 5))
+    assert kept is spring and found.chain.armature[0] == 0.5
+    # The last joint moves its own link about its axis, z, whatever the posture.
+    about_axis = robot.chain.inertial[1, INERTIAL_NAMES.index("Izz")]
+    assert found.chain.armature[1] == pytest.approx(0.02 * about_axis)
+
+
+def test_chunks_of_time_follow_each_other_within_a_recording():
+    number, recording = np.array([0, 1, 2, 5, 6, 7, 7, 8]), np.repeat([0, 1], [6, 2])
+    clock = _Clock.cut(number, recording)
+    assert clock.unbroken(3).tolist() == [True, False, False, True, False, False]
+    assert clock.unbroken(2).tolist() == [True, True, False, True, True, False, True]
+
+
+def test_of_nothing_scored_no_gap_is_left():
+    found = shrink(np.zeros((2, 3)), 0, "N·m", np.random.default_rng(0))
+    assert (found.before, found.after, found.removed) == (0.0, 0.0, 0.0)
+
+
+def test_a_push_on_an_arm_that_only_stands_is_told():
+    robot, t = arm("planar"), np.arange(0.0, 6.0, 0.005)
+    rng, q = np.random.default_rng(0), np.tile([0.4, -0.8], (len(t), 1))
+    held = RigidBody(robot.chain, quiet_motion(t, q)).load
+    held = held + 0.05 * rng.standard_normal(held.shape)
+    for first, last, push in ((2.0, 2.6, 5.0), (4.0, 4.3, -4.0)):
+        held[(t >= first) & (t < last), 1] += push
+    log = Recording(t, q, tau=held, joints=robot.joints, source="standing")
+    events = events_at_rest(measure_gap(robot, [log], cutoff=20.0))
+    assert [x.recording for x in events] == ["standing"] * 2
+    times = [(x.start, x.end) for x in events]
+    np.testing.assert_allclose(times, [(2.0, 2.6), (4.0, 4.3)], atol=0.05)
+    np.testing.assert_allclose([x.torque[1] for x in events], [5, -4], rtol=0.15)
+
+
+def test_a_log_with_one_stamp_that_is_off_is_measured_to_its_end():
+    """A clock made even may end a rounding behind the last stamp."""
+    robot, t = arm("planar"), 0.004 * np.arange(500)
+    t[100] += 0.001
+    q = np.tile([0.4, -0.8], (len(t), 1))
+    log = Recording(t, q, tau=0 * q, joints=robot.joints)
+    gap, told = quiet(measure_gap, robot, [log], cutoff=20.0)
+    assert len(gap.motions[0].t) == len(t) and gap.motions[0].t[-1] >= t[-1]
+    assert any("irregular clock" in x for x in told)
+
+
+def test_a_slow_arm_moves():
+    robot, (log,) = quiet_logs()
+    slow = replace(log, t=50.0 * log.t, v=None, command=None)
+    assert np.abs(np.diff(log.q, axis=0)).max() / (slow.t[1] - slow.t[0]) < 0.1
+    gap = measure_gap(robot, [slow], cutoff=1.0)
+    assert (gap.moving.mean(axis=0) > 0.5).all()
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        TorqueGain((0,), {"gain": 0.2}),
+        Delay((0,), {"time": 0.004}),
+        ActuatorLag((0,), {"time": 0.01}),
+    ],
+)
+def test_the_torque_before_a_report_is_reported_as_the_logged_one(effect):
+    t = np.arange(0.0, 3.0, 0.002)
+    logged = (np.sin(5.0 * t) + 0.3 * np.cos(20.0 * t))[:, None]
+    before = _before_report(effect, t, logged)
+    assert effect.reports
+    assert np.abs(before - logged).max() > 0.02
+    off = np.abs(effect.report(t, before) - logged)[50:-50]
+    assert off.max() < 1e-3

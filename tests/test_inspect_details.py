@@ -1,0 +1,244 @@
+"""What single checks of a log say of made-up samples: rows, clocks, scales."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import arm
+
+from hybrid.dynamics import inverse_dynamics
+from hybrid.inspect.leaps import doubts_of_rows
+from hybrid.inspect.physics import _doubt
+from hybrid.inspect.reading import OtherReading, readings
+from hybrid.inspect.samples import doubts_of_samples
+from hybrid.inspect.scale import doubts_of_scale, scales
+from hybrid.inspect.speeds import bear_out, doubts_of_pace, doubts_of_speeds
+from hybrid.inspect.state import State
+from hybrid.recording import Recording
+
+T = np.arange(0.0, 5.0, 0.01)
+SMOOTH = np.sin(2.0 * T) + 0.3 * np.sin(7.0 * T)
+
+
+def log(x, t=T, tau=None) -> Recording:
+    return Recording(t, x[:, None], tau=tau, joints=("a",), source="log")
+
+
+def moved(rows, by: float):
+    x = SMOOTH.copy()
+    x[rows] += by
+    return x
+
+
+@pytest.mark.parametrize(
+    ("x", "says"),
+    [
+        (SMOOTH, []),
+        (moved(200, 0.3), ["glitch: "]),
+        (moved(200, -0.3), ["glitch: "]),
+        (moved([200, 300], 0.3), ["the first of 2"]),
+        (moved(slice(200, None), 0.3), ["jumps from"]),
+        (moved(slice(200, None), 2 * np.pi), ["a turn of the encoder"]),
+        (np.repeat(SMOOTH[::5], 5), ["holds each sample for 5 rows"]),
+    ],
+)
+def test_rows_that_no_arm_can_have_made_are_told(x, says):
+    doubts = [d for d in doubts_of_rows(log(x)) if d.channel == "q"]
+    texts = [d.text for d in doubts]
+    assert len(texts) >= len(says) and bool(texts) == bool(says), texts
+    assert all(any(word in text for text in texts) for word in says), texts
+
+
+@pytest.mark.parametrize(
+    ("rate", "unit", "name"),
+    [
+        (50.0, 1e3, "milliseconds"),
+        (900.0, 1e3, "milliseconds"),
+        (50.0, 1e6, "microseconds"),
+        (15e3, 1e6, "microseconds"),
+        (50.0, 1e9, "nanoseconds"),
+        (15e3, 1e9, "nanoseconds"),
+    ],
+)
+def test_a_clock_in_another_unit_is_told_at_every_usual_rate(rate, unit, name):
+    t = np.arange(len(T)) / rate * unit
+    clock = [d for d in doubts_of_samples(log(SMOOTH, t)) if d.channel == "t"]
+    assert [name in d.text for d in clock] == [True]
+
+
+def state_of(robot, factor=1.0) -> State:
+    """What the links of the file ask for along a motion, times a factor."""
+    rng, t = np.random.default_rng(0), np.arange(0.0, 10.0, 0.02)[:, None]
+    w, phase = rng.uniform(1.0, 6.0, (2, 3, 1, robot.size))
+    angle = w * t + phase
+    q = np.sin(angle).sum(axis=0)
+    v, a = (w * np.cos(angle)).sum(axis=0), (-(w**2) * np.sin(angle)).sum(axis=0)
+    a_rotor = robot.chain.armature * a
+    tau = inverse_dynamics(robot.chain, robot.chain.inertial, q, v, a) + a_rotor
+    return State(q, v, a, factor * tau, None, np.full(robot.size, np.nan))
+
+
+def said(factor) -> list[str]:
+    robot = arm("planar")
+    state = state_of(robot, factor)
+    recording = Recording(0.02 * np.arange(len(state.q)), state.q, tau=state.tau)
+    return [d.text for d in doubts_of_scale(recording, robot, state)]
+
+
+@pytest.mark.parametrize("off", [0.5, 1.0, 2.0])
+def test_torque_in_another_unit_is_told_by_its_scale(off):
+    assert said(1.0) == []
+    for factor, words in ((1e-3, "kN·m"), (1e3, "mN·m"), (1e-2, "gear 1:")):
+        (text,) = said(off * factor)
+        assert words in text and f"{off * factor:.3g} times" in text
+
+
+def test_a_torque_that_is_zero_has_no_scale():
+    robot = arm("planar")
+    state = state_of(robot)
+    state.tau[:, 1] = 0.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = scales(robot, state)
+    assert found[0] == pytest.approx(1.0, rel=0.05)
+    assert np.isnan(found[1])
+
+
+def columns(state, order, channels=("q", "tau"), factor=1.0) -> State:
+    """A state with its columns in another order, or times a factor."""
+    names = {"q": ("q", "v", "a"), "tau": ("tau",)}
+    own = {x: getattr(state, x) for c in channels for x in names[c]}
+    return replace(state, **{x: factor * y[:, order] for x, y in own.items()})
+
+
+def sped(state, clock) -> State:
+    """A state whose time was logged as a multiple of what it was."""
+    return replace(state, v=state.v * clock, a=state.a * clock**2)
+
+
+STRAIGHT, TURNED = np.arange(6), np.where(np.arange(6) == 2, -1.0, 1.0)
+SWAPPED, SORTED = np.array([0, 3, 2, 1, 4, 5]), np.array([4, 2, 3, 5, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda s: columns(s, STRAIGHT[::-1]), "in reverse order"),
+        (lambda s: columns(s, STRAIGHT[::-1], ("tau",)), "in reverse order"),
+        (lambda s: columns(s, SWAPPED, ("q",)), "swapped"),
+        (lambda s: columns(s, SORTED, ("tau",)), "in the order"),
+        (lambda s: columns(s, STRAIGHT, ("q", "tau"), TURNED), "the other way round"),
+        (lambda s: columns(s, STRAIGHT, ("tau",), TURNED), "the other way round"),
+        (lambda s: columns(s, STRAIGHT, ("tau",), -1.0), "the other way round"),
+        (lambda s: columns(s, STRAIGHT, ("tau",), 0.001 ** (TURNED < 0)), "kN·m"),
+        (lambda s: columns(s, STRAIGHT, ("tau",), 1000.0 ** (TURNED < 0)), "mN·m"),
+        (lambda s: columns(s, STRAIGHT, ("q",), np.rad2deg(1.0)), "degrees"),
+        (lambda s: sped(s, 1e-3), "milliseconds"),
+        (lambda s: sped(s, 1e-6), "microseconds"),
+        (lambda s: sped(s, 1e-9), "nanoseconds"),
+        (lambda s: sped(s, 0.1), "scaled by 10"),
+        (lambda s: sped(s, 0.25), "scaled by 4"),
+        (lambda s: sped(s, 0.5), "scaled by 2"),
+        (lambda s: sped(s, 2.0), "scaled by 1/2"),
+        (lambda s: sped(s, 4.0), "scaled by 1/4"),
+        (lambda s: sped(s, 10.0), "scaled by 1/10"),
+    ],
+)
+def test_some_reading_undoes_what_is_wrong_and_says_what_it_is(spoil, words):
+    robot = arm("coman_like")
+    right = state_of(robot)
+    wrong = spoil(right)
+    found = [
+        reading.looks_like
+        for reading in readings(robot.chain, list(STRAIGHT), np.argsort(SORTED))
+        for read in [reading.of(wrong)]
+        if all(
+            np.allclose(getattr(read, x), getattr(right, x), rtol=1e-9)
+            for x in ("q", "v", "a", "tau")
+        )
+    ]
+    assert any(words in x for x in found), found
+
+
+@pytest.mark.parametrize(
+    ("channels", "joints", "says"),
+    [
+        (("tau",), (1,), "tau2 (b) looks odd: read so, an arm of real masses leaves"),
+        (("tau",), (0, 1), "tau1 (a) and tau2 (b) look odd"),
+        (("q", "tau"), (1,), "q2 (b) and tau2 (b) look odd"),
+        (("tau",), (0, 1, 2), "tau look odd"),
+        (("t",), (), "time looks odd"),
+    ],
+)
+def test_what_looks_odd_is_said_in_words(channels, joints, says):
+    recording = Recording(T, np.zeros((len(T), 3)), tau=None, joints=("a", "b", "c"))
+    reading = OtherReading(channels, joints, "odd", np.arange(3), np.ones(3))
+    before, after = np.array([0.9, 0.8, 0.7]), np.array([0.9, 0.1, 0.7])
+    doubt = _doubt(recording, reading, before, after, "error")
+    assert says in doubt.text
+    assert "leaves 0.1 of the variance of tau2 (b) unexplained" in doubt.text
+
+
+def of_one(change):
+    """Speeds of three joints, of which the second is changed."""
+
+    def spoil(v):
+        v = v.copy()
+        v[:, 1] = change(v)
+        return v
+
+    return spoil
+
+
+def hum(v):
+    return np.random.default_rng(2).normal(size=len(v))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says", "severity"),
+    [
+        (lambda v: v, None, None),
+        (lambda v: 1.08 * v, None, None),
+        (lambda v: np.rad2deg(v), "degrees per second", "error"),
+        (lambda v: v * 30 / np.pi, "revolutions per minute", "error"),
+        (lambda v: np.deg2rad(v), "positions look to be in degrees", "error"),
+        (lambda v: 1e3 * v, "milliseconds", "error"),
+        (lambda v: 1e6 * v, "microseconds", "error"),
+        (lambda v: 1e9 * v, "nanoseconds", "error"),
+        (lambda v: 3.0 * v, "scaled by that", "error"),
+        (of_one(lambda v: v[:, 2]), "looks like the speed of c", "error"),
+        (of_one(hum), "does not follow dq2/dt", "warning"),
+        (of_one(lambda v: -v[:, 1]), "one counts the other way round", "error"),
+        (of_one(lambda v: 1.3 * v[:, 1]), "1.3 times dq2/dt", "warning"),
+        (of_one(lambda v: 0.5 * v[:, 1]), "0.5 times dq2/dt", "error"),
+    ],
+)
+def test_a_speed_that_is_not_that_of_its_position_is_told(spoil, says, severity):
+    rng = np.random.default_rng(1)
+    w, phase = rng.uniform(1.0, 6.0, (2, 4, 1, 3))
+    angle = w * T[:, None] + phase
+    q, v = np.sin(angle).sum(axis=0), (w * np.cos(angle)).sum(axis=0)
+    state = State(q, v, 0 * q, 0 * q, spoil(v), np.full(3, np.nan))
+    recording = Recording(T, q, tau=None, v=spoil(v), joints=("a", "b", "c"))
+    found = list(doubts_of_speeds(recording, None, state))
+    assert len(found) == (says is not None)
+    for doubt in found:
+        assert says in doubt.text and doubt.severity == severity
+    # Of three joints one that is wrong does not outvote the others.
+    assert bear_out(state) == (says is None or np.array_equal(spoil(v)[:, 0], v[:, 0]))
+
+
+@pytest.mark.parametrize(
+    ("times", "severity"), [(0.9, None), (4.0, "warning"), (20.0, "error")]
+)
+def test_a_joint_that_is_faster_than_its_drive_is_told(times, severity):
+    robot = arm("planar")
+    q = np.zeros((len(T), 2))
+    v = times * np.outer(np.sin(T), robot.v_max)
+    state = State(q, v, 0 * q, 0 * q, None, np.full(2, np.nan))
+    recording = Recording(T, q, tau=None, joints=robot.joints)
+    found = list(doubts_of_pace(recording, robot, state))
+    assert [x.severity for x in found] == [severity] * 2 * (severity is not None)
+    for doubt, limit in zip(found, robot.v_max, strict=False):
+        assert f"up to {limit:.4g} rad/s" in doubt.remedy

@@ -1,0 +1,106 @@
+"""Parts of the plant by themselves: references, servos, noise, and what they refuse."""
+
+import numpy as np
+import pytest
+from simulated import arm
+
+from hybrid.errors import ExcitationError, HybridError
+from hybrid.excitation import Limits
+from hybrid.plant import Noise, Reference, random_fourier
+from hybrid.plant.servo import Servo
+
+RATE, SAMPLES = 500.0, 100_000
+
+
+def torque_noise(memory: float, covariance) -> np.ndarray:
+    zero = np.zeros(2)
+    noise = Noise(np.array(covariance), zero, zero, zero, correlation_time=memory)
+    still = {x: np.zeros((SAMPLES, 2)) for x in ("q", "v", "tau")}
+    rng = np.random.default_rng(0)
+    return noise.apply(still, rate=RATE, rng=rng)["tau"]
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.004])
+@pytest.mark.parametrize(
+    "covariance",
+    [[[4.0, 0.9], [0.9, 0.25]], [[4.0, 1.0], [1.0, 0.25]], [[4.0, 0.0], [0.0, 0.0]]],
+)
+def test_torque_noise_has_its_covariance_and_forgets_in_its_time(memory, covariance):
+    """Also where two joints share all of it, or one has none."""
+    tau = torque_noise(memory, covariance)
+    np.testing.assert_allclose(np.cov(tau.T), covariance, rtol=0.03, atol=0.02)
+    lagged = tau[1:, 0] @ tau[:-1, 0] / (tau[:, 0] @ tau[:, 0])
+    expected = np.exp(-1 / (RATE * memory)) if memory else 0.0
+    assert lagged == pytest.approx(expected, abs=0.02)
+    assert np.std(tau[:20, 0]) > 0.5  # it is there from the first sample on
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [[[1.0, 0.2], [0.1, 1.0]], [[1e-6, 2e-7], [1e-7, 1e-6]], [[1.0, 2.0], [2.0, 1.0]]],
+)
+def test_a_covariance_that_is_none_is_refused_at_any_size(covariance):
+    with pytest.raises(HybridError, match="symmetric and positive semidefinite"):
+        torque_noise(0.0, covariance)
+
+
+def test_rounding_of_a_covariance_is_no_asymmetry():
+    torque_noise(0.0, [[1e6, 2e5 + 1e-5], [2e5, 1e6]])
+
+
+def reference(**changed) -> Reference:
+    t = np.arange(0.0, 1.0, 0.01)
+    rest = np.zeros((len(t), 2))
+    return Reference(**{"t": t, "q": rest, "v": rest, "a": rest, **changed})
+
+
+def fourier(**changed) -> Reference:
+    return random_fourier(arm("planar"), **{"duration": 6.0, "rate": 100.0, **changed})
+
+
+ONE, WRONG = np.ones(2), np.array([1.0, -1.0])
+LIMITS = {x: ONE for x in ("high", "speed", "acceleration", "torque", "jerk")}
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: reference(t=np.zeros((100, 1))), "needs t of shape"),
+        (lambda: reference(q=np.zeros(100)), "needs t of shape"),
+        (lambda: reference(v=np.zeros((99, 2))), "reference v needs finite samples"),
+        (lambda: reference(a=np.full((100, 2), np.nan)), "reference a needs finite"),
+        (lambda: reference(t=0.5 + np.arange(100)), "uniform from t = 0"),
+        (lambda: reference(t=np.arange(100.0) ** 2), "uniform from t = 0"),
+        (lambda: fourier(rate=0.0), "rate is 0 Hz"),
+        (lambda: fourier(rate=np.inf), "rate is inf Hz"),
+        (lambda: fourier(duration=-1.0), "duration is -1 s"),
+        (lambda: fourier(duration=np.nan), "duration is nan s"),
+        (lambda: fourier(fill=1.1), "fill is 1.1"),
+        (lambda: fourier(order=2), "order is 2"),
+        (lambda: Servo(ONE, WRONG, ONE), "servo kd needs one value, 0 or above"),
+        (lambda: Servo(ONE, ONE, np.ones(3)), "servo limit needs one value"),
+        (lambda: Noise(np.eye(2), WRONG, ONE, ONE), "position_resolution needs 2"),
+        (lambda: Noise(np.eye(2), ONE, ONE, np.ones(3)), "speed_std needs 2 values"),
+        (lambda: Noise(np.eye(2), ONE, ONE, ONE, -1.0), "correlation_time is 0 s"),
+    ],
+)
+def test_what_no_plant_can_have_is_refused_in_one_line(make, says):
+    with pytest.raises(HybridError, match=says) as error:
+        make()
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"low": np.ones(3)}, "high needs one value for each joint"),
+        ({"torque": np.array([1.0, np.nan])}, "torque needs one value"),
+        ({"speed": np.array([1.0, 0.0])}, "speed must be above 0"),
+        ({"low": ONE}, "low must be below high"),
+        ({"speed": np.array([1.0, np.inf])}, "positions and speeds must be finite"),
+        ({"low": np.array([-np.inf, 0.0])}, "positions and speeds must be finite"),
+    ],
+)
+def test_limits_that_limit_nothing_are_refused(changed, says):
+    with pytest.raises(ExcitationError, match=says):
+        Limits(**{"low": -ONE, **LIMITS, **changed})
