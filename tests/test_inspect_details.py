@@ -76,7 +76,9 @@ def state_of(robot, factor=1.0) -> State:
     v, a = (w * np.cos(angle)).sum(axis=0), (-(w**2) * np.sin(angle)).sum(axis=0)
     a_rotor = robot.chain.armature * a
     tau = inverse_dynamics(robot.chain, robot.chain.inertial, q, v, a) + a_rotor
-    return State(q, v, a, factor * tau, None, np.full(robot.size, np.nan))
+    return State(
+        q, v, a, factor * tau, None, np.full(robot.size, np.nan), robot.tau_max
+    )
 
 
 def said(factor) -> list[str]:
@@ -219,7 +221,7 @@ def test_a_speed_that_is_not_that_of_its_position_is_told(spoil, says, severity)
     w, phase = rng.uniform(1.0, 6.0, (2, 4, 1, 3))
     angle = w * T[:, None] + phase
     q, v = np.sin(angle).sum(axis=0), (w * np.cos(angle)).sum(axis=0)
-    state = State(q, v, 0 * q, 0 * q, spoil(v), np.full(3, np.nan))
+    state = State(q, v, 0 * q, 0 * q, spoil(v), np.full(3, np.nan), np.full(3, np.inf))
     recording = Recording(T, q, tau=None, v=spoil(v), joints=("a", "b", "c"))
     found = list(doubts_of_speeds(recording, None, state))
     assert len(found) == (says is not None)
@@ -236,7 +238,7 @@ def test_a_joint_that_is_faster_than_its_drive_is_told(times, severity):
     robot = arm("planar")
     q = np.zeros((len(T), 2))
     v = times * np.outer(np.sin(T), robot.v_max)
-    state = State(q, v, 0 * q, 0 * q, None, np.full(2, np.nan))
+    state = State(q, v, 0 * q, 0 * q, None, np.full(2, np.nan), robot.tau_max)
     recording = Recording(T, q, tau=None, joints=robot.joints)
     found = list(doubts_of_pace(recording, robot, state))
     assert [x.severity for x in found] == [severity] * 2 * (severity is not None)

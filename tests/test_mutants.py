@@ -104,7 +104,7 @@ def test_a_constant_meets_the_tests_that_execute_a_line_which_names_it():
 
 def test_a_constant_that_its_module_never_names_meets_tests_of_those_that_do():
     prior = _mutant("file_factor: float", "hybrid/diagnosis/prior.py")
-    path, costs = "hybrid/diagnosis/explanations/search.py", {"a::b": 1.0}
+    path, costs = "hybrid/diagnosis/explanations/posterior.py", {"a::b": 1.0}
     assert _witnesses(costs, path, "file_factor").of(prior) == ("a::b",)
     assert not _witnesses(costs, path, "no such line").of(prior)
 
