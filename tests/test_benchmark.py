@@ -239,6 +239,7 @@ def test_cogging_of_mujocos_motor_is_the_ripple_of_the_library(arm):
 # The seal
 
 
+@pytest.mark.study
 def test_the_open_folder_tells_nothing_and_a_case_is_always_the_same(tmp_path):
     case = Case(PLANAR, "single", 4, 7)
     for name in "ab":

@@ -97,6 +97,7 @@ def test_a_faultless_simulation_has_no_gap(integrator, after, seed):
     assert len(said) == after + (integrator == IMPLICIT_FAST)
 
 
+@pytest.mark.study
 def test_a_fault_is_named_in_such_a_log():
     robot, logs = raw_logs("coman_like", IMPLICIT_FAST, True, offset=3.0)
     (finding,) = examine(robot, logs).diagnosis.findings

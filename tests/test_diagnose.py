@@ -342,6 +342,7 @@ class TestCause:
     def test_shares_add_up_to_one(self):
         assert sum(f.share for f in planar().diagnosis.findings) == pytest.approx(1.0)
 
+    @pytest.mark.study
     def test_a_share_is_not_lost_to_what_the_file_declares(self):
         """Declared damping alone could take over, at the price of being far off."""
         damped = replace(arm("planar"), damping=np.array([6.0, 1.0]))
@@ -530,6 +531,7 @@ class TestSilence:
         expected = {("actuator_lag", robot.joints[1:])} if lag else set()
         assert named(found) == expected
 
+    @pytest.mark.study
     def test_an_effect_out_of_the_library_is_unexplained(self):
         robot, recordings = logs([RIPPLE])
         diagnosis = examine(robot, recordings, without=["torque_ripple"]).diagnosis

@@ -165,7 +165,7 @@ def warm():
     return samples(seconds=3.0)[:400]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     exact=st.booleans(),
     rows=st.lists(
