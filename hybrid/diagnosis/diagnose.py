@@ -60,6 +60,10 @@ _PLACEHOLDERS = (
     "the numbers of the file look like placeholders: the logs ask for quite others, "
     "and errors of single links are not told from that"
 )
+_STRAINED = (
+    "numbers of the file at {} take up the gap there, and are farther off than files "
+    "usually are"
+)
 _WHERE = "{} at {} may as well be {} at {}: these motions do not tell"
 
 
@@ -198,7 +202,11 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         search.run()
     reached = account(search).ceiling
     named, alike = _believed(search, doubts)
-    found = account(search, reached)
+    found, far = account(search, reached), list[int]()
+    if not search.causes:
+        far = search.strained([])
+        if far:
+            doubts.append(_STRAINED.format(", ".join(gap.robot.joints[j] for j in far)))
     search.stand_in()
     kinds = [named.get(c, ()) for c in search.known]
     tell("scoring on motions that no step has seen")
@@ -212,7 +220,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         apart, others = clocks_apart(case.as_logged, scored, logged, rng)
         causes, effects = apart.joined(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
-    verdict = _verdict(gap, found, causes, left)
+    verdict = _verdict(gap, found, causes, left, strained=bool(far))
     diagnosis = replace(
         _diagnosis(case.as_logged, search, found, causes, *verdict),
         unseen=shown,
@@ -255,7 +263,12 @@ def _once(finding: Finding, scored: Explanation) -> bool:
 
 
 def _verdict(
-    gap: Gap, found: Account, causes: Sequence[Finding], left: float
+    gap: Gap,
+    found: Account,
+    causes: Sequence[Finding],
+    left: float,
+    *,
+    strained: bool,
 ) -> tuple[Verdict, float]:
     """What it comes to, and the unexplained share of the explainable gap.
 
@@ -264,11 +277,12 @@ def _verdict(
         found: What is explained of it where that was learnt.
         causes: What is named.
         left: Part of it that is left on unseen motions.
+        strained: Whether numbers of the file are farther off than files usually are.
     """
     if too_little(gap):
         return "not_excited", 1.0
     if not causes:
-        missed = bool(found.missed.sum() > 0) or unlike(gap) is not None
+        missed = strained or bool(found.missed.sum() > 0) or unlike(gap) is not None
         return ("unexplained", 1.0) if missed else ("no_gap", 0.0)
     share, whole = max(found.unknown, left), found.explained + found.missed
     # A joint whose gap has no cause is not explained by what is found at others.

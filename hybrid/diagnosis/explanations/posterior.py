@@ -70,7 +70,10 @@ class Posterior:
         self.gap, self.prior = gap, prior or Prior()
         self.learn = np.ones(len(gap.fold), dtype=bool) if learn is None else learn
         self.evidence = Evidence(gap, self.learn)
-        self.numbers = np.concatenate(self.evidence.add(*background(gap)))
+        columns, sizes = background(gap)
+        blocks = self.evidence.add(columns, sizes)
+        self.numbers = np.concatenate(blocks)
+        self._numbers_of = list(zip(map(max, columns), blocks, strict=True))
         self.off = self.prior.file[1]
         self.evidence.spread(self.numbers, self.off)
         own = self.evidence.add(*rest(gap)) + self.evidence.add(*clocks(gap))
@@ -212,6 +215,18 @@ class Posterior:
             self.noise = lower
             self._weigh()
         return less
+
+    def strained(self, causes: Sequence[Cause]) -> list[int]:
+        """Joints at which a link of the file, or another number, is far off.
+
+        So far that this is as improbable as a cause.
+        """
+        found = self.evidence.solve(self.columns(causes))
+        far = {
+            joint for joint, index in self._numbers_of
+            if self.evidence.strain(found, index) / 2 > self.prior.cause
+        }  # fmt: skip
+        return sorted(far)
 
     def spread(self, off: float) -> None:
         """Take the file's numbers to be so far off; what is inexact is the rest."""
