@@ -45,7 +45,8 @@ def test_a_covariance_that_is_none_is_refused_at_any_size(covariance):
 
 
 def test_rounding_of_a_covariance_is_no_asymmetry():
-    torque_noise(0.0, [[1e6, 2e5 + 1e-5], [2e5, 1e6]])
+    tau = torque_noise(0.0, [[1e6, 2e5 + 1e-5], [2e5, 1e6]])
+    np.testing.assert_allclose(np.cov(tau.T), [[1e6, 2e5], [2e5, 1e6]], rtol=0.1)
 
 
 def reference(**changed) -> Reference:

@@ -204,7 +204,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     named, alike = _believed(search, doubts)
     found, far = account(search, reached), list[int]()
     if not search.causes:
-        far = search.strained([])
+        far = search.strained()
         if far:
             doubts.append(_STRAINED.format(", ".join(gap.robot.joints[j] for j in far)))
     search.stand_in()

@@ -216,12 +216,12 @@ class Posterior:
             self._weigh()
         return less
 
-    def strained(self, causes: Sequence[Cause]) -> list[int]:
+    def strained(self) -> list[int]:
         """Joints at which a link of the file, or another number, is far off.
 
-        So far that this is as improbable as a cause.
+        So far, with no cause to explain the gap, that it is as improbable as one.
         """
-        found = self.evidence.solve(self.columns(causes))
+        found = self.evidence.solve(self.rigid)
         far = {
             joint for joint, index in self._numbers_of
             if self.evidence.strain(found, index) / 2 > self.prior.cause

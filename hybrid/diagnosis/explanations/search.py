@@ -258,10 +258,12 @@ class Search(Posterior):
         known = other.candidate is not None
         least = [other.rough if known and not c.candidate else 0.0 for c in causes]
         rough = [c for c, x in zip(causes, least, strict=True) if c.rough > x]
+        if not rough:
+            return 0.0
+        whole = self.score(causes)
         less = [self.score([x for x in causes if x is not c]) for c in rough]
         pairs = zip(rough, less, strict=True)
-        parts = [c.rough**2 * (self.score(causes) - x) for c, x in pairs]
-        return max(parts, default=0.0)
+        return max(c.rough**2 * (whole - x) for c, x in pairs)
 
     def _renew(self, cause: Cause) -> bool:
         """Exchange a cause for whatever explains most in its place, or for nothing."""
