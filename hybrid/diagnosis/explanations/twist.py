@@ -22,7 +22,9 @@ _KNOTS = 8
 
 def twists(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
     """What the place of a joint's link is a law of, and its torque per feature."""
-    load, q = gap.load[:, joint], gap.sampled.q[:, joint]
+    # The load holds the noise of positions, and so does the residual.
+    load = filtered(gap, gap.load[:, joint], _CALM * gap.cutoff)
+    q = gap.sampled.q[:, joint]
     slopes = [
         np.stack(body.slopes(joint))[:, :: sampler.factor] for _, body, sampler in gap
     ]
@@ -31,7 +33,7 @@ def twists(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
     features = {
         "load": np.hstack([
             filtered(gap, _and_past(gap, side), gap.cutoff),
-            _and_past(gap, filtered(gap, load, _CALM * gap.cutoff)),
+            _and_past(gap, load),
         ]),
         "position": filtered(gap, smooth(q, _KNOTS), _CALM * gap.cutoff),
     }  # fmt: skip
