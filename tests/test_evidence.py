@@ -110,21 +110,6 @@ def test_squares_are_those_of_the_residual():
         assert squares[i] == pytest.approx(left @ left)
 
 
-def test_a_fold_left_out_is_never_fitted():
-    gap, blocks, std, evidence, index = problem(3)
-    X, y, noise, prior = dense(gap, blocks, std, evidence.noise)
-    fold = np.concatenate([gap.fold[gap.moving[:, i]] for i in range(2)])
-    expected = []
-    for f in range(3):
-        fit, test = fold != f, fold == f
-        A = X[fit].T / noise[fit] @ X[fit] + np.diag(1 / prior)
-        gains = np.linalg.solve(A, X[fit].T @ (y[fit] / noise[fit]))
-        expected.append(np.sum((y[test] - X[test] @ gains) ** 2))
-    every = np.concatenate(index)
-    found = evidence.squares(every, evidence.by_fold(every)).sum(axis=0)
-    np.testing.assert_allclose(found, expected)
-
-
 def test_what_is_lost_on_a_fold_is_by_the_gains_of_all_others():
     gap, blocks, std, evidence, index = problem(7)
     X, y, noise, prior = dense(gap, blocks, std, evidence.noise)
@@ -296,20 +281,6 @@ def test_what_is_stronger_at_low_frequencies_is_told_from_noise(size):
         found.append(coloured(x[rows], rows, 200.0, 40.0))
     expected = wave[rows] @ wave[rows]
     assert np.median(found) == pytest.approx(expected, rel=0.1, abs=150.0)
-
-
-def test_gains_beside_known_ones_are_those_of_what_these_leave():
-    gap, blocks, std, evidence, index = problem(6)
-    known = np.array([[0.3, -0.2]] * 3)
-    found = evidence.by_fold(np.concatenate(index[1:]), index[0], known)
-    X, y, noise, prior = dense(gap, blocks, std, evidence.noise)
-    fold = np.concatenate([gap.fold[gap.moving[:, i]] for i in range(2)])
-    for f in range(3):
-        fit = fold != f
-        left = y[fit] - X[fit, :2] @ known[f]
-        A = X[fit, 2:].T / noise[fit] @ X[fit, 2:] + np.diag(1 / prior[2:])
-        gains = np.linalg.solve(A, X[fit, 2:].T @ (left / noise[fit]))
-        np.testing.assert_allclose(found[f], [*known[f], *gains])
 
 
 @pytest.mark.parametrize(

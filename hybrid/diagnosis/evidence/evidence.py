@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -41,14 +42,20 @@ class Solution:
     Attributes:
         index: Columns in the solution, shape (k,).
         gains: Their values, shape (k,).
-        covariance: Their posterior covariance, shape (k, k).
         evidence: Log marginal likelihood of the gap, up to a constant, [nat].
     """
 
     index: Index
     gains: Array
-    covariance: Array
     evidence: float
+    _unit: Array
+    _factor: tuple[Array, bool]
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Posterior covariance of the gains, shape (k, k)."""
+        unit = self._unit
+        return np.asarray(unit[:, None] * cho_solve(self._factor, np.diag(unit)))
 
     def of(self, columns: Index) -> Array:
         """Gains of some of the columns, in their order."""
@@ -125,53 +132,29 @@ class Evidence(Products):
         self.precision[index] = self._size[index] ** -2.0 / relative**2
         self._factored = b"", *self._factored[1:]
 
-    def solve(self, index: Index, folds: Index | None = None) -> Solution:
+    def solve(self, index: Index) -> Solution:
         """Most probable gains of some columns, and the evidence for all of them."""
-        A, b = self.normal(index, folds)
+        A, b = self.normal(index)
         prior = self.precision[index]
         # In units of the prior the matrix is the identity plus what the data say.
         unit = 1.0 / np.sqrt(prior)
         factor = cho_factor(np.eye(len(index)) + unit[:, None] * A * unit)
         gains = unit * cho_solve(factor, unit * b)
-        spread = unit[:, None] * cho_solve(factor, np.diag(unit))
         occam = np.log(np.diag(factor[0])).sum()
-        return Solution(index, gains, spread, float(0.5 * b @ gains - occam))
+        return Solution(index, gains, float(0.5 * b @ gains - occam), unit, factor)
 
     def strain(self, solution: Solution, columns: Index) -> float:
         """Squares of some gains in a solution, in units of their priors."""
         return float(solution.of(columns) ** 2 @ self.precision[columns])
-
-    def by_fold(
-        self, index: Index, known: Index | None = None, gains: Array | None = None
-    ) -> Array:
-        """Gains from all folds but one, for each fold, shape (F, k).
-
-        Args:
-            index: Columns.
-            known: Columns that come first, with gains of their own.
-            gains: Gains of these for each fold, shape (F, K).
-        """
-        folds = np.arange(len(self.folds))
-        others = [np.delete(folds, f) for f in folds]
-        if known is None or gains is None:
-            return np.stack([self.solve(index, o).gains for o in others])
-        found, K = [], len(known)
-        for own, rest in zip(gains, others, strict=True):
-            A, b = self.normal(np.concatenate([known, index]), rest)
-            prior = np.diag(self.precision[index])
-            target = b[K:] - A[K:, :K] @ own
-            found.append([*own, *np.linalg.solve(A[K:, K:] + prior, target)])
-        return np.array(found)
 
     def left_out(self, index: Index) -> Array:
         """What columns lose on each fold by the gains of all others, shape (2,).
 
         Squares of the gap over their noise, and weighed by it as a process.
         """
-        normals = [self.normal(index, np.array([f])) for f in range(len(self.folds))]
-        A, b = (np.sum(x, axis=0) for x in zip(*normals, strict=True))
-        prior = np.diag(self.precision[index])
-        gains = np.array([np.linalg.solve(A - G + prior, b - c) for G, c in normals])
+        G, c = self.normal_by_fold(index)
+        A, b = G.sum(axis=0) + np.diag(self.precision[index]), c.sum(axis=0)
+        gains = np.linalg.solve(A - G, (b - c)[..., None])[..., 0]
         lost = np.zeros(2)
         for i, edges in enumerate(self._edges):
             left = self._white[i].copy()

@@ -150,31 +150,32 @@ class Products:
         here = np.flatnonzero(target >= 0)
         return here, target[here]
 
-    def normal(self, index: Index, folds: Index | None = None) -> tuple[Array, Array]:
-        """Normal matrix (k, k) and vector (k,) of some columns, weighed by noise.
-
-        Args:
-            index: Columns.
-            folds: Which folds count; all by default.
-        """
+    def normal(self, index: Index) -> tuple[Array, Array]:
+        """Normal matrix (k, k) and vector (k,) of some columns, weighed by noise."""
         A, b = np.zeros((len(index), len(index))), np.zeros(len(index))
         for i in range(len(self.rows)):
-            here, at = self._here(i, index)
-            if folds is None and self._processes is not None:
+            if self._processes is None:  # it is asked once or twice only
+                at, columns = self.known(index, i)
+                gram, moment = columns.T @ columns, columns.T @ self._white[i]
+            else:
+                here, at = self._here(i, index)
                 gram, moment = self._multiplied(i)
                 gram, moment = gram[np.ix_(here, here)], moment[here]
-            else:
-                use = self._among(i, folds)
-                columns = self._columns[i][np.ix_(use, here)]
-                left = self._white[i][use]
-                gram, moment = columns.T @ columns, columns.T @ left
             A[np.ix_(at, at)] += gram * self._weight(i)
             b[at] += moment * self._weight(i)
         return A, b
 
-    def _among(self, i: int, folds: Index | None) -> NDArray[np.bool_]:
-        number = np.repeat(np.arange(len(self.folds)), self.count[i])
-        return np.isin(number, number if folds is None else folds)
+    def normal_by_fold(self, index: Index) -> tuple[Array, Array]:
+        """The same of each fold, shapes (F, k, k) and (F, k)."""
+        F, k = len(self.folds), len(index)
+        A, b = np.zeros((F, k, k)), np.zeros((F, k))
+        for i, edges in enumerate(self._edges):
+            (at, columns), weight = self.known(index, i), self._weight(i)
+            for f, (first, last) in enumerate(slices(edges)):
+                own, left = columns[first:last], self._white[i][first:last]
+                A[f][np.ix_(at, at)] += own.T @ own * weight
+                b[f][at] += own.T @ left * weight
+        return A, b
 
     def beside(
         self, base: Index, wanted: Index, places: Mapping[int, Index]
@@ -236,16 +237,11 @@ class Products:
 
         Args:
             index: Columns.
-            gains: Their gains, shape (k,); or on each fold its own, shape (F, k).
+            gains: Their gains, shape (k,).
         """
-        out = np.zeros((len(self.rows), len(self.folds)))
-        gains = np.broadcast_to(gains, (len(self.folds), len(index)))
-        for i, edges in enumerate(self._edges):
-            left = self._white[i].copy()
-            for g, (a, b) in zip(gains, slices(edges), strict=True):
-                left[a:b] -= self._fitted(i, index, g, slice(a, b))
-            out[i] = _by_fold(self._coloured(i, left) ** 2, edges)
-        return out
+        left = [self.residual(i, index, gains) for i in range(len(self.rows))]
+        pairs = zip(left, self._edges, strict=True)
+        return np.array([_by_fold(x**2, e) for x, e in pairs])
 
     def _fitted(
         self, i: int, index: Index, gains: Array, part: slice = slice(None)

@@ -15,7 +15,7 @@ Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam facto
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -93,6 +93,7 @@ class Posterior:
         rigid = self.evidence.solve(self.rigid)
         self._whole = self.evidence.lost(rigid.index, rigid.gains) / 2
         self._kept: dict[tuple[object, ...], tuple[Candidate, float]] = {}
+        self._asked: dict[tuple[object, ...], Array] = {}
         self.__dict__.pop("test", None)
 
     def mimicked(self, c: Cause | Candidate) -> float:
@@ -129,8 +130,22 @@ class Posterior:
 
     def score(self, causes: Sequence[Cause]) -> float:
         """Log posterior of an explanation, up to a constant, [nat]."""
-        known = self.evidence.solve(self.columns(causes)).evidence
-        return known - sum(map(self.odds, causes)) + self.alike(causes)
+
+        def score() -> Array:
+            known = self.evidence.solve(self.columns(causes)).evidence
+            return np.asarray(known - sum(map(self.odds, causes)))
+
+        return float(self._once("score", causes, score)) + self.alike(causes)
+
+    def _once(
+        self, what: str, causes: Sequence[Cause], found: Callable[[], Array]
+    ) -> Array:
+        """What is asked again and again of some causes, kept for as long as it holds."""
+        off = float(self.evidence.precision[self.numbers[0]])
+        key = what, frozenset(causes), off
+        if key not in self._asked:
+            self._asked[key] = found()
+        return self._asked[key]
 
     def alike(self, causes: Sequence[Cause], more: str = "") -> float:
         """How much less causes cost that are of one kind, at many joints, [nat].
@@ -168,9 +183,13 @@ class Posterior:
 
     def left_out(self, causes: Sequence[Cause]) -> Array:
         """What some causes lose on each fold by the others, shape (2,), [nat]."""
-        seen, columns = self.evidence, self.columns(causes)
-        strain = seen.strain(seen.solve(columns), self.rigid)
-        return np.asarray((seen.left_out(columns) + strain) / 2)
+
+        def left_out() -> Array:
+            seen, columns = self.evidence, self.columns(causes)
+            strain = seen.strain(seen.solve(columns), self.rigid)
+            return np.asarray((seen.left_out(columns) + strain) / 2)
+
+        return self._once("left out", causes, left_out)
 
     def lost(self, causes: Sequence[Cause]) -> Array:
         """What some causes lose on unseen samples, less what a fit says, [nat].
