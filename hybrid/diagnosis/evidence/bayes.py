@@ -73,10 +73,10 @@ def heavy_tailed(
         The logarithm of the evidence, [nat], shape (...), the most probable gains,
         shape (..., p), and how many times wider the prior is, shape (...).
     """
-    found = [log_bayes(H, s, precision / wider**2, lower, made_at) for wider in WIDER]
-    worth = np.array([x - np.log(w) for (x, _), w in zip(found, WIDER, strict=True)])
+    wider = np.array(WIDER).reshape(-1, *[1] * s.ndim)
+    worth, gains = log_bayes(H, s, precision / wider**2, lower, made_at)
+    worth = worth - np.log(wider[..., 0])
     best = np.argmax(worth, axis=0)
-    gains = np.array([g for _, g in found])
     chosen = np.take_along_axis(gains, best[None, ..., None], axis=0)[0]
     return worth.max(axis=0), chosen, np.array(WIDER)[best]
 

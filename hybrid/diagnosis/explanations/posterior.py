@@ -140,7 +140,7 @@ class Posterior:
     def _once(
         self, what: str, causes: Sequence[Cause], found: Callable[[], Array]
     ) -> Array:
-        """What is asked again and again of some causes, kept for as long as it holds."""
+        """What is asked of some causes again and again, kept while it holds."""
         off = float(self.evidence.precision[self.numbers[0]])
         key = what, frozenset(causes), off
         if key not in self._asked:
