@@ -202,11 +202,9 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         search.run()
     reached = account(search).ceiling
     named, alike = _believed(search, doubts)
-    found, far = account(search, reached), list[int]()
-    if not search.causes:
-        far = search.strained()
-        if far:
-            doubts.append(_STRAINED.format(", ".join(gap.robot.joints[j] for j in far)))
+    found, far = account(search, reached), search.strained(search.causes)
+    if far:
+        doubts.append(_STRAINED.format(", ".join(gap.robot.joints[j] for j in far)))
     search.stand_in()
     kinds = [named.get(c, ()) for c in search.known]
     tell("scoring on motions that no step has seen")
@@ -220,7 +218,8 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         apart, others = clocks_apart(case.as_logged, scored, logged, rng)
         causes, effects = apart.joined(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
-    verdict = _verdict(gap, found, causes, left, strained=bool(far))
+    off = bool(far) or (not causes and search.off > search.prior.file[1])
+    verdict = _verdict(gap, found, causes, left, off=off)
     diagnosis = replace(
         _diagnosis(case.as_logged, search, found, causes, *verdict),
         unseen=shown,
@@ -268,7 +267,7 @@ def _verdict(
     causes: Sequence[Finding],
     left: float,
     *,
-    strained: bool,
+    off: bool,
 ) -> tuple[Verdict, float]:
     """What it comes to, and the unexplained share of the explainable gap.
 
@@ -277,17 +276,18 @@ def _verdict(
         found: What is explained of it where that was learnt.
         causes: What is named.
         left: Part of it that is left on unseen motions.
-        strained: Whether numbers of the file are farther off than files usually are.
+        off: Whether numbers of the file are farther off than files usually are, which no
+            cause explains.
     """
     if too_little(gap):
         return "not_excited", 1.0
     if not causes:
-        missed = strained or bool(found.missed.sum() > 0) or unlike(gap) is not None
+        missed = off or bool(found.missed.sum() > 0) or unlike(gap) is not None
         return ("unexplained", 1.0) if missed else ("no_gap", 0.0)
     share, whole = max(found.unknown, left), found.explained + found.missed
     # A joint whose gap has no cause is not explained by what is found at others.
     alone = (found.missed > found.explained) & (found.missed > 0.05 * whole.sum())
-    if 1.0 - share >= _EXPLAINED and not alone.any():
+    if 1.0 - share >= _EXPLAINED and not alone.any() and not off:
         return "explained", share
     return "partly_explained", share
 

@@ -235,12 +235,12 @@ class Posterior:
             self._weigh()
         return less
 
-    def strained(self) -> list[int]:
+    def strained(self, causes: Sequence[Cause]) -> list[int]:
         """Joints at which a link of the file, or another number, is far off.
 
-        So far, with no cause to explain the gap, that it is as improbable as one.
+        So far, beside some causes, that it is as improbable as another one.
         """
-        found = self.evidence.solve(self.rigid)
+        found = self.evidence.solve(self.columns(causes))
         far = {
             joint for joint, index in self._numbers_of
             if self.evidence.strain(found, index) / 2 > self.prior.cause
