@@ -276,8 +276,8 @@ def _verdict(
         found: What is explained of it where that was learnt.
         causes: What is named.
         left: Part of it that is left on unseen motions.
-        off: Whether numbers of the file are farther off than files usually are, which no
-            cause explains.
+        off: Whether numbers of the file are farther off than files usually are, with no
+            cause that explains it.
     """
     if too_little(gap):
         return "not_excited", 1.0
