@@ -2,8 +2,8 @@
 
 A table of shares with intervals appears, beside simpler methods, for the arm that
 thresholds were tuned on and for arms that they were never tuned on, and a confusion
-matrix: which effect is named for which. Cases that an earlier run has answered are not
-run again.
+matrix: which effect is named for which. Cases that an earlier run of the same code has
+answered are not run again.
 
     python experiments/blind_diagnosis.py --cases 600 --seed 1
 """
@@ -21,7 +21,7 @@ from rich.console import Console
 from hybrid.report import numbers_table, provenance
 
 ROOT = Path(__file__).parents[1]
-LOG = ROOT / "build" / "blind_diagnosis.jsonl"  # delete it when the diagnosis changes
+LOG = ROOT / "build" / "blind_diagnosis.jsonl"
 KNOWN = tuple(f"models/{name}.xml" for name in TUNED)
 NEW = ("ur5", "panda", "models/scara.xml", "z1", "xarm7", "ur10")
 

@@ -13,7 +13,7 @@ from blind.independent import INDEPENDENT
 from blind.measures import MEASURES, Ratio, confusion, size
 from blind.motions import motion_error
 from blind.robots import complete, load_arm, off_by
-from blind.run import read_open, read_rows, run_cases
+from blind.run import code_digest, read_open, read_rows, run_cases
 from blind.score import Named, covered, score
 from blind.size import Rig
 from blind.strangers import STRANGERS
@@ -275,6 +275,15 @@ def test_a_plant_without_effects_is_no_alarm_and_is_not_answered_twice(tmp_path)
     told = []
     assert run_cases([case], log, tell=told.append) == [read_rows(log)[case.key]]
     assert told == []
+
+
+def test_an_answer_of_other_code_is_none(tmp_path, monkeypatch):
+    log, case = tmp_path / "cases.jsonl", Case(PLANAR, "none", 1, 0)
+    log.write_text(json.dumps({"key": case.key, "code": "another"}) + "\n")
+    monkeypatch.setattr("blind.run.run_case", lambda case: {"key": case.key})
+    told = []
+    (row,) = run_cases([case], log, tell=told.append)
+    assert told == [row] and row["code"] == code_digest()
 
 
 def test_half_a_line_of_an_interrupted_run_is_run_again(tmp_path):

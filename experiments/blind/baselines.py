@@ -73,13 +73,12 @@ def by_sysid(robot: Robot, log: Recording) -> tuple[Named, ...]:
 
 def _ranking(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Term]:
     """The candidate that takes most squares off folds left out, off each of them."""
-    folds = np.arange(len(evidence.folds))
+    folds = list(zip(*evidence.normal_by_fold(_columns(base, tried)), strict=True))
+    whole, moments = (np.sum(x, axis=0) for x in zip(*folds, strict=True))
     gains = np.zeros((len(tried), len(folds)))
-    for f in folds:
-        A, b, H, s, across = _schur(evidence, base, tried, np.delete(folds, f))
-        wanted = np.concatenate([base, *(t.index for t in tried)])
-        G, m = evidence.normal(wanted, np.array([f]))
+    for f, (G, m) in enumerate(folds):
         k, start = len(base), len(base)
+        A, b, H, s, across = _schur(whole - G, moments - m, k)
         alone = np.linalg.solve(A, b)
         for c, term in enumerate(tried):
             own = np.arange(start, start + len(term.index))
@@ -107,7 +106,7 @@ def _stepwise(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Te
     for _ in range(_MOST):
         now = np.concatenate([base, *(t.index for t in chosen)])
         open_ = [t for t in tried if t not in chosen]
-        A, b, H, s, _ = _schur(evidence, now, open_, None)
+        A, b, H, s, _ = _schur(*evidence.normal(_columns(now, open_)), len(now))
         left = rest - float(b @ np.linalg.solve(A, b))
         ranked, start = [], 0
         for term in open_:
@@ -128,7 +127,7 @@ def _stepwise(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Te
 
 def _stlsq(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Term]:
     """Candidates left when small contributions are thrown out again and again."""
-    A, b, H, s, _ = _schur(evidence, base, tried, None)
+    A, b, H, s, _ = _schur(*evidence.normal(_columns(base, tried)), len(base))
     edges = np.cumsum([0, *(len(t.index) for t in tried)])
     kept = list(range(len(tried)))
     worth = np.zeros(len(tried))
@@ -165,13 +164,18 @@ def _fixed(evidence: Evidence, tried: Sequence[Term]) -> list[Term]:
     return [own[k] for k in order if telling[k] > _NORMAL**2]
 
 
-def _schur(
-    evidence: Evidence, base: Index, terms: Sequence[Term], folds: Index | None
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Base (A, b), candidates freed of it (H, s), and what joins both (k, p)."""
-    wanted = np.concatenate([base, *(t.index for t in terms)])
-    G, m = evidence.normal(wanted, folds)
-    k = len(base)
+def _columns(base: Index, terms: Sequence[Term]) -> Index:
+    return np.concatenate([base, *(t.index for t in terms)])
+
+
+def _schur(G: Array, m: Array, k: int) -> tuple[Array, Array, Array, Array, Array]:
+    """Of k columns and candidates: those (A, b), these freed of them (H, s), and both.
+
+    Args:
+        G: Normal matrix of all, shape (K, K).
+        m: Their products with the gap, shape (K,).
+        k: Number of columns before the candidates.
+    """
     A = G[:k, :k] + _RIDGE * np.diag(np.diag(G)[:k] + 1e-12)
     across = G[:k, k:]
     inverse = np.linalg.solve(A, np.column_stack([across, m[:k]]))

@@ -13,9 +13,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import hybrid
 from blind.baselines import baselines
 from blind.case import Case
 from blind.generate import IMPOSSIBLE
@@ -42,7 +44,7 @@ def run_cases(
     workers: int = 1,
     tell: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Rows of all cases; those that the log holds already are not run again.
+    """Rows of all cases; what the same code has answered already is not run again.
 
     Args:
         cases: The cases.
@@ -56,16 +58,27 @@ def run_cases(
     """
     for name in {case.robot for case in cases}:
         load_arm(name)
-    rows = read_rows(log)
+    code = code_digest()
+    rows = {k: x for k, x in read_rows(log).items() if x.get("code") == code}
     wanted = [c for c in cases if c.key not in rows]
     log.parent.mkdir(parents=True, exist_ok=True)
-    for row in _rows(wanted, workers):
+    for answer in _rows(wanted, workers):
+        row = answer | {"code": code}
         with log.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         rows[row["key"]] = row
         if tell:
             tell(row)
     return [rows[c.key] for c in cases if c.key in rows]
+
+
+def code_digest() -> str:
+    """Digest of the sources that an answer depends on: the package, and this folder."""
+    folders = Path(hybrid.__file__).parent, Path(__file__).parent
+    digest = sha256()
+    for path in sorted(p for folder in folders for p in folder.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def read_rows(log: Path) -> dict[str, Row]:
