@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 from hybrid.diagnosis.answer.unseen import left_unseen
 from hybrid.diagnosis.evidence.bayes import coloured, log_bayes, quiet
 from hybrid.diagnosis.evidence.contacts import _OF_ALL, _Stretch
+from hybrid.diagnosis.evidence.estimate import estimate_noise, lower_noise
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.explanations.weight import weigh
@@ -136,7 +137,7 @@ def test_noise_is_found_beside_many_columns():
         left = X[:, :5] @ rng.standard_normal(5) + 0.3 * rng.standard_normal(600)
         evidence = Evidence(one_joint(left), None)
         (index,) = evidence.add([{0: X}], [np.ones(40)])
-        evidence.estimate_noise(index)
+        estimate_noise(evidence, index)
         found.append(evidence.noise[0])
     assert np.median(found) == pytest.approx(0.09, rel=0.2)
 
@@ -155,7 +156,7 @@ def test_noise_is_found_beside_nearly_as_many_columns_as_samples():
     found = []
     for _ in range(20):
         evidence, index = noisy(rng, samples=400, columns=250)
-        evidence.estimate_noise(index)
+        estimate_noise(evidence, index)
         found.append(evidence.noise[0])
     assert np.median(found) == pytest.approx(0.09, rel=0.2)
 
@@ -170,7 +171,7 @@ def test_noise_is_not_small_where_many_columns_take_it():
         gap = one_joint(slow(torque), cutoff=15.0)
         evidence = Evidence(gap, None)
         (index,) = evidence.add([{0: slow(columns)}], [np.ones(100)])
-        evidence.estimate_noise(index)
+        estimate_noise(evidence, index)
         found.append(evidence.noise[0])
     assert np.median(found) > 0.5 * 0.09
 
@@ -180,10 +181,10 @@ def test_noise_is_no_more_than_an_explanation_leaves():
     rng = np.random.default_rng(9)
     evidence, index = noisy(rng, samples=600, columns=50, used=40)
     measured, evidence.covariances = np.array([4.0]), [np.array([4.0, 2.0])]
-    few = evidence.lower_noise(measured, index[:5])
+    few = lower_noise(evidence, measured, index[:5])
     np.testing.assert_array_equal(few, measured)
     assert evidence.covariances[0][0] == 4.0
-    lower = evidence.lower_noise(measured, index)
+    lower = lower_noise(evidence, measured, index)
     assert evidence.covariances[0][0] == pytest.approx(0.09, rel=0.2)
     assert lower[0] == pytest.approx(0.09, rel=0.4)
     assert measured[0] == 4.0
@@ -198,10 +199,10 @@ def test_noise_is_not_what_happened_once():
     gap = one_joint(left, block=100)
     evidence = Evidence(gap, None)
     (index,) = evidence.add([{0: X}], [np.ones(10)])
-    evidence.estimate_noise(index)
+    estimate_noise(evidence, index)
     assert evidence.noise[0] == pytest.approx(0.09, rel=0.3)
     gap.measured[:] = 1000.0  # of which solvers are a part in five hundred off
-    evidence.estimate_noise(index)
+    estimate_noise(evidence, index)
     assert evidence.noise[0] >= 4.0
 
 

@@ -20,6 +20,7 @@ from scipy.linalg import block_diag
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import candidate
+from hybrid.diagnosis.evidence.estimate import estimate_noise
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.gap.background import background, rest
 from hybrid.diagnosis.gap.gap import Columns, Gap
@@ -199,7 +200,7 @@ class _Asked:
         evidence.add([*ages, *damped], open_)
         self._evidence, self._sizes = evidence, (len(joints), len(servo))
         every = np.arange(evidence.size)
-        evidence.estimate_noise(every)
+        estimate_noise(evidence, every)
         A, b = evidence.normal(every)
         k = len(self._base)
         A[:k, :k] += np.diag(evidence.precision[:k])

@@ -20,19 +20,14 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.bayes import heavy_tailed, quiet
-from hybrid.diagnosis.evidence.noise import LAGS, autocovariance
-from hybrid.diagnosis.evidence.products import Index, Products, slices
+from hybrid.diagnosis.evidence.bayes import heavy_tailed
+from hybrid.diagnosis.evidence.noise import LAGS
+from hybrid.diagnosis.evidence.products import Index, Products
 from hybrid.diagnosis.evidence.screening import Screening, by_size
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.signals import memory
 
 _NONE = np.zeros(0, dtype=np.intp)
 _SCREENS = 4  # that are kept: two bases, and on each causes and unknown laws
-_EXACT = 0.002  # of the torque: nearer than that no two solvers are
-_LESS = 0.9  # of a variance: what is worth another search
-# For columns of unit length.
-_RIDGES = 10.0 ** np.arange(-5, 5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,9 +151,9 @@ class Evidence(Products):
         A, b = G.sum(axis=0) + np.diag(self.precision[index]), c.sum(axis=0)
         gains = np.linalg.solve(A - G, (b - c)[..., None])[..., 0]
         lost = np.zeros(2)
-        for i, edges in enumerate(self._edges):
-            left = self._white[i].copy()
-            for g, (first, last) in zip(gains, slices(edges), strict=True):
+        for i, white in enumerate(self._white):
+            left = white.copy()
+            for g, (first, last) in zip(gains, self.parts(i), strict=True):
                 left[first:last] -= self._fitted(i, index, g, slice(first, last))
             raw = self._coloured(i, left)
             lost += raw @ raw / self.noise[i], left @ left * self._weight(i)
@@ -258,113 +253,3 @@ class Evidence(Products):
             factor = cho_factor(np.eye(len(base)) + unit[:, None] * A * unit)
             self._factored = key, factor, unit * b
         return self._factored[1], self._factored[2]
-
-    def estimate_noise(self, index: Index) -> None:
-        """Noise of each joint: what all columns together miss on folds left out.
-
-        The variance counts as often as the residual is alike in a row: the weights then
-        belong to independent samples. It is never less than what the integration of
-        the same model by other steps is off by.
-        """
-        for i, (row, owner) in enumerate(zip(self.rows, self._owner, strict=True)):
-            if not len(row):
-                continue
-            here = np.flatnonzero(np.isin(owner, index))
-            back = np.argsort(row)
-            left, noise, least = self._flexible(i, here, back)
-            found = [(noise, left, row[back])]
-            # A few events may be all of that, and spoil the regression as well.
-            for x in (left, self.left[i][back]):
-                calm = quiet(x, row[back], self.gap.rate)
-                if not calm.all():
-                    usual = memory(x[calm], row[back][calm]) * np.mean(x[calm] ** 2)
-                    found.append((float(usual), x[calm], row[back][calm]))
-            noise, x, own = min(found, key=lambda x: x[0])
-            self.noise[i] = max(noise, self._least_noise(i, least))
-            covariance = autocovariance(x, own, LAGS)
-            covariance *= noise / max(memory(x, own) * covariance[0], 1e-300)
-            self.covariances[i] = covariance
-
-    def lower_noise(self, measured: Array, index: Index) -> Array:
-        """Take what some columns leave for noise where it is less than that so far.
-
-        Args:
-            measured: Noise of each joint so far, shape (n,), [N²·m²].
-            index: Columns of an explanation.
-
-        Returns:
-            Noise of each joint now, shape (n,), [N²·m²].
-        """
-        found, noise = self.solve(index), measured.copy()
-        for i, row in enumerate(self.rows):
-            if not len(row):
-                continue
-            back = np.argsort(row)
-            left = self.residual(i, found.index, found.gains)[back]
-            taken = int(np.isin(self._owner[i], index).sum())
-            left /= max(1.0 - taken / self._dimensions(i), 1e-3)
-            alike = memory(left, row[back])
-            power = float(left @ left) / len(row)
-            if power < _LESS * self.covariances[i][0]:
-                noise[i] = max(power * alike, self._least_noise(i, alike))
-                self.covariances[i] = autocovariance(left, row[back], LAGS)
-        return noise
-
-    def _dimensions(self, i: int) -> float:
-        """Of a joint's samples: filtered noise has fewer than samples."""
-        band = min(2.0 * self.gap.cutoff / self.gap.rate, 1.0)
-        return max(len(self.rows[i]) * band, 1.0)
-
-    def _by_fold(self, i: int, here: Index) -> tuple[Array, Array]:
-        """Products of a joint's columns, and with the gap, on each fold."""
-        own, left = self._columns[i][:, : len(self._owner[i])][:, here], self.left[i]
-        parts = [(own[a:b], left[a:b]) for a, b in slices(self._edges[i])]
-        pairs = [(x.T @ x, x.T @ y) for x, y in parts]
-        return np.array([g for g, _ in pairs]), np.array([m for _, m in pairs])
-
-    def _least_noise(self, i: int, alike: float) -> float:
-        torque = self.gap.measured[self.rows[i], i]
-        return max(_EXACT**2 * float(np.mean(torque**2)) * alike, 1e-12)
-
-    def _flexible(self, i: int, here: Index, back: Index) -> tuple[Array, float, float]:
-        """Ridge regression of a joint's gap on many columns, by the best ridge.
-
-        Args:
-            i: Joint.
-            here: Which of its columns.
-            back: Order of its samples in time, shape (R,).
-
-        Returns:
-            What it leaves in time, larger by what so many columns take from noise
-            alone, shape (R,); the mean square that it leaves on each fold if fitted to
-            the others, times the memory of what it leaves, [N²·m²]; and that memory.
-
-        Source: Golub, Heath, Wahba 1979, doi 10.1080/00401706.1979.10489751 (what a
-        ridge takes from noise).
-        """
-        G, c = self._by_fold(i, here)
-        size = np.sqrt(np.maximum(np.diagonal(G.sum(axis=0)), 1e-300))
-        G, c = G / size / size[:, None], c / size
-        A, b, folds = G.sum(axis=0), c.sum(axis=0), list(zip(G, c, strict=True))
-        row, columns = self.rows[i][back], self._columns[i][:, : len(self._owner[i])]
-        weights, found = np.zeros(columns.shape[1]), []
-        for ridge in _RIDGES:
-            w = np.array([_ridge(A - g, b - x, ridge) for g, x in folds])
-            power = np.einsum("fk,fk->", w, (G @ w[..., None])[..., 0] - 2 * c)
-            weights[here] = _ridge(A.copy(), b, ridge) / size
-            left = (self.left[i] - columns @ weights)[back]
-            alike = memory(left, row)
-            variance = (self.left[i] @ self.left[i] + power) / len(row)
-            found.append((left, variance * alike, alike, ridge))
-        left, noise, alike, ridge = min(found, key=lambda x: x[1])
-        kept = ridge * np.trace(_ridge(A, np.eye(len(A)), ridge))
-        taken = (len(A) - kept) / self._dimensions(i)
-        return left / max(1.0 - taken, 1e-3), noise, alike
-
-
-def _ridge(A: Array, b: Array, ridge: float) -> Array:
-    """Weights of a ridge regression; overwrites the normal matrix."""
-    A.flat[:: len(A) + 1] += ridge
-    # Its transpose is in the order that LAPACK works in, so that nothing is copied.
-    factor = cho_factor(A.T, lower=True, overwrite_a=True, check_finite=False)
-    return np.asarray(cho_solve(factor, b, check_finite=False))

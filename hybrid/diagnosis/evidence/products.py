@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,8 +64,7 @@ class Products:
     @property
     def power(self) -> Array:
         """Sum of squares of the gap, shape (n, F), [N²·m²]."""
-        pairs = zip(self.left, self._edges, strict=True)
-        return np.array([_by_fold(x**2, e) for x, e in pairs])
+        return self._by_fold(x**2 for x in self.left)
 
     def take(self, blocks: Sequence[Columns], sizes: Sequence[int]) -> list[Index]:
         """Take in columns.
@@ -169,13 +168,18 @@ class Products:
         """The same of each fold, shapes (F, k, k) and (F, k)."""
         F, k = len(self.folds), len(index)
         A, b = np.zeros((F, k, k)), np.zeros((F, k))
-        for i, edges in enumerate(self._edges):
+        for i in range(len(self.rows)):
             (at, columns), weight = self.known(index, i), self._weight(i)
-            for f, (first, last) in enumerate(slices(edges)):
+            for f, (first, last) in enumerate(self.parts(i)):
                 own, left = columns[first:last], self._white[i][first:last]
                 A[f][np.ix_(at, at)] += own.T @ own * weight
                 b[f][at] += own.T @ left * weight
         return A, b
+
+    def parts(self, i: int) -> list[tuple[int, int]]:
+        """First and last of a joint's samples in each fold."""
+        edges = self._edges[i].tolist()
+        return list(zip(edges[:-1], edges[1:], strict=True))
 
     def beside(
         self, base: Index, wanted: Index, places: Mapping[int, Index]
@@ -211,9 +215,12 @@ class Products:
         if self._kept[0] != base.tobytes():
             self._kept = base.tobytes(), {}
         if i not in self._kept[1]:
-            here, target = self._here(i, base)
-            self._kept[1][i] = target, self._columns[i][:, here]
+            self._kept[1][i] = self._here(i, base)[1], self.own(i, base)
         return self._kept[1][i]
+
+    def own(self, i: int, index: Index) -> Array:
+        """Columns of a joint that are among some, as independent samples."""
+        return self._columns[i][:, self._here(i, index)[0]]
 
     def cross(self, base: Index, i: int, x: Array) -> tuple[Index, Array, Array, Array]:
         """Cross-products of columns that are not in, weighed by noise.
@@ -239,9 +246,13 @@ class Products:
             index: Columns.
             gains: Their gains, shape (k,).
         """
-        left = [self.residual(i, index, gains) for i in range(len(self.rows))]
-        pairs = zip(left, self._edges, strict=True)
-        return np.array([_by_fold(x**2, e) for x, e in pairs])
+        joints = range(len(self.rows))
+        return self._by_fold(self.residual(i, index, gains) ** 2 for i in joints)
+
+    def _by_fold(self, x: Iterable[Array]) -> Array:
+        """Sums of each joint's samples, shape (n, F)."""
+        sums = ([x[a:b].sum() for a, b in self.parts(i)] for i, x in enumerate(x))
+        return np.array(list(sums))
 
     def _fitted(
         self, i: int, index: Index, gains: Array, part: slice = slice(None)
@@ -282,12 +293,3 @@ def _roomier(x: Array, used: int, size: int, axes: tuple[int, ...]) -> Array:
     out = np.empty(shape)
     out[tuple(own)] = x[tuple(own)]
     return out
-
-
-def slices(edges: Index) -> list[tuple[int, int]]:
-    """First and last sample of each fold."""
-    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
-
-
-def _by_fold(x: Array, edges: Index) -> Array:
-    return np.array([x[a:b].sum() for a, b in slices(edges)])

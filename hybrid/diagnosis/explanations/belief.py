@@ -92,7 +92,7 @@ def beliefs(search: Search) -> list[Belief]:
         rest = [c for c in search.causes if c is not cause]
         worth = now - search.score(rest)
         options: dict[Place, Proposal] = {}
-        for x in search.proposals(rest, own=cause):
+        for x in search.proposals(search.causes, own=cause):
             options.setdefault(x.place, x)
         twins = {place for place, x in options.items() if _twin(search, cause, x)}
         limit, least = _limit(search, cause, rest), search.prior.alike

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import Candidate
+from hybrid.diagnosis.evidence.estimate import estimate_noise, lower_noise
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.pool import Pool
 from hybrid.diagnosis.evidence.products import Index
@@ -80,7 +81,7 @@ class Posterior:
         self.rigid = np.concatenate([self.numbers, *own])
         self.pool = Pool(self.evidence, without)
         self.pool.take_ripples(self.rigid, _RIPPLES)
-        self.evidence.estimate_noise(np.arange(self.evidence.size))
+        estimate_noise(self.evidence, np.arange(self.evidence.size))
         self.noise = self.evidence.noise.copy()
         self._weigh()
         self.pool.take_contacts(self.rigid)
@@ -228,7 +229,7 @@ class Posterior:
 
         An explanation is one of the regressions that noise is what they leave of.
         """
-        lower = self.evidence.lower_noise(self.noise, self.columns(causes))
+        lower = lower_noise(self.evidence, self.noise, self.columns(causes))
         less = bool(np.any(lower != self.noise))
         if less:
             self.noise = lower

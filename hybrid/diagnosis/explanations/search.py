@@ -7,28 +7,24 @@ on recordings that the search has not learnt from.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.bayes import WIDER
-from hybrid.diagnosis.evidence.candidates import Candidate, Place, usual
+from hybrid.diagnosis.evidence.candidates import Candidate, usual
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.evidence.term import Term
 from hybrid.diagnosis.explanations.belief import Belief, beliefs
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.posterior import Posterior
-from hybrid.diagnosis.explanations.proposal import Proposal
+from hybrid.diagnosis.explanations.proposals import Proposals
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.prior import Prior
-from hybrid.effects import effect_classes
 
 _ROUNDS = 4  # of adding, exchanging and widening
 _MOST = 20  # causes
@@ -37,14 +33,13 @@ _FEW = 3  # causes: an arm with more of them may have what most have
 _BETTER = 0.5  # nat, for a change to be worth it
 
 
-class Search(Posterior):
+class Search(Proposals):
     """Causes of a gap, added, exchanged and removed until nothing is gained.
 
     Attributes:
         causes: The causes so far.
         beliefs: How probable the known ones are, once it has run.
         whole: All causes, once it has run.
-        library_only: Whether unknown laws are left out.
     """
 
     def __init__(
@@ -56,10 +51,8 @@ class Search(Posterior):
     ) -> None:
         super().__init__(gap, learn, without, prior)
         self.causes: list[Cause] = []
-        self.refused: set[Place] = set()
         self.beliefs: list[Belief] = []
         self.whole: list[Cause] = []
-        self.library_only = False
         self._last: dict[Cause, frozenset[object]] = {}
 
     @property
@@ -96,14 +89,7 @@ class Search(Posterior):
     def ranked(self, base: Index) -> list[tuple[Candidate, float]]:
         """See :meth:`.Pool.ranked`."""
         there = [c for c in self.known if c.index[0] in base]
-        return self.pool.ranked(base, self._taken(there))
-
-    def _taken(self, causes: Sequence[Cause]) -> set[Place]:
-        """Where no more may be than some causes: one of a kind, or a few."""
-        most = self.prior.repeated
-        count = Counter(c.place for c in causes)
-        again = {x.id for x in effect_classes().values() if x.repeats}
-        return {x for x, k in count.items() if k >= (most if x[0] in again else 1)}
+        return self.pool.ranked(base, self.taken(there))
 
     def loss(self, term: Term) -> float:
         """Evidence that would be lost without a term, [nat]."""
@@ -270,7 +256,7 @@ class Search(Posterior):
         now = self.score(self.causes)
         rest = [c for c in self.causes if c is not cause]
         alone = self.score(rest)
-        for found in self.proposals(rest, own=cause)[:2]:
+        for found in self.proposals(self.causes, own=cause)[:2]:
             if alone + found.worth > now + _BETTER:
                 causes = [*rest, found.make()]
                 if self.score(causes) > now + _BETTER and self._holds(causes):
@@ -281,64 +267,6 @@ class Search(Posterior):
             self.causes = rest
             return True
         return False
-
-    def proposals(
-        self, causes: Sequence[Cause], own: Cause | None = None
-    ) -> list[Proposal]:
-        """What may be added to some causes, and by how much it raises the score.
-
-        Args:
-            causes: The causes.
-            own: A cause that is not among them, whose shapes are fitted anew.
-        """
-        base, found = self.columns(causes), list[Proposal]()
-        whole, less = base, base[:0]
-        if own is not None and own in self.causes:
-            whole, less = self.columns(self.causes), own.index
-        ranked = self.pool.ranked(whole, self._taken(causes), less)
-        ranked = [(c, x) for c, x in ranked if c.place not in self.refused]
-        rough = {c.place[1][-1]: 0.0 for c, _ in ranked}
-        for c, x in ranked:
-            k = c.place[1][-1]
-            rough[k] = max(rough[k], c.effect.rough**2 * x)
-        ranked = ranked[: self.prior.shortlist]
-        short = [c for c, x in ranked if x > self.prior.refined * ranked[0][1]]
-        if own is not None and own.candidate is not None:
-            short = [own.candidate, *short]
-        for c in short:
-            better, worth = self.refine(base, c)
-            make = partial(self.cause, better)
-            alike = self.alike(causes, c.place[0]) - self.alike(causes)
-            odds = self.prior.cause - alike + self.mimicked(c)
-            found.append(Proposal(c.place, worth - odds, make, better))
-        laws = self.laws.open(causes)
-        if laws and not self.library_only:
-            found.append(self._unknown(laws, base, whole, less, rough))
-        return sorted(found, key=lambda x: -x.worth)
-
-    def _unknown(
-        self,
-        laws: Sequence[Cause],
-        base: Index,
-        whole: Index,
-        less: Index,
-        rough: Mapping[int, float],
-    ) -> Proposal:
-        """The best of some unknown laws beside a base, which is a whole less a part.
-
-        What a rough law of the library leaves out at a joint is no unknown law.
-        """
-        every = self.laws.all  # the same ones each time, whose products are kept
-        none = [np.full(len(x.index), -np.inf) for x in every]
-        gained = self.evidence.screen(whole, [x.index for x in every], none, less=less)
-        known = dict(zip(every, gained, strict=True))
-        worth = {
-            x: float(known[x]) - self.odds(x) - rough.get(x.place[1][0], 0.0)
-            for x in laws
-        }
-        law = max(laws, key=worth.__getitem__)
-        make = partial(self.laws.widened, base, law)
-        return Proposal(law.place, worth[law], make)
 
     def _simplify(self) -> bool:
         """Exchange causes for plainer ones that are as probable; whether there are."""
@@ -364,7 +292,7 @@ class Search(Posterior):
             laws = [x for x in laws if x.place[1][0] in cause.place[1]]
             if laws:
                 base = self.columns(self.causes)
-                law = self._unknown(laws, base, base, base[:0], {})
+                law = self.unknown(laws, base, base, base[:0], {})
                 self.causes.append(law.make())
             self._remove()
         return bool(masks)
