@@ -66,7 +66,7 @@ class Proposals(Posterior):
             alike = self.alike(rest, c.place[0]) - self.alike(rest)
             odds = self.prior.cause - alike + self.mimicked(c)
             found.append(Proposal(c.place, worth - odds, make, better))
-        laws = self.laws.open(rest)
+        laws = [x for x in self.laws.open(rest) if x.place not in self.refused]
         if laws and not self.library_only:
             found.append(self.unknown(laws, base, whole, less, rough))
         return sorted(found, key=lambda x: -x.worth)

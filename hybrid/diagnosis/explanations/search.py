@@ -27,8 +27,6 @@ from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.prior import Prior
 
 _ROUNDS = 4  # of adding, exchanging and widening
-_MOST = 20  # causes
-_REFUSALS = 6  # times that some causes are refused
 _FEW = 3  # causes: an arm with more of them may have what most have
 _BETTER = 0.5  # nat, for a change to be worth it
 
@@ -108,7 +106,8 @@ class Search(Proposals):
         if len(self.known) < len(self.causes) or len(self.causes) > _FEW:
             self._start_again()
         self.beliefs = beliefs(self)
-        if self._simplify() | self._unmask():
+        while self._simplify() | self._unmask():
+            self._settle()
             self.beliefs = beliefs(self)
         self.whole = list(self.causes)
         return self.causes
@@ -156,7 +155,7 @@ class Search(Proposals):
 
     def _settle(self) -> None:
         """Grow an explanation until all of its causes hold on unseen recordings."""
-        for _ in range(_REFUSALS):
+        while True:
             self._grow()
             bad = [c for c, fall in self.unseen(self.causes).items() if fall <= 0]
             if not bad and not self.listen(self.causes):
@@ -167,7 +166,7 @@ class Search(Proposals):
     def _grow(self) -> None:
         for _ in range(_ROUNDS):
             changed = False
-            while len(self.causes) < _MOST and self._add():
+            while self._add():
                 changed = True
             for cause in list(self.causes):
                 if cause in self.causes and self._last.get(cause) != self._near(cause):
@@ -275,6 +274,7 @@ class Search(Proposals):
             plain = belief.plainest(_BETTER)
             if plain is not None:
                 self.causes[self.causes.index(belief.cause)] = plain.make()
+                self.refused.add(belief.cause.place)
         return self.causes != before
 
     def _unmask(self) -> bool:
@@ -286,6 +286,7 @@ class Search(Proposals):
             b.cause for b in self.beliefs
             if b.limit is not None and b.cause in self.causes
         ]  # fmt: skip
+        self.refused |= {c.place for c in masks}
         for cause in masks:
             self.causes = [c for c in self.causes if c is not cause]
             laws = self.laws.open(self.causes)
