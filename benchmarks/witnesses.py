@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -127,10 +127,24 @@ class Witnesses:
 
 
 def test_files() -> dict[str, str]:
-    """Hash of every test file, with what all share."""
-    shared = "".join(x.read_text() for x in sorted((ROOT / "tests").glob("[!t]*.py")))
-    files = sorted((ROOT / "tests").glob("test_*.py"))
-    return {f"tests/{x.name}": digest(shared + x.read_text()) for x in files}
+    """Hash of every test file, with what it imports from beside it."""
+    texts = {x.stem: x.read_text() for x in (ROOT / "tests").glob("*.py")}
+    return {
+        f"tests/{name}.py": digest("".join(texts[x] for x in _needed(name, texts)))
+        for name in sorted(texts)
+        if name.startswith("test_")
+    }
+
+
+def _needed(name: str, texts: Mapping[str, str]) -> list[str]:
+    """A test file and the modules beside it that it takes, through others too."""
+    found: set[str] = set()
+    open_ = ["conftest", name]
+    while open_:
+        found.add(x := open_.pop())
+        named = re.findall(r"^\s*(?:from|import) (\w+)", texts[x], re.MULTILINE)
+        open_ += (set(named) & set(texts)) - found
+    return sorted(found)
 
 
 def _file(test: str) -> str:
