@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_gmr import random_mixture, sample
 
-from hybrid.compensator import GaussianMixtureRegression
+from hybrid.compensator import GaussianMixtureRegression, gmr_fit
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.compensator.checks import check_matrix, check_pair, draw
 from hybrid.compensator.gmr_fit import (
@@ -167,3 +167,25 @@ def test_a_mixture_that_could_not_predict_is_refused(name, value, message):
         GaussianMixtureRegression(**{**arrays, name: np.array(value)})
     silent = GaussianMixtureRegression(**{**arrays, "bound": np.zeros(1)})
     assert not silent.predict(np.zeros((3, 1))).any()
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_far_away_a_mixture_is_as_unsure_as_torque_is_large(size):
+    """Whatever its unit."""
+    x, y = sample(0, n=500)
+    model = GaussianMixtureRegression.fit(x, size * y, components=1)
+    np.testing.assert_allclose(model.prior_variance, size**2 * (y**2).mean(axis=0))
+    _, variance = model.predict_distribution(np.full((1, 2), 1e3))
+    np.testing.assert_allclose(variance[0], model.prior_variance, rtol=1e-6)
+
+
+def test_a_score_is_a_log_likelihood_per_sample(monkeypatch):
+    """Of white noise in d channels −d/2·(1 + log 2π), less what BIC asks of numbers."""
+    seen = {}
+    monkeypatch.setattr(gmr_fit, "choose_components", lambda s: seen.update(s) or 1)
+    x, y = np.random.default_rng(0).normal(size=(2, 4000, 1))
+    GaussianMixtureRegression.fit(x, y, candidates=(1, 2))
+    bic = {1: 5, 2: 11}  # numbers of means, covariances and weights
+    for count, numbers in bic.items():
+        expected = -(1 + np.log(2 * np.pi)) - numbers * np.log(4000) / 8000
+        assert seen[count] == pytest.approx(expected, abs=0.002)

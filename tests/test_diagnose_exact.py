@@ -1,23 +1,35 @@
 """Whole diagnoses of exact pendulums, each number of which can be worked out."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pendulum import NOISE, RATE, pendulum, swings, with_torque
 
+from hybrid.diagnosis.answer.command import Link
+from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region
+from hybrid.diagnosis.answer.findings import found_at
 from hybrid.diagnosis.answer.intervals import interval, shrink
+from hybrid.diagnosis.answer.links import joined
 from hybrid.diagnosis.answer.locate import locate
 from hybrid.diagnosis.answer.replay import Replay, courses
 from hybrid.diagnosis.answer.replayed import motion_shrink, replayed, rollout_agrees
 from hybrid.diagnosis.diagnose import diagnose, examine
+from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.gap.split import between, split
+from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
+from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.delay import Delay
+from hybrid.effects.encoder_eccentricity import EncoderEccentricity
+from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.payload import Payload
 from hybrid.effects.presliding import Presliding
 from hybrid.effects.stribeck import Stribeck
+from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.recording import Recording
@@ -352,3 +364,91 @@ def test_a_fall_is_of_root_mean_squares():
     found = shrink(squares, 10, "N", np.random.default_rng(0))
     assert (found.before, found.after, found.removed) == (2.0, 1.0, 0.5)
     assert found.interval == pytest.approx((0.5, 0.5)) and found.unit == "N"
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        TorqueGain((0,), {"gain": 0.3}),
+        Delay((0,), {"time": 0.012}),
+        EncoderOffset((0,), {"offset": 0.05}),
+        EncoderEccentricity((1,), {"sine": 0.02, "cosine": 0.01}),
+    ],
+)
+def test_columns_of_a_changed_signal_make_up_the_whole_change(effect):
+    """They are linear near its gains only, and at these they are exact."""
+    gap = measure_gap(pendulum(2), swings(2), cutoff=CUTOFF)
+    columns, reached = gap.columns(effect, calm=False), effect.reaches(2)
+    assert set(columns) == set(reached)
+    change = []
+    for m, _, sampler in gap:
+        if effect.reports:
+            own = m.tau[:, list(reached)]
+            moved = effect.report(m.t, own) - own
+        else:
+            body = RigidBody(pendulum(2).chain, m)
+            seen = effect.observe(m, body)
+            tau = simulated_torque(
+                pendulum(2), seen, RigidBody(pendulum(2).chain, seen)
+            )
+            moved = (tau - m.tau)[:, list(reached)]
+        change.append(sampler(moved))
+    for k, j in enumerate(reached):
+        expected = np.concatenate(change)[:, k]
+        np.testing.assert_allclose(
+            columns[j] @ effect.gain_values,
+            expected,
+            atol=1e-6 * np.abs(expected).max(),
+        )
+
+
+@pytest.mark.parametrize(("fold", "trajectory"), [(2, 0), (3, 0), (1, 1), (2, 1)])
+def test_what_is_far_larger_is_learnt_from_and_not_left_for_scoring(fold, trajectory):
+    """Of two logs each in blocks: the larger part is no usual one, wherever it is."""
+    folds, logs_of = np.tile(np.repeat(np.arange(8), 10), 2), np.repeat([0, 1], 80)
+    left = np.where(np.arange(160) % 2, 1.0, -1.0)[:, None]
+    here = (folds == fold) & (logs_of == trajectory)
+    left[here] *= np.sqrt(15.0)
+    gap = SimpleNamespace(
+        fold=folds, trajectory=logs_of, left=left, moving=np.ones((160, 1), dtype=bool)
+    )
+    learn = split(gap)
+    assert learn[here].all() and 0.6 < learn.mean() < 0.9
+
+
+def test_regions_of_both_links_share_what_is_left():
+    """Between command and torque a soft servo; between torque and motion an offset."""
+    region = Region("hinge_0", "link", 0.0, 1.0, "torque to motion", 1.0, (0.9, 1.0))
+    diagnosis = Diagnosis(
+        "arm", ("hinge_0", "hinge_1"), (1.0, 1.0), (0.1, 0.1), (1.0, 1.0), (region,),
+        (), "unexplained", 1.0, 0.02,
+    )  # fmt: skip
+    excess = np.zeros((10, 2))
+    excess[:, 1] = 30.0
+    late = found_at(CommandLatency, ["hinge_1"], (), ())
+    link = Link((late,), (), np.array([0.0, 600.0]), excess)
+    left = np.tile([np.sqrt(2.0), 1.0], (100, 1))  # 100 in units of noise
+    gap = SimpleNamespace(moving=np.ones((100, 2), dtype=bool), left=left)
+    account = SimpleNamespace(explained=np.zeros(2), missed=np.array([200.0, 0.0]))
+    found = joined(diagnosis, account, gap, link, np.random.default_rng(0))
+    assert found.verdict == "partly_explained"
+    assert found.unexplained == pytest.approx(200 / 800)
+    assert [(r.joint, r.unit) for r in found.where] == [
+        ("hinge_1", "command to torque"), ("hinge_0", "torque to motion"),
+    ]  # fmt: skip
+    assert [r.share for r in found.where] == pytest.approx([0.75, 0.25])
+    assert found.where[1].interval == pytest.approx((0.225, 0.25))
+    assert found.where[0].interval == pytest.approx((0.75, 0.75))
+    (f,) = found.findings
+    assert f.share == 1.0
+    none = replace(link, findings=())
+    assert joined(diagnosis, account, gap, none, None) is diagnosis
+    first = replace(region, share=0.9, interval=(0.8, 1.0))
+    of_both = joined(
+        replace(diagnosis, where=(first, replace(first, share=0.01)), findings=(late,)),
+        SimpleNamespace(explained=np.array([200.0, 0.0]), missed=np.zeros(2)),
+        gap, link, np.random.default_rng(0),
+    )  # fmt: skip
+    shares = [r.share for r in of_both.where]
+    assert shares == sorted(shares, reverse=True) and len(shares) == 3
+    assert sum(f.share for f in of_both.findings) == pytest.approx(1.0)

@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pendulum import pendulum, swings, with_torque
 from simulated import arm
 
 from hybrid.dynamics import inverse_dynamics
+from hybrid.inspect.coverage import coverage_of, excitation_of
 from hybrid.inspect.leaps import doubts_of_rows
 from hybrid.inspect.physics import _doubt
 from hybrid.inspect.reading import OtherReading, readings
@@ -244,3 +246,62 @@ def test_a_joint_that_is_faster_than_its_drive_is_told(times, severity):
     assert [x.severity for x in found] == [severity] * 2 * (severity is not None)
     for doubt, limit in zip(found, robot.v_max, strict=False):
         assert f"up to {limit:.4g} rad/s" in doubt.remedy
+
+
+# --- what a log covers ----------------------------------------------------------------
+
+
+def seen(log):
+    v = np.gradient(log.q, log.t, axis=0)
+    a = np.gradient(v, log.t, axis=0)
+    unknown = np.full(log.q.shape[1], np.nan)
+    tau = log.tau if log.has_torque else 0 * v
+    return State(log.q, v, a, tau, None, unknown, unknown)
+
+
+@pytest.mark.parametrize("pace", [0.02, 1.0, 50.0])
+def test_a_joint_moves_at_any_pace(pace):
+    """It is slower than a part of its own highest speed, not than a number."""
+    t = np.arange(0.0, 10.0, 0.01) / pace
+    q = np.where(pace * t < 5.0, np.sin(2.0 * pace * t), np.sin(10.0))
+    (found,) = coverage_of(*[x := log(q, t), seen(x)][:2])
+    assert found.moving == pytest.approx(0.5, abs=0.03)
+    assert found.fastest == pytest.approx(2.0 * pace, rel=0.01)
+    assert (found.low, found.high) == (q.min(), q.max())
+    (still,) = coverage_of(*[x := log(0 * t, t), seen(x)][:2])
+    assert (still.fastest, still.moving, still.lag) == (0.0, 0.0, None)
+
+
+@pytest.mark.parametrize("samples", [0, 7, 30])
+def test_the_lag_is_where_a_position_differs_least_from_its_command(samples):
+    """Also where the command drifts, and the sums over the overlap change with it."""
+    t = np.arange(0.0, 5.0, 0.01)
+    rng = np.random.default_rng(1)
+    command = np.cumsum(rng.normal(0.02, 0.2, len(t) + 50))
+    q = command[50 - samples : len(t) + 50 - samples] + 0.3
+    command = command[50:]
+    x = Recording(t, q[:, None], command=command[:, None], joints=("a",), source="log")
+    (found,) = coverage_of(x, seen(x))
+    assert found.lag == pytest.approx(0.01 * samples)
+    variance = [np.var(q[k:] - command[: len(q) - k]) for k in range(50)]
+    assert int(np.argmin(variance)) == samples
+
+
+def test_what_motion_tells_of_links_and_drives_is_named():
+    """Of a pendulum: its weight, its inertia with the rotor, and its friction."""
+    logs = [with_torque(m, (), 0.02) for m in swings(1, count=1, seconds=6.0)]
+    (m,) = logs
+    unknown = np.full(1, np.nan)
+    state = State(m.q, m.v, m.a, m.tau, None, unknown, unknown)
+    found = excitation_of(pendulum().chain, state)
+    assert {x.split()[0] for x in found.names} == {
+        "mx_1",
+        "mz_1",
+        "Ia_1",
+        "Fv_1",
+        "Fc_1",
+        "offset_1",
+    }
+    assert 1.0 < found.condition < 30.0
+    assert {"Fv_1", "Fc_1", "offset_1"} & set(found.untold)
+    assert not {x for x in found.untold if x.startswith(("mz", "Ia"))}
