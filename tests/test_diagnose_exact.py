@@ -140,6 +140,25 @@ def test_a_lightened_link_of_a_file_is_no_cause_but_is_said():
     assert any("a gap of its own" in x for x in found.warnings)
 
 
+def test_numbers_of_a_file_that_are_far_off_are_said_and_no_silence():
+    """A link that is a quarter heavier, where no effect may say so."""
+    light = pendulum(4).chain.inertial.copy()
+    light[2] /= 1.25
+    for robot, right in (
+        (pendulum(4).with_inertial(light), False),
+        (pendulum(4), True),
+    ):
+        found = examined(logs(size=4), library=("coulomb", "viscous"), robot=robot)
+        found = found.diagnosis
+        if right:
+            assert found.verdict == "no_gap" and not found.warnings
+        else:
+            assert found.verdict == "unexplained"
+            (said,) = found.warnings
+            assert "numbers of the file at hinge_2" in said
+            assert "farther off than files usually are" in said
+
+
 def test_torque_of_another_clock_is_taken_back_and_named():
     late = []
     for m in logs(ASKEW, seconds=6.0):

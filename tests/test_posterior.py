@@ -259,6 +259,20 @@ def test_a_cause_lowers_the_squares_on_samples_that_nothing_was_learnt_from():
     assert at._holds([cause(at, RUBS)])
 
 
+def test_a_cause_has_to_help_on_recordings_that_were_not_learnt_from():
+    """Friction of the first three recordings, which the fourth does not have."""
+    for effects, there in (((RUBS,) * 3 + (None,), False), ((RUBS,) * 4, True)):
+        logs = [
+            with_torque(m, [e] if e else (), NOISE, k)
+            for k, (m, e) in enumerate(zip(swings(), effects, strict=True))
+        ]
+        known = measure_gap(pendulum(), logs, cutoff=10.0)
+        others = [x for x in effect_classes() if x not in FEW]
+        at = Search(known, split(known), others)
+        at.run()
+        assert (("coulomb", (0,)) in places(at)) == there
+
+
 def test_nothing_is_counted_of_a_joint_without_samples():
     at = search(RUBS)
     assert at.test.count == pytest.approx([np.count_nonzero(at.test.use)], rel=0.1)
