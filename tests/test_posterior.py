@@ -9,7 +9,12 @@ from pendulum import NOISE, gap_of, pendulum, swings, with_torque
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.explanation import explain, shares
-from hybrid.diagnosis.explanations.refit import _over_shapes, refit, solve_all
+from hybrid.diagnosis.explanations.refit import (
+    _over_shapes,
+    _reported,
+    refit,
+    solve_all,
+)
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.gap.split import split
@@ -17,6 +22,7 @@ from hybrid.effects import effect_classes
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.presliding import Presliding
+from hybrid.effects.saturation import Saturation
 from hybrid.effects.spring import Spring
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_offset import TorqueOffset
@@ -296,6 +302,27 @@ def test_values_are_those_of_the_arm_within_their_intervals():
             assert off < 3 * effect.std[name] < 0.2
 
 
+def test_the_interval_of_a_shape_is_that_of_all_that_fit_nearly_as_well():
+    at = search(BRISTLES, library=("presliding",))
+    at.run()
+    (found,) = refit(at.gap, at)
+    assert abs(found.values["distance"] - 0.05) < 3 * found.std["distance"] < 0.01
+    assert abs(found.values["level"] - 1.0) < 3 * found.std["level"] < 0.1
+    evidence, solution, (own,) = solve_all(at.gap, at)
+    base = np.setdiff1d(solution.index, own)
+    candidate_, steps = at.known[0].candidate, [-1.96, 0.0, 1.96]
+    worth = []
+    for x in steps:
+        moved = found.at(
+            {"distance": found.values["distance"] + x * found.std["distance"]}
+        )
+        columns = at.gap.columns(moved)
+        worth.append(
+            evidence.trial(base, columns, candidate_.std, candidate_.lower).worth
+        )
+    assert worth[1] - max(worth[0], worth[2]) > 1.0  # at its ends it fits worse
+
+
 def test_what_each_explains_is_what_is_left_less_by_it():
     at = search(RUBS, ASKEW)
     at.run()
@@ -355,3 +382,32 @@ def test_a_spring_is_stiffer_than_its_file_says_by_so_much():
     (found,) = refit(at.gap, at)
     assert found.id == "spring"
     assert abs(found.values["stiffness"] - 3.0) < 3 * found.std["stiffness"] < 0.5
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        Saturation((0,), {"loss": 0.6, "limit": 5.0, "total": 0.0}),
+        Stribeck((0,), {"level": 2.0, "velocity": 0.3}),
+    ],
+)
+def test_deviations_follow_a_law_to_the_one_that_is_reported(effect):
+    """By its slopes, however they are changed: the delta method."""
+    names = [x.name for x in (*effect.gains, *effect.shapes) if not x.whole]
+    root = np.random.default_rng(0).normal(0.0, 1e-3, (len(names), len(names)))
+    found, law = _reported(effect, root @ root.T), effect.as_reported()
+    assert found.values == law.values
+
+    def at(k, step):
+        moved = effect.at({names[k]: effect.values[names[k]] + step}).as_reported()
+        return np.array([moved.values[x] for x in names])
+
+    step = 1e-5
+    columns = [(at(k, step) - at(k, -step)) / (2 * step) for k in range(len(names))]
+    J = np.array(columns).T
+    expected = np.sqrt(np.diag(J @ root @ root.T @ J.T))
+    np.testing.assert_allclose([found.std[x] for x in names], expected, rtol=1e-3)
+    if law is not effect:
+        assert found.std["loss"] == pytest.approx(
+            np.linalg.norm(root[0]) / 1.6**2, rel=1e-3
+        )
