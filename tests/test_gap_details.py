@@ -8,6 +8,7 @@ import pytest
 from pendulum import NOISE, RATE, gap_of, pendulum, swings, with_torque
 from scipy.interpolate import CubicSpline
 
+from hybrid.diagnosis.answer import command
 from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.findings import Beside, found_at, listed
 from hybrid.diagnosis.evidence.bayes import heavy_tailed, log_bayes, most_noise
@@ -360,3 +361,29 @@ def test_names_are_listed_and_shares_are_of_all_that_is_explained():
     assert [(f.effect, f.share) for f in both] == [
         ("viscous", pytest.approx(0.75)), ("coulomb", pytest.approx(0.25)),
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("gains", "hidden", "wrong"),
+    [
+        ([80.0, 5.0], 0.0, False),
+        ([70.0, 5.0], 0.0, True),
+        ([90.0, 5.0], 0.0, True),
+        ([80.0, 3.5], 0.0, True),
+        ([80.0, 3.5], 0.4, False),  # 3.5 of 5 is what noise leaves of up to 5.8
+        ([80.0, 3.5], 0.2, True),
+        ([80.0, 6.5], 0.4, True),
+        ([70.0, 5.0], 0.4, True),  # a stiffness hides in no noise
+    ],
+)
+def test_a_damping_that_noise_hides_part_of_is_not_wrong_by_that(
+    monkeypatch, gains, hidden, wrong
+):
+    servo = replace(pendulum(), kp=np.array([80.0]), kd=np.array([5.0]))
+    gap = SimpleNamespace(robot=servo, rate=100.0, cutoff=10.0)
+    found = SimpleNamespace(
+        law=SimpleNamespace(scaled=False), gains=np.array(gains),
+        covariance=np.diag([1.0, 1.0, 1e-4, 1e-6]),
+    )  # fmt: skip
+    monkeypatch.setattr(command, "blur", lambda *_: hidden)
+    assert command._wrong(found, gap, None, 0) == wrong

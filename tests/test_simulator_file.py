@@ -636,3 +636,24 @@ def test_a_gain_multiplies_all_that_an_actuator_gives(tmp_path):
     part = 1 / 1.25  # of the torque asked for, so that what is logged is it
     assert new.actuator_gainprm[0, 0] == pytest.approx(part * 9)
     assert new.actuator_biasprm[0, :3] == pytest.approx(part * np.array([2, -9, -1]))
+
+
+def test_meshes_of_a_urdf_are_found_from_where_its_mjcf_will_stand(tmp_path):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "cube.obj").write_text(CUBE)
+    shape = (
+        '<collision><geometry><mesh filename="meshes/cube.obj"/></geometry></collision>'
+    )
+    bare = BARE.format('<link name="lower"/>')
+    text = bare.replace("</inertial></link>", f"</inertial>{shape}</link>", 1)
+    (tmp_path / "arm.urdf").write_text(text)
+    robot, _ = quiet(Robot.load, tmp_path / "arm.urdf")
+    (tmp_path / "out" / "deep").mkdir(parents=True)
+    chain = replace(robot.chain, armature=np.array([0.1, 0.2]))
+    made, _ = quiet(
+        build_simulator, replace(robot, chain=chain), folder=tmp_path / "out" / "deep"
+    )
+    made.write(tmp_path / "out" / "deep" / "arm.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "deep" / "arm.xml"))
+    assert model.nmesh == 1
+    assert model.dof_armature[:2] == pytest.approx([0.1, 0.2])
