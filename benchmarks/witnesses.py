@@ -81,6 +81,8 @@ class Witnesses:
             *outer, statement = _around(text, mutant.row)
             before = r"\." if outer else r"\b"  # of a class, or of the module
             for path in (x for x in self.lines if x.endswith(".py")):
+                if not (ROOT / path).exists():  # it was there when tests were watched
+                    continue
                 naming = _naming((ROOT / path).read_text(), _names(statement), before)
                 found |= self._executing(path, naming)
         return self._affordable(found)
