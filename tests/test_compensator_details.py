@@ -1,5 +1,7 @@
 """Learned remainders, number by number: fades, evidence, choices, what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_gmr import random_mixture, sample
@@ -189,3 +191,20 @@ def test_a_score_is_a_log_likelihood_per_sample(monkeypatch):
     for count, numbers in bic.items():
         expected = -(1 + np.log(2 * np.pi)) - numbers * np.log(4000) / 8000
         assert seen[count] == pytest.approx(expected, abs=0.002)
+
+
+def test_trust_falls_smoothly_from_one_to_nothing():
+    """From the fade's start to its end, half of it in the middle of the distance."""
+    mixture = random_mixture(3, k=1)
+    near, far = 4.0, 16.0
+    at = np.linspace(0.0, 20.0, 600)[:, None] + mixture.means[0, 0]
+    whole, variance = mixture.predict_distribution(at)
+    faded = replace(mixture, fade=np.array([near, far]))
+    mean, spread = faded.predict_distribution(at)
+    distance = mixture.distance(at)
+    u = np.clip((far - distance) / (far - near), 0.0, 1.0)
+    trust = (u**2 * (3 - 2 * u))[:, None]
+    assert trust.min() == 0.0 and trust.max() == 1.0
+    np.testing.assert_allclose(mean, trust * whole, atol=1e-9)
+    expected = trust * variance + trust * (1 - trust) * whole**2 + (1 - trust)
+    np.testing.assert_allclose(spread, expected, rtol=1e-6)

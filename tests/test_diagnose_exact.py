@@ -471,3 +471,11 @@ def test_regions_of_both_links_share_what_is_left():
     shares = [r.share for r in of_both.where]
     assert shares == sorted(shares, reverse=True) and len(shares) == 3
     assert sum(f.share for f in of_both.findings) == pytest.approx(1.0)
+
+
+def test_one_log_is_enough_if_it_is_long():
+    found = examined(logs(ASKEW, size=2, count=1, seconds=16.0))
+    (f,) = found.diagnosis.findings
+    assert (f.effect, f.joints) == ("torque_offset", ("hinge_0",))
+    (level,) = f.parameters
+    assert level.interval[0] < -1.0 < level.interval[1] < 0.0

@@ -7,10 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pendulum import RATE, pendulum, swings, with_torque
+from scipy.optimize import lsq_linear
 
+from hybrid.dynamics.pseudo_inertia import inertial_from_pseudo, pseudo_inertia
+from hybrid.effects import JointState
 from hybrid.effects.coulomb import Coulomb
 from hybrid.identification.consistency import physically_consistent
 from hybrid.identification.data import check_torque, fastest, visited
+from hybrid.identification.friction import fit_friction
 from hybrid.identification.partial_regression import PartialRegression, _Sums
 from hybrid.identification.preparation import (
     linear_effects,
@@ -21,7 +25,9 @@ from hybrid.identification.preparation import (
 )
 from hybrid.identification.remainder import _candidates, _most_telling
 from hybrid.recording import Recording
-from hybrid.regression.least_squares import pseudo_solve
+from hybrid.regression.cross_products import accumulate
+from hybrid.regression.least_squares import _bounded_solve, pseudo_solve
+from hybrid.regression.prior import spread
 from hybrid.regression.problem import build_problem
 
 seeds = st.integers(0, 10_000)
@@ -264,3 +270,72 @@ def test_the_cutoff_is_halved_where_torque_is_noisy_and_kept_where_not(noise):
     halvings = np.log2(first / found)
     assert halvings == pytest.approx(round(halvings)) and 0 <= halvings <= 3
     assert found >= 3.0 * 4 / 12.0 and first <= RATE / 2
+
+
+@given(seed=seeds)
+@settings(max_examples=20)
+def test_the_pseudo_inertia_of_points_is_their_second_moment(seed):
+    rng = np.random.default_rng(seed)
+    mass, at = rng.uniform(0.1, 2.0, 5), rng.standard_normal((5, 3))
+    one = np.column_stack([at, np.ones(5)])
+    J = (mass[:, None] * one).T @ one
+    found = inertial_from_pseudo(J)
+    assert found[0] == pytest.approx(mass.sum())
+    np.testing.assert_allclose(found[1:4], mass @ at)
+    x, y, z = at.T
+    about = [y**2 + z**2, -x * y, x**2 + z**2, -x * z, -y * z, x**2 + y**2]
+    np.testing.assert_allclose(found[4:], np.array(about) @ mass, atol=1e-12)
+    np.testing.assert_allclose(pseudo_inertia(found), J, atol=1e-12)
+
+
+@given(seed=seeds)
+@settings(max_examples=30)
+def test_bounded_least_squares_is_that_of_scipy(seed):
+    rng = np.random.default_rng(seed)
+    X, y = rng.standard_normal((12, 4)), rng.standard_normal(12)
+    lower = np.where(rng.random(4) < 0.7, 0.0, -np.inf)
+    bounds = (lower, np.full(4, np.inf))
+    expected = lsq_linear(X, y, bounds=bounds, tol=1e-14).x
+    found = _bounded_solve(X.T @ X, X.T @ y, lower)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert (found >= lower).all()
+
+
+@pytest.mark.parametrize("seconds", [20.0, 300.0])
+def test_cross_products_are_in_a_hundred_blocks_at_most(seconds):
+    robot = pendulum()
+    motions = [with_torque(m, ()) for m in swings(count=2, seconds=seconds)]
+    products = accumulate(
+        build_problem(robot.chain, []), motions, cutoff=10.0, standing=np.zeros(1)
+    )
+    assert 10 <= len(products.blocks) <= 100
+    assert len(products.blocks) > 60 or seconds < 100.0
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_friction_of_each_direction_is_fitted_to_its_own(direction):
+    known = prepare([with_torque(m, (), 0.0) for m in swings(seconds=8.0)], 10.0)
+    rng, rest = np.random.default_rng(0), []
+    for m in known.motions:
+        v = m.v[:, 0]
+        dry = np.where(direction * v > 0, 2.0, 1.0) * np.sign(v) + 0.3 * v
+        rest.append(dry + 0.02 * rng.standard_normal(len(v)))
+    load = [np.zeros(len(m.t)) for m in known.motions]
+    (found, *_) = fit_friction(known, 0, rest, load)
+    v = np.linspace(-6, 6, 41)
+    v = v[np.abs(v) > 1.0]
+    zero = np.zeros_like(v)
+    at = JointState(zero, zero, v, zero, np.sign(v), zero)
+    law = np.stack(found.law(at, **found.shape_values)).T @ found.gain_values
+    expected = np.where(direction * v > 0, 2.0, 1.0) * np.sign(v) + 0.3 * v
+    np.testing.assert_allclose(law, expected, atol=0.1)
+
+
+def test_link_parameters_are_as_unsure_as_their_unit_and_size_say():
+    """A mass, a mass at a distance, and one at its square."""
+    found = spread(pendulum(2).chain)
+    mass, moment, inertia = found[:, 0], found[:, 1:4], found[:, 4:]
+    size = moment / mass[:, None]
+    np.testing.assert_allclose(size, size[:, :1] * np.ones(3))
+    np.testing.assert_allclose(inertia, mass[:, None] * size[:, :1] ** 2 * np.ones(6))
+    assert (0.1 < size).all() and (size < 1.0).all() and (mass >= 2.0).all()

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.files import atomic_path, write_json
 from hybrid.recording import Recording, read, resample, unbroken
+from hybrid.recording.joints import _prefix
 
 
 def log(samples: int = 200, joints: int = 3, rate: float = 100.0) -> Recording:
@@ -224,3 +225,10 @@ def test_a_channel_without_a_number_is_not_there_and_that_is_said(
     assert found.has_torque == ("tau" in left)
     assert (found.v is not None) == ("v" in left)
     assert note is None or note in found.reading.notes
+
+
+def test_what_names_begin_with_ends_at_a_separator():
+    assert _prefix(["arm_left_1", "arm_left_2"]) == "arm_left_"
+    assert _prefix(["left/elbow", "left/wrist"]) == "left/"
+    assert _prefix(["shoulder_1", "should_2"]) == ""
+    assert _prefix(["alone_1"]) == ""
