@@ -173,6 +173,14 @@ def test_torque_of_another_clock_is_taken_back_and_named():
     assert [e.id for e in result.late] == ["delay", "delay"]
     assert any("late at every joint" in x for x in found.warnings)
     assert delay.shrink["torque"].after < 0.2 * delay.shrink["torque"].before
+    for f in replayed(result, np.random.default_rng(0)).diagnosis.findings:
+        assert f.shrink["motion"].removed > 0.8
+
+
+def test_dry_friction_is_no_play_and_no_spring():
+    found = examined(logs(RUBS), library=("coulomb", "backlash", "elasticity"))
+    (f,) = found.diagnosis.findings
+    assert (f.effect, f.joints) == ("coulomb", ("hinge_1",))
 
 
 def test_an_arm_that_hardly_moves_tells_nothing():

@@ -14,7 +14,7 @@ WEEKS, DAYS = 26, 7.0
 T = 739000.0 + DAYS * np.arange(WEEKS)
 
 
-def fleet_of(values, std, **options):
+def fleet_of(values, std, warm=None, load=None, limits=None, **options):
     """What a fleet says of values and their standard deviations, (arms, series, T)."""
     names = [f"a{k}" for k in range(len(values))]
     rows = [
@@ -23,11 +23,14 @@ def fleet_of(values, std, **options):
             "day": date.fromordinal(int(T[t])).isoformat(), "joint": f"j{k}",
             "parameter": "coulomb.level", "unit": "N·m", "status": "ok", "reason": None,
             "change": values[a, k, t], "std": std[a, k, t], "baseline": 1.0,
-            "baseline_std": 0.1, "temperature": np.nan, "load": 1.0, "residual": 1.0,
+            "baseline_std": 0.1, "residual": 1.0,
+            "temperature": np.nan if warm is None else warm[a, t],
+            "load": 1.0 if load is None else load[a, t],
         }
         for a, k, t in np.ndindex(*values.shape)
     ]  # fmt: skip
-    arms = tuple(ArmPlan(name, "logs", "arm.xml", group="g") for name in names)
+    more = {"group": "g", "limits": limits or {}}
+    arms = tuple(ArmPlan(name, "logs", "arm.xml", **more) for name in names)
     return fleet_from_rows(Plan(arms, **options), rows)
 
 
@@ -160,3 +163,76 @@ def test_a_score_of_few_degrees_has_to_be_larger_to_be_as_seldom():
     (unsure,) = changes(T, 4.0 * y, s, limit=5.0, degrees=5.0)
     assert unsure.score > 31.8
     assert list(changes(T, 3.0 * y, s, limit=5.0, degrees=5.0)) == []
+
+
+def alone(arms=1):
+    """Noise of some arms, and its standard deviation, (arms, 1, T)."""
+    noise = np.random.default_rng(7).standard_normal((arms, 1, WEEKS))
+    return 0.1 * noise, np.full((arms, 1, WEEKS), 0.1)
+
+
+STEP = 1.0 * (np.arange(WEEKS) >= 13)
+
+
+def test_what_all_arms_share_is_of_none_of_them():
+    """Season, say: it is told once, of all arms together, and dated."""
+    noise, std = alone(8)
+    found = fleet_of(noise + STEP, std)
+    assert not any(x.changes for x in found.states)
+    said = [x for x in found.shared if "all arms together" in x]
+    assert len(said) == 1 and "j0, coulomb.level" in said[0]
+    assert f"N·m on {date.fromordinal(int(T[13])).isoformat()}" in said[0]
+    assert any("no log has a temperature" in x for x in found.shared)
+    few = fleet_of(noise[:3] + STEP, std[:3])
+    assert all(len(x.changes) == 1 for x in few.states)
+
+
+def test_one_arm_that_changes_is_the_one():
+    noise, std = alone(8)
+    noise[3] += STEP
+    found = fleet_of(noise, std)
+    (alarm,) = found.alarms
+    assert alarm.arm == "a3" and alarm.unlike
+    (change,) = alarm.changes
+    assert change.kind == "step" and change.size == pytest.approx(1.0, abs=0.2)
+    assert [x.arm for x in found.states if x.unlike] == ["a3"]
+
+
+@pytest.mark.parametrize("arms", [1, 8])
+def test_what_temperature_explains_is_no_change(arms):
+    """By its own slope of one arm, by that of all in a fleet."""
+    noise, std = alone(arms)
+    rng = np.random.default_rng(1)
+    warm = 30.0 + 5.0 * STEP + rng.standard_normal((arms, WEEKS))
+    found = fleet_of(noise + 0.2 * (warm - 30.0)[:, None], std, warm=warm)
+    assert not any(x.changes for x in found.states)
+    for x in found.states if arms > 1 else ():  # at the usual temperature
+        assert x.level.value == pytest.approx(0.2 * (warm.mean() - 30.0), abs=0.2)
+    told = fleet_of(noise + 0.2 * (warm - 30.0)[:, None], std)
+    unsure = ["which is not logged" in x.confounded for x in told.states]
+    assert any(unsure) == (arms == 1)
+
+
+@pytest.mark.parametrize(("moves", "said"), [(2.0, True), (0.0, False)])
+def test_a_change_of_load_at_the_same_time_is_said(moves, said):
+    noise, std = alone()
+    rng = np.random.default_rng(2)
+    load = 5.0 + 0.05 * rng.standard_normal((1, WEEKS)) + moves * STEP
+    (x,) = fleet_of(noise + STEP, std, load=load).states
+    assert x.changes and ("load" in x.confounded) == said
+
+
+@pytest.mark.parametrize(
+    ("limits", "most"),
+    [
+        ({}, np.inf), ({"coulomb.level": 0.5}, 0.5), ({"coulomb": "80%"}, 0.8),
+        ({"coulomb": 0.3, "coulomb.level": "10%"}, 0.1), ({"viscous": 0.1}, np.inf),
+    ],
+)  # fmt: skip
+def test_a_limit_is_a_number_or_a_part_of_the_baseline(limits, most):
+    noise, std = alone()
+    (x,) = fleet_of(noise + 0.02 * np.arange(WEEKS), std, limits=limits).states
+    assert x.limit == pytest.approx(most)
+    median, early, late = x.crossing
+    assert early <= median <= late
+    assert (median < np.inf) == (most < np.inf)

@@ -1,6 +1,7 @@
 """What a fleet does with one arm's logs: periods, units, a body at the tool."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +14,7 @@ from hybrid.effects.payload import Payload
 from hybrid.errors import HybridError
 from hybrid.fleets import store as stores
 from hybrid.fleets.estimate import _held, _noise, _posterior, deviations, followed
-from hybrid.fleets.plan import ArmPlan, Plan, periods
+from hybrid.fleets.plan import ArmPlan, Plan, periods, read_plan
 from hybrid.fleets.store import Store, run_plan
 from hybrid.fleets.worker import LATE, LOST, REFUSED
 from hybrid.identification import DynamicModel
@@ -236,3 +237,59 @@ def test_only_what_is_named_is_followed():
         followed(("coulomb.size",), 2)
     with pytest.raises(HybridError, match="of pairs of joints"):
         followed(("transmission_coupling",), 2)
+
+
+# --- plans ----------------------------------------------------------------------------
+
+
+def test_paths_of_a_plan_start_where_it_lies(tmp_path):
+    (tmp_path / "plan.yaml").write_text(
+        "robot: arm.xml\nperiod: day\nfalse_alarms: 2\ntool: [0, 0, 0.1]\n"
+        "arms:\n  b: {logs: b/logs, payload: 0.5, group: old}\n"
+        "  a: {logs: {2026-01-05: a.csv}, baseline: base.json, robot: ur5}\n"
+        "  c: {logs: 's3://store/c', limits: {coulomb: 50%}, baseline: 2026-W02}\n"
+    )
+    plan = read_plan(tmp_path / "plan.yaml")
+    a, b, c = plan.arms
+    assert (a.name, b.name, c.name) == ("a", "b", "c")
+    assert (plan.period, plan.false_alarms, plan.days) == ("day", 2, 1.0)
+    assert b.logs == str(tmp_path / "b" / "logs") and c.logs == "s3://store/c"
+    assert b.robot == str(tmp_path / "arm.xml") and a.robot == "ur5"
+    assert (b.payload, b.tool, b.group) == ((0.5,), (0.0, 0.0, 0.1), "old")
+    assert (a.group, c.group) == ("ur5", "arm.xml")
+    assert a.baseline == str(tmp_path / "base.json") and b.baseline == "first"
+    assert c.baseline == "2026-W02" and c.limits == {"coulomb": "50%"}
+    assert list(map(str, a.logs.values())) == ["a.csv"]
+
+
+def test_a_folder_of_folders_is_a_plan(tmp_path):
+    for name in "ab":
+        (tmp_path / "cell" / name).mkdir(parents=True)
+    (tmp_path / "cell" / "notes.txt").write_text("no arm")
+    plan = read_plan(tmp_path / "cell", robot="ur5.xml")
+    assert [x.name for x in plan.arms] == ["a", "b"]
+    assert {Path(x.robot).name for x in plan.arms} == {"ur5.xml"}
+    assert [Path(x.logs).name for x in plan.arms] == ["a", "b"]
+    with pytest.raises(HybridError, match="needs --robot"):
+        read_plan(tmp_path / "cell")
+
+
+@pytest.mark.parametrize(
+    ("more", "line"),
+    [
+        ("false_alarms: 0", "false_alarms is 0; valid is a number above 0"),
+        ("time_limit: true", "time_limit is True"),
+        ("period: year", "valid are day, week, month, log"),
+        ("diagnose: 1", "diagnose is true or false"),
+        ("speed: 1", "speed is not valid"),
+        ("tool: [1, 2]", "tool 2; valid are up to 10, and 3 or none"),
+        ("payload: a", "payload, tool and limits are numbers"),
+        ("limits: {coulomb: much}", "payload, tool and limits are numbers"),
+        ("track: [coulomb.size]", "has no gain 'size'"),
+    ],
+)
+def test_a_plan_says_what_is_not_valid(tmp_path, more, line):
+    text = f"robot: arm.xml\narms: {{a: {{logs: x}}}}\n{more}\n"
+    (tmp_path / "plan.yaml").write_text(text)
+    with pytest.raises(HybridError, match=line):
+        read_plan(tmp_path / "plan.yaml")
