@@ -40,7 +40,8 @@ class Recorder:
         self.coverage.set_option("run:disable_warnings", ["no-data-collected"])
         self.stack = [_IMPORT]
         self.uses: dict[str, set[str]] = defaultdict(set)
-        self.cost: dict[str, float] = defaultdict(float)
+        self.cost: dict[str, float] = defaultdict(float)  # without what is shared
+        self.since = time.process_time()
         self.failed: set[str] = set()
 
     def start(self) -> None:
@@ -81,22 +82,27 @@ class Recorder:
     @contextmanager
     def _within(self, name: str) -> Iterator[None]:
         self.uses[self.stack[-1]].add(name)
+        self._charge()
         self.stack.append(name)
         self.coverage.switch_context(name)
         try:
             yield
         finally:
+            self._charge()
             self.stack.pop()
             self.coverage.switch_context(self.stack[-1])
+
+    def _charge(self) -> None:
+        """Charge what goes on with the time since the last charge."""
+        now = time.process_time()
+        self.cost[self.stack[-1]] += now - self.since
+        self.since = now
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
         """Charge a test with what it executes."""
-        start = time.process_time()
         with self._within(item.nodeid):
-            result = yield
-        self.cost[item.nodeid] = time.process_time() - start
-        return result
+            return (yield)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Iterator[None]:
@@ -120,10 +126,12 @@ class Recorder:
     def pytest_sessionfinish(self) -> None:
         """Write what was seen."""
         self.coverage.stop()
-        data, tests = self.coverage.get_data(), sorted(set(self.cost) - self.failed)
+        ran = {x for x in self.cost if x.startswith("tests/")}
+        data, tests = self.coverage.get_data(), sorted(ran - self.failed)
+        needs = {test: sorted(self._reached(test) - {test}) for test in tests}
         users = defaultdict(set)
-        for test in tests:
-            for name in self._reached(test):
+        for test, shared in needs.items():
+            for name in (test, *shared):
                 users[name].add(test)
         lines = {}
         for file in data.measured_files():
@@ -133,8 +141,9 @@ class Recorder:
                 for row, met in data.contexts_by_lineno(file).items()
                 if 0 < row <= len(names)  # an empty module has no line
             }
-        costs = {test: round(self.cost[test], 3) for test in tests}
-        Witnesses(costs, lines, self.files).write(self.out)
+        named = {*tests, *(x for shared in needs.values() for x in shared)}
+        costs = {name: round(self.cost[name], 3) for name in named}
+        Witnesses(costs, lines, self.files, needs).write(self.out)
 
     def _reached(self, name: str) -> set[str]:
         """A context, and all that were used within it."""

@@ -1,5 +1,7 @@
 """Which tests a mutant meets: the cheapest of all that execute its line.
 
+What several tests share, such as a fixture, is made and paid once.
+
 What lies outside functions, a constant or a default, runs when its module is loaded; it
 meets the tests that execute a line that names it, of its module or else of another.
 """
@@ -9,9 +11,8 @@ from __future__ import annotations
 import ast
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 from mutation import ROOT, Mutant, digest, places
@@ -25,37 +26,38 @@ class Witnesses:
     """Tests by what they execute.
 
     Attributes:
-        costs: Processor time of every test that passes, [s].
+        costs: Processor time of every test that passes, and of what several share, [s].
         lines: Tests that execute a line, by module and the line's place in it.
         files: Hash of every test file when it was watched.
+        needs: Fixtures and cached functions that a test takes, each made once.
     """
 
     costs: dict[str, float]
     lines: dict[str, dict[str, list[str]]]
     files: dict[str, str]
+    needs: dict[str, list[str]]
 
     @classmethod
     def read(cls, file: Path) -> Witnesses:
         """Read what was watched; nothing if there is no such file."""
         if not file.exists():
-            return cls({}, {}, {})
+            return cls({}, {}, {}, {})
         kept = json.loads(file.read_text())
-        tests, costs = kept["tests"], kept["costs"]
+        tests = list(kept["needs"])
         lines = {
             path: {line: [tests[k] for k in which] for line, which in known.items()}
             for path, known in kept["lines"].items()
         }
-        return cls(dict(zip(tests, costs, strict=True)), lines, kept["files"])
+        return cls(kept["costs"], lines, kept["files"], kept["needs"])
 
     def write(self, file: Path) -> None:
         """Write all to a file; tests of lines by their numbers, or it is large."""
-        number = {test: k for k, test in enumerate(self.costs)}
+        number = {test: k for k, test in enumerate(self.needs)}
         lines = {
             path: {line: [number[x] for x in tests] for line, tests in known.items()}
             for path, known in self.lines.items()
         }
-        kept = {"tests": list(number), "costs": list(self.costs.values())}
-        file.write_text(json.dumps({**kept, "lines": lines, "files": self.files}))
+        file.write_text(json.dumps({**vars(self), "lines": lines}))
 
     def updated(self, new: Witnesses) -> Witnesses:
         """With what other test files execute, or the same ones anew."""
@@ -70,8 +72,11 @@ class Witnesses:
             known = lines.setdefault(path, {})
             for line, tests in seen.items():
                 known[line] = [*known.get(line, ()), *tests]
-        kept = {x: s for x, s in self.costs.items() if _file(x) not in new.files}
-        return Witnesses({**kept, **new.costs}, lines, {**self.files, **new.files})
+        needs = {x: n for x, n in self.needs.items() if _file(x) not in new.files}
+        needs |= new.needs
+        named = {*needs, *(x for shared in needs.values() for x in shared)}
+        costs = {x: s for x, s in {**self.costs, **new.costs}.items() if x in named}
+        return Witnesses(costs, lines, {**self.files, **new.files}, needs)
 
     def of(self, mutant: Mutant) -> tuple[str, ...]:
         """Tests that may notice a mutant, cheapest file first."""
@@ -81,6 +86,8 @@ class Witnesses:
             *outer, statement = _around(text, mutant.row)
             before = r"\." if outer else r"\b"  # of a class, or of the module
             for path in (x for x in self.lines if x.endswith(".py")):
+                if not (ROOT / path).exists():  # it was there when tests were watched
+                    continue
                 naming = _naming((ROOT / path).read_text(), _names(statement), before)
                 found |= self._executing(path, naming)
         return self._affordable(found)
@@ -96,41 +103,45 @@ class Witnesses:
         return digest(repr([(x, self.files[_file(x)]) for x in met]))
 
     def price(self, tests: Iterable[str]) -> float:
-        """Processor time of some tests, with what each of their files shares, [s]."""
-        files = set(map(_file, tests))
-        shared = sum(map(self._shared.__getitem__, files))
-        return shared + sum(map(self.costs.__getitem__, tests))
-
-    @cached_property
-    def _shared(self) -> dict[str, float]:
-        """Cost of each file's dearest test: that of the fixtures of them all, [s]."""
-        found: dict[str, float] = {}
-        for test, cost in self.costs.items():
-            found[_file(test)] = max(cost, found.get(_file(test), 0.0))
-        return found
+        """Processor time of some tests, with what they share once, [s]."""
+        named = {x for test in tests for x in (test, *self.needs[test])}
+        return sum(map(self.costs.__getitem__, named))
 
     def _affordable(self, tests: Iterable[str]) -> tuple[str, ...]:
-        """The cheapest tests within the budget, the cheapest file's first."""
-        files: dict[str, list[str]] = {}
-        for test in sorted(tests, key=lambda x: (self.costs[x], x)):
-            files.setdefault(_file(test), []).append(test)
+        """The cheapest tests within the budget, those of a file together."""
         kept: list[str] = []
+        paid: set[str] = set()
         spent = 0.0
-        for own in sorted(files.values(), key=lambda x: (self.price(x), x)):
-            more = self._shared[_file(own[0])]
-            for test in own:
-                if kept and spent + more + self.costs[test] > _BUDGET:
-                    break
-                spent, more = spent + more + self.costs[test], 0.0
+        for test in sorted(tests, key=lambda x: (self.price([x]), x)):
+            own = {test, *self.needs[test]} - paid
+            more = sum(map(self.costs.__getitem__, own))
+            if not kept or spent + more <= _BUDGET:
                 kept.append(test)
-        return tuple(kept)
+                paid |= own
+                spent += more
+        first = {_file(x): -k for k, x in enumerate(reversed(kept))}
+        return tuple(sorted(kept, key=lambda x: first[_file(x)]))
 
 
 def test_files() -> dict[str, str]:
-    """Hash of every test file, with what all share."""
-    shared = "".join(x.read_text() for x in sorted((ROOT / "tests").glob("[!t]*.py")))
-    files = sorted((ROOT / "tests").glob("test_*.py"))
-    return {f"tests/{x.name}": digest(shared + x.read_text()) for x in files}
+    """Hash of every test file, with what it imports from beside it."""
+    texts = {x.stem: x.read_text() for x in (ROOT / "tests").glob("*.py")}
+    return {
+        f"tests/{name}.py": digest("".join(texts[x] for x in _needed(name, texts)))
+        for name in sorted(texts)
+        if name.startswith("test_")
+    }
+
+
+def _needed(name: str, texts: Mapping[str, str]) -> list[str]:
+    """A test file and the modules beside it that it takes, through others too."""
+    found: set[str] = set()
+    open_ = ["conftest", name]
+    while open_:
+        found.add(x := open_.pop())
+        named = re.findall(r"^\s*(?:from|import) (\w+)", texts[x], re.MULTILINE)
+        open_ += (set(named) & set(texts)) - found
+    return sorted(found)
 
 
 def _file(test: str) -> str:

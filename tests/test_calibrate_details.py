@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import MODELS
+from arms import MODELS, random_arm
 from scipy.stats import beta
 from scipy.stats import f as fisher
 from scipy.stats import t as student
@@ -14,7 +14,7 @@ from hybrid.calibration import calibrate
 from hybrid.calibration.align import _linear, _nearest_rotation, _stations, align
 from hybrid.calibration.calibrate import _group, _load, _rank, _unit
 from hybrid.calibration.covariance import clustered_covariance
-from hybrid.calibration.geometry import geometry_from_chain
+from hybrid.calibration.geometry import chain_from_values, geometry_from_chain
 from hybrid.calibration.measurements import Measurements
 from hybrid.calibration.observability import observability_index
 from hybrid.calibration.outliers import OUTSIDE, misfit
@@ -23,7 +23,7 @@ from hybrid.calibration.poses import (
     choose_poses,
     random_poses,
 )
-from hybrid.calibration.steps import Frame
+from hybrid.calibration.steps import Frame, follow, start
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError
 from hybrid.robot import Robot
@@ -305,3 +305,48 @@ def test_errors_count_the_bending_where_it_was_fitted(bends):
     free = ("base", "tool", "geometry", *(("compliance",) if bends else ()))
     found = calibrate(coman(), replace(seen, q=q), free=free)
     assert max(x.max() for x in found.errors(replace(seen, q=q)).values()) < 1e-9
+
+
+# --- rows of a geometry ---------------------------------------------------------------
+
+
+def parallel_arm():
+    """Axes in parallel, apart, and twice on one line, and one across."""
+    chain = random_arm(1).chain
+    n = 5
+    axis = np.array([[0.0, 1.0, 0.0]] * 4 + [[1.0, 0.0, 0.0]])
+    shift = np.array(
+        [[0, 0, 0.1], [0.3, 0, 0.2], [0, 0.4, 0], [0.2, 0.1, 0], [0.1] * 3]
+    )
+    return replace(
+        chain,
+        joints=tuple("abcde"),
+        rotation=np.tile(np.eye(3), (n, 1, 1)),
+        translation=np.array(shift),
+        axis=axis,
+        revolute=np.ones(n, dtype=bool),
+        inertial=np.tile(chain.inertial[:1], (n, 1)),
+        armature=np.zeros(n),
+    )
+
+
+@pytest.mark.parametrize(
+    "chain", [parallel_arm(), *(random_arm(k).chain for k in range(6))]
+)
+def test_rows_lead_where_the_arm_does_in_every_posture(chain):
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (20, chain.size))
+    geometry = geometry_from_chain(chain)
+    here = follow(start(q), geometry.steps, q, {})
+    for k, x in enumerate(q):
+        R, p = np.eye(3), np.zeros(3)
+        for j, angle in enumerate(x):
+            p, R = p + R @ chain.translation[j], R @ chain.rotation[j]
+            if chain.revolute[j]:
+                R = R @ rotation_from_axis_angle(chain.axis[j], angle)
+            else:
+                p = p + R @ chain.axis[j] * angle
+        np.testing.assert_allclose(here.origin[k], p, atol=1e-9)
+        np.testing.assert_allclose(here.rotation[k], R, atol=1e-9)
+    same = chain_from_values(chain, geometry, {})
+    np.testing.assert_allclose(same.translation, chain.translation, atol=1e-9)
+    np.testing.assert_allclose(same.rotation, chain.rotation, atol=1e-9)

@@ -1,10 +1,12 @@
 """Learned remainders, number by number: fades, evidence, choices, what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_gmr import random_mixture, sample
 
-from hybrid.compensator import GaussianMixtureRegression
+from hybrid.compensator import GaussianMixtureRegression, gmr_fit
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.compensator.checks import check_matrix, check_pair, draw
 from hybrid.compensator.gmr_fit import (
@@ -167,3 +169,42 @@ def test_a_mixture_that_could_not_predict_is_refused(name, value, message):
         GaussianMixtureRegression(**{**arrays, name: np.array(value)})
     silent = GaussianMixtureRegression(**{**arrays, "bound": np.zeros(1)})
     assert not silent.predict(np.zeros((3, 1))).any()
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_far_away_a_mixture_is_as_unsure_as_torque_is_large(size):
+    """Whatever its unit."""
+    x, y = sample(0, n=500)
+    model = GaussianMixtureRegression.fit(x, size * y, components=1)
+    np.testing.assert_allclose(model.prior_variance, size**2 * (y**2).mean(axis=0))
+    _, variance = model.predict_distribution(np.full((1, 2), 1e3))
+    np.testing.assert_allclose(variance[0], model.prior_variance, rtol=1e-6)
+
+
+def test_a_score_is_a_log_likelihood_per_sample(monkeypatch):
+    """Of white noise in d channels −d/2·(1 + log 2π), less what BIC asks of numbers."""
+    seen = {}
+    monkeypatch.setattr(gmr_fit, "choose_components", lambda s: seen.update(s) or 1)
+    x, y = np.random.default_rng(0).normal(size=(2, 4000, 1))
+    GaussianMixtureRegression.fit(x, y, candidates=(1, 2))
+    bic = {1: 5, 2: 11}  # numbers of means, covariances and weights
+    for count, numbers in bic.items():
+        expected = -(1 + np.log(2 * np.pi)) - numbers * np.log(4000) / 8000
+        assert seen[count] == pytest.approx(expected, abs=0.002)
+
+
+def test_trust_falls_smoothly_from_one_to_nothing():
+    """From the fade's start to its end, half of it in the middle of the distance."""
+    mixture = random_mixture(3, k=1)
+    near, far = 4.0, 16.0
+    at = np.linspace(0.0, 20.0, 600)[:, None] + mixture.means[0, 0]
+    whole, variance = mixture.predict_distribution(at)
+    faded = replace(mixture, fade=np.array([near, far]))
+    mean, spread = faded.predict_distribution(at)
+    distance = mixture.distance(at)
+    u = np.clip((far - distance) / (far - near), 0.0, 1.0)
+    trust = (u**2 * (3 - 2 * u))[:, None]
+    assert trust.min() == 0.0 and trust.max() == 1.0
+    np.testing.assert_allclose(mean, trust * whole, atol=1e-9)
+    expected = trust * variance + trust * (1 - trust) * whole**2 + (1 - trust)
+    np.testing.assert_allclose(spread, expected, rtol=1e-6)

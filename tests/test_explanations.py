@@ -1,6 +1,5 @@
 """The most probable explanation: its score, its classes, and what is unknown."""
 
-from dataclasses import replace
 from functools import cache
 from unittest.mock import Mock
 
@@ -9,7 +8,6 @@ import pytest
 from diagnosed import RIPPLE, STRIBECK
 from simulated import arm
 
-from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.explanations.belief import Belief
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.proposal import Proposal
@@ -18,10 +16,9 @@ from hybrid.diagnosis.explanations.twist import twists
 from hybrid.diagnosis.explanations.unknown import unknown_laws, waves
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.gap.split import split
-from hybrid.effects import effect_classes
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.presliding import Presliding
-from hybrid.plant import Noise, Plant, simulate
+from hybrid.plant import Plant, simulate
 from hybrid.signals.filters import butterworth
 
 TRUTH = {"ripple": RIPPLE, "stribeck": STRIBECK}
@@ -104,18 +101,6 @@ def test_a_law_out_of_the_library_is_an_unknown_one_of_its_joint():
     assert {c.place[1] for c in search.causes} == {(0,)}
 
 
-def test_a_cause_has_to_help_on_recordings_that_were_not_learnt_from():
-    """Friction of the first three recordings, which the fourth does not have."""
-    recordings = [*logs("stribeck")[:3], logs()[3]]
-    gap = measure_gap(arm("planar"), recordings)
-    search = Search(gap, split(gap))
-    search.run()
-    assert ("stribeck", (1,)) not in {c.place for c in search.causes}
-    search = searched("stribeck")
-    (fall,) = search.unseen(search.causes).values()
-    assert fall > 0
-
-
 def test_the_squares_elsewhere_are_those_of_the_residual():
     search = searched("ripple", "stribeck")
     test, gains = search.test, search.evidence.solve(search.columns(search.causes))
@@ -187,21 +172,3 @@ class TestTwists:
         left = self.felt(wound)
         assert left["twist with load"] < 0.05
         assert left["twist with position"] > 0.1
-
-
-def test_numbers_of_a_file_that_are_far_off_are_said_and_no_silence():
-    """A link that is a quarter heavier, where no effect may say so."""
-    robot = arm("coman_like")
-    heavy = robot.chain.inertial.copy()
-    heavy[3] *= 1.25
-    real = replace(robot, chain=replace(robot.chain, inertial=heavy))
-    noise = Noise.typical(robot)
-    recordings = simulate(
-        Plant(real, nominal=real, noise=noise), trajectories=4, duration=5.0, seed=3
-    )
-    without = [x for x in effect_classes() if x not in ("coulomb", "viscous")]
-    found = examine(robot, recordings, without=without).diagnosis
-    assert found.verdict == "unexplained"
-    assert any("farther off than files usually are" in x for x in found.warnings)
-    right = examine(real, recordings, without=without).diagnosis
-    assert right.verdict == "no_gap" and not right.warnings

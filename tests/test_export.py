@@ -8,6 +8,7 @@ import sys
 import zipfile
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -130,10 +131,12 @@ def compiled(folder, name, n):
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """Every format of the full model."""
+    """Every format of the full model; its ranges are of few draws."""
     folder = tmp_path_factory.mktemp("exports")
-    for kind in FORMATS:
-        export(full_model(), folder / kind, format=kind)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(import_module("hybrid.exports.simulator.write"), "_DRAWS", 8)
+        for kind in FORMATS:
+            export(full_model(), folder / kind, format=kind)
     return folder
 
 

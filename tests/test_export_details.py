@@ -368,6 +368,10 @@ def test_a_manifest_names_cutoff_effects_files_and_what_is_left_out(tmp_path):
     export(free, tmp_path / "free", format="json")
     content = read_manifest(tmp_path / "free")
     assert content["cutoff"] is None and content["limits"]["q_min"] == [None, None]
+    assert content["units"]["q"] == "rad" and content["units"]["tau"] == "N·m"
+    (tmp_path / "lift.xml").write_text(LIFT)
+    export(model_of(Robot.load(tmp_path / "lift.xml")), tmp_path / "l", format="json")
+    assert read_manifest(tmp_path / "l")["units"]["q"] == ["rad", "m"]
 
 
 @pytest.mark.parametrize(

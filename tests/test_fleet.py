@@ -20,11 +20,8 @@ from hybrid.effects import effects_from_text
 from hybrid.errors import HybridError
 from hybrid.fleets import fleet
 from hybrid.fleets import worker as workers
-from hybrid.fleets.changes import changes, crossing, level, threshold
 from hybrid.fleets.estimate import carrying, deviations
-from hybrid.fleets.fleet import fleet_from_rows
-from hybrid.fleets.plan import TRACK, ArmPlan, Plan, periods, plan_from_dict
-from hybrid.fleets.pooling import pooled
+from hybrid.fleets.plan import TRACK, periods, plan_from_dict
 from hybrid.fleets.unit import answer
 from hybrid.identification import identify
 from hybrid.model.model_file import content_from_model
@@ -35,9 +32,7 @@ from hybrid.report.fleet import prometheus_text
 from hybrid.robot import Robot
 
 SCARA = MODELS / "scara.xml"
-WEEKS, DAYS = 26, 7.0
 HELD = "payload(mass=0.8;mx=0.16;mz=0;Ixx=0.002;Iyy=0.04;Izz=0.04)"
-T = 739000.0 + DAYS * np.arange(WEEKS)
 
 
 @cache
@@ -69,107 +64,6 @@ def folder_of_arms(tmp_path, arms=2, weeks=3):
 
 def found(rows, joint, parameter):
     return next(x for x in rows if (x.joint, x.parameter) == (joint, parameter))
-
-
-def fleet_of(values, std, **options):
-    """What a fleet says of values and their standard deviations, (arms, series, T)."""
-    names = [f"a{k}" for k in range(len(values))]
-    rows = [
-        {
-            "arm": names[a], "period": f"{t:02d}",
-            "day": date.fromordinal(int(T[t])).isoformat(), "joint": f"j{k}",
-            "parameter": "coulomb.level", "unit": "N·m", "status": "ok", "reason": None,
-            "change": values[a, k, t], "std": std[a, k, t], "baseline": 1.0,
-            "baseline_std": 0.1, "temperature": np.nan, "load": 1.0, "residual": 1.0,
-        }
-        for a, k, t in np.ndindex(*values.shape)
-    ]  # fmt: skip
-    arms = tuple(ArmPlan(name, "logs", "arm.xml", group="g") for name in names)
-    return fleet_from_rows(Plan(arms, **options), rows)
-
-
-@pytest.mark.parametrize("unlike", ["periods", "arms"])
-def test_noise_that_is_not_as_its_standard_deviations_say_raises_no_alarms(unlike):
-    rng = np.random.default_rng(5)
-    arms, series = 25, 9
-    noise = rng.standard_normal((arms, series, WEEKS))
-    far = np.exp(0.3 * rng.standard_normal(noise.shape))
-    found = (
-        fleet_of(noise, far)
-        if unlike == "periods"
-        else fleet_of(noise * far[:, :, :1], np.ones_like(noise))
-    )
-    # 25 arms of 6 months: 1.5 are stated; more than 5 would be one case in 200.
-    assert sum(len(x.changes) for x in found.alarms) <= 5
-
-
-def test_the_rate_of_false_alarms_is_the_users():
-    noise = np.random.default_rng(6).standard_normal((10, 9, WEEKS))
-    one, many = (
-        sum(len(x.changes) for x in fleet_of(noise, np.ones_like(noise), **x).alarms)
-        for x in ({}, {"false_alarms": 40.0})
-    )
-    # 60 arm-months: 24 are stated, with a standard deviation of 5.
-    assert one <= 5
-    assert 12 <= many <= 39
-
-
-def test_noise_alone_raises_no_more_alarms_than_one_in_a_hundred_arm_months():
-    series, arms = 9, 25
-    limit = threshold(WEEKS, DAYS, series, 1.0)
-    rng = np.random.default_rng(3)
-    noise = rng.standard_normal((arms * series, WEEKS))
-    count = sum(len(list(changes(T, y, np.ones(WEEKS), limit=limit))) for y in noise)
-    # 25 arms of 6 months: 1.5 are stated; more than 5 would be one case in 200.
-    assert count <= 5
-
-
-def test_more_parameters_that_are_watched_need_surer_alarms():
-    assert threshold(WEEKS, DAYS, 35, 1.0) > threshold(WEEKS, DAYS, 9, 1.0) > 3.0
-
-
-@pytest.mark.parametrize("week", [6, 15])
-def test_a_step_is_dated_and_measured(week):
-    noise = np.random.default_rng(week).standard_normal(WEEKS)
-    y = 0.1 * (noise + 6.0 * (np.arange(WEEKS) >= week))
-    (x,) = changes(T, y, np.full(WEEKS, 0.1), limit=4.0)
-    assert x.kind == "step"
-    assert x.earliest <= T[week] <= x.latest
-    assert T[week] <= x.alarm <= T[week] + 21
-    assert abs(x.size - 0.6) < 3 * x.std
-
-
-def test_wear_is_a_trend_whose_limit_is_foreseen():
-    noise = np.random.default_rng(1).standard_normal(WEEKS)
-    y = noise + 0.05 * np.maximum(T - T[8], 0.0)
-    (x,) = changes(T, y, np.ones(WEEKS), limit=4.0)
-    assert x.kind == "trend"
-    assert abs(x.size - 0.05) < 3 * x.std
-    now = level(T, y, np.ones(WEEKS), x)
-    median, early, late = crossing(now, 10.0)
-    true = (10.0 - 0.05 * (T[-1] - T[8])) / 0.05
-    assert early < true < late
-    assert early < median < late
-
-
-def test_a_temperature_that_explains_a_trend_leaves_no_alarm():
-    warm = np.linspace(20.0, 30.0, WEEKS)
-    y = 2.0 * (warm - 20.0) + np.random.default_rng(0).standard_normal(WEEKS)
-    assert not list(changes(T, y, np.ones(WEEKS), limit=4.0, x=warm))
-    assert list(changes(T, y, np.ones(WEEKS), limit=4.0))
-
-
-def test_pooling_makes_estimates_better_and_names_the_arm_that_is_unlike():
-    rng = np.random.default_rng(0)
-    true = rng.normal(5.0, 0.3, 30)
-    y = true + rng.normal(0.0, 0.5, 30)
-    y[7], true[7] = 12.0, 12.0
-    found = pooled(y, np.full(30, 0.5))
-    assert np.flatnonzero(found.unlike).tolist() == [7]
-    assert found.value[7] == 12.0
-    rest = np.arange(30) != 7
-    error = np.abs(found.value - true)[rest]
-    assert (error**2).mean() < 0.7 * (np.abs(y - true)[rest] ** 2).mean()
 
 
 @pytest.mark.parametrize(
@@ -216,14 +110,14 @@ def test_a_payload_that_the_arm_was_told_of_is_no_change():
     assert x.baseline == 0.8
 
 
-def test_one_and_eight_workers_write_the_same_and_a_rerun_does_nothing_twice(
+def test_one_and_three_workers_write_the_same_and_a_rerun_does_nothing_twice(
     tmp_path, monkeypatch
 ):
     plan = folder_of_arms(tmp_path, weeks=2)
     bad = tmp_path / "logs" / "arm1" / "2026-01-12.parquet"
     bad.write_bytes(b"no log")
-    results = [fleet(plan, tmp_path / str(n), workers=n) for n in (1, 8)]
-    files = [(tmp_path / str(n) / "fleet.parquet").read_bytes() for n in (1, 8)]
+    results = [fleet(plan, tmp_path / str(n), workers=n) for n in (1, 3)]
+    files = [(tmp_path / str(n) / "fleet.parquet").read_bytes() for n in (1, 3)]
     assert files[0] == files[1]
     (refused,) = results[0].refused
     assert (refused["arm"], refused["status"]) == ("arm1", "refused")

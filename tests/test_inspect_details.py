@@ -5,16 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pendulum import pendulum, swings, with_torque
 from simulated import arm
 
 from hybrid.dynamics import inverse_dynamics
+from hybrid.inspect.coverage import coverage_of, excitation_of
+from hybrid.inspect.inspection import clock_of
 from hybrid.inspect.leaps import doubts_of_rows
 from hybrid.inspect.physics import _doubt
+from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.reading import OtherReading, readings
 from hybrid.inspect.samples import doubts_of_samples
 from hybrid.inspect.scale import doubts_of_scale, scales
 from hybrid.inspect.speeds import bear_out, doubts_of_pace, doubts_of_speeds
-from hybrid.inspect.state import State
+from hybrid.inspect.state import State, sampled
 from hybrid.recording import Recording
 
 T = np.arange(0.0, 5.0, 0.01)
@@ -244,3 +248,109 @@ def test_a_joint_that_is_faster_than_its_drive_is_told(times, severity):
     assert [x.severity for x in found] == [severity] * 2 * (severity is not None)
     for doubt, limit in zip(found, robot.v_max, strict=False):
         assert f"up to {limit:.4g} rad/s" in doubt.remedy
+
+
+# --- what a log covers ----------------------------------------------------------------
+
+
+def seen(log):
+    v = np.gradient(log.q, log.t, axis=0)
+    a = np.gradient(v, log.t, axis=0)
+    unknown = np.full(log.q.shape[1], np.nan)
+    tau = log.tau if log.has_torque else 0 * v
+    return State(log.q, v, a, tau, None, unknown, unknown)
+
+
+@pytest.mark.parametrize("pace", [0.02, 1.0, 50.0])
+def test_a_joint_moves_at_any_pace(pace):
+    """It is slower than a part of its own highest speed, not than a number."""
+    t = np.arange(0.0, 10.0, 0.01) / pace
+    q = np.where(pace * t < 5.0, np.sin(2.0 * pace * t), np.sin(10.0))
+    (found,) = coverage_of(*[x := log(q, t), seen(x)][:2])
+    assert found.moving == pytest.approx(0.5, abs=0.03)
+    assert found.fastest == pytest.approx(2.0 * pace, rel=0.01)
+    assert (found.low, found.high) == (q.min(), q.max())
+    (still,) = coverage_of(*[x := log(0 * t, t), seen(x)][:2])
+    assert (still.fastest, still.moving, still.lag) == (0.0, 0.0, None)
+
+
+@pytest.mark.parametrize("samples", [0, 7, 30])
+def test_the_lag_is_where_a_position_differs_least_from_its_command(samples):
+    """Also where the command drifts, and the sums over the overlap change with it."""
+    t = np.arange(0.0, 5.0, 0.01)
+    rng = np.random.default_rng(1)
+    command = np.cumsum(rng.normal(0.02, 0.2, len(t) + 50))
+    q = command[50 - samples : len(t) + 50 - samples] + 0.3
+    command = command[50:]
+    x = Recording(t, q[:, None], command=command[:, None], joints=("a",), source="log")
+    (found,) = coverage_of(x, seen(x))
+    assert found.lag == pytest.approx(0.01 * samples)
+    variance = [np.var(q[k:] - command[: len(q) - k]) for k in range(50)]
+    assert int(np.argmin(variance)) == samples
+
+
+def test_what_motion_tells_of_links_and_drives_is_named():
+    """Of a pendulum: its weight, its inertia with the rotor, and its friction."""
+    logs = [with_torque(m, (), 0.02) for m in swings(1, count=1, seconds=6.0)]
+    (m,) = logs
+    unknown = np.full(1, np.nan)
+    state = State(m.q, m.v, m.a, m.tau, None, unknown, unknown)
+    found = excitation_of(pendulum().chain, state)
+    assert {x.split()[0] for x in found.names} == {
+        "mx_1",
+        "mz_1",
+        "Ia_1",
+        "Fv_1",
+        "Fc_1",
+        "offset_1",
+    }
+    assert 1.0 < found.condition < 30.0
+    assert {"Fv_1", "Fc_1", "offset_1"} & set(found.untold)
+    assert not {x for x in found.untold if x.startswith(("mz", "Ia"))}
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_row_that_is_farthest_outside_its_limits_is_named(side):
+    t = np.arange(0.0, 2.0, 0.01)
+    q = 0.5 * np.sin(t)[:, None] * [1.0, 1.0]
+    q[120, 0], q[60, 0] = side * 2.5, side * 2.3
+    x = Recording(t, q, joints=pendulum(2).joints, source="log")
+    (doubt,) = doubts_of_positions(x, pendulum(2))
+    assert "row 121" in doubt.line and f"{side * 2.5:g} is outside" in doubt.line
+    assert doubt.evidence == pytest.approx(0.5)
+    x = replace(x, q=0.5 * np.sin(t)[:, None] * [1.0, 1.0])
+    assert not list(doubts_of_positions(x, pendulum(2)))
+
+
+@pytest.mark.parametrize("count", [40, 400])
+def test_samples_of_a_log_have_the_speed_of_its_motion(count):
+    """However few there are: steps are one less than samples."""
+    t = np.linspace(0.0, 6.0, count)
+    x = Recording(t, np.sin(t)[:, None], joints=("a",), source="log")
+    found = sampled(x, None)
+    assert found.v**2 + found.q**2 == pytest.approx(np.ones_like(found.q), abs=0.02)
+    np.testing.assert_allclose(found.a, -found.q, atol=0.05)
+
+
+def test_a_clock_is_as_regular_as_its_steps():
+    even = Recording(0.01 * np.arange(101), np.zeros((101, 1)), joints=("a",))
+    clock = clock_of(even)
+    assert (clock.samples, clock.missing, clock.holes) == (101, 0.0, 0)
+    assert clock.duration == pytest.approx(1.0) and clock.rate == pytest.approx(100.0)
+    assert clock.jitter == pytest.approx(0.0, abs=1e-9)
+    t = np.delete(0.01 * np.arange(101), [20, 50, 51])
+    some = clock_of(Recording(t, np.zeros((98, 1)), joints=("a",)))
+    assert some.missing == pytest.approx(3 / 98) and some.holes == 0
+
+
+@pytest.mark.parametrize("start", [0, 30])
+def test_a_log_that_repeats_itself_is_told_from_where(start):
+    """Also one that stands at first."""
+    once = np.concatenate([np.full(start, SMOOTH[0]), SMOOTH])
+    twice = np.concatenate([once, once])
+    x = log(twice, t=0.01 * np.arange(len(twice)), tau=(2 * twice)[:, None])
+    found = [d for d in doubts_of_rows(x) if "repeats" in d.line]
+    (doubt,) = found
+    assert doubt.evidence == len(once) and f"from row {len(once) + 1} " in doubt.line
+    once = log(SMOOTH, tau=(2 * SMOOTH)[:, None])
+    assert not [d for d in doubts_of_rows(once) if "repeats" in d.line]

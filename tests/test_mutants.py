@@ -78,22 +78,28 @@ def _mutant(text, path="hybrid/signals/filters.py"):
     return next(m for m in mutation.mutants(path) if text in m.place)
 
 
-def _witnesses(costs, path, *words):
+def _witnesses(costs, path, *words, needs=None):
     """Tests that all execute the lines with one of the words."""
+    needs = needs or {x: [] for x in costs}
     names = mutation.places((mutation.ROOT / path).read_text())
-    lines = {x: list(costs) for x in names if any(w in x for w in words)}
-    files = {x.partition("::")[0]: "hash" for x in costs}
-    return Witnesses(costs, {path: lines}, files)
+    lines = {x: list(needs) for x in names if any(w in x for w in words)}
+    files = {x.partition("::")[0]: "hash" for x in needs}
+    return Witnesses(costs, {path: lines}, files, needs)
 
 
 def test_a_mutant_meets_the_cheapest_tests_that_execute_its_line():
+    """What they share counts once, and not for those that do without it."""
     mutant = _mutant("int(rate / (5.0 * cutoff)")
-    costs = {"a::dear": 4.0, "a::cheap": 0.5, "b::cheap": 1.0, "c::dear": 7.0}
-    found = _witnesses(costs, mutant.path, "int(rate / (5.0 * cutoff)")
-    assert found.of(mutant) == ("b::cheap", "a::cheap")
-    # That of b and what it shares, one of a and the four seconds that this takes.
-    assert found.price(("b::cheap", "a::cheap")) == 1.0 + 1.0 + 0.5 + 4.0
-    assert not _witnesses(costs, mutant.path, "no such line").of(mutant)
+    costs = {"a::dear": 8.0, "a::cheap": 0.5, "b::x": 1.0, "b::y": 1.0, "fixture": 5.0}
+    needs = {x: ["fixture"] * (x[0] == "b") for x in costs if x != "fixture"}
+    word = "int(rate / (5.0 * cutoff)"
+    found = _witnesses(costs, mutant.path, word, needs=needs)
+    assert found.of(mutant) == ("a::cheap", "b::x", "b::y")
+    assert found.price(("b::x", "b::y")) == 1.0 + 1.0 + 5.0
+    assert found.price(("a::cheap",)) == 0.5
+    assert not _witnesses(costs, mutant.path, "no such line", needs=needs).of(mutant)
+    alone = _witnesses({"c::x": 30.0}, mutant.path, word)
+    assert alone.of(mutant) == ("c::x",)
 
 
 def test_a_constant_meets_the_tests_that_execute_a_line_which_names_it():
@@ -112,6 +118,8 @@ def test_a_constant_that_its_module_never_names_meets_tests_of_those_that_do():
 def test_a_test_file_that_is_watched_anew_replaces_what_it_executed_before():
     path = "hybrid/signals/filters.py"
     old = _witnesses({"a::x": 1.0, "b::x": 1.0}, path, "_PART")
-    both = old.updated(_witnesses({"a::y": 2.0}, path, "_PART"))
-    assert both.costs == {"b::x": 1.0, "a::y": 2.0}
+    new = _witnesses({"a::y": 2.0, "f": 3.0}, path, "_PART", needs={"a::y": ["f"]})
+    both = old.updated(new)
+    assert both.costs == {"b::x": 1.0, "a::y": 2.0, "f": 3.0}
+    assert both.needs == {"b::x": [], "a::y": ["f"]}
     assert all(set(x) == {"a::y", "b::x"} for x in both.lines[path].values())

@@ -1,12 +1,18 @@
 """Parts of the plant by themselves: references, servos, noise, and what they refuse."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from pendulum import pendulum
 from simulated import arm
 
+from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import ExcitationError, HybridError
 from hybrid.excitation import Limits
 from hybrid.plant import Noise, Reference, random_fourier
+from hybrid.plant.arm import build_arm
+from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.servo import Servo
 
 RATE, SAMPLES = 500.0, 100_000
@@ -105,3 +111,18 @@ def test_what_no_plant_can_have_is_refused_in_one_line(make, says):
 def test_limits_that_limit_nothing_are_refused(changed, says):
     with pytest.raises(ExcitationError, match=says):
         Limits(**{"low": -ONE, **LIMITS, **changed})
+
+
+@pytest.mark.parametrize("declared", ["damping", "frictionloss", "stiffness"])
+def test_the_load_in_a_step_is_what_the_links_need(declared):
+    """Not what rotor, damping, friction and spring of the joint take before them."""
+    robot = replace(pendulum(2), **{declared: np.array([0.8, 0.5])})
+    bare = robot.chain
+    arm_ = build_arm(robot, [], step=1e-3, integrator="euler")
+    state = Lockstep(arm_, [], np.array([[0.6, -0.4], [0.2, 0.9]]))
+    for k in range(50):
+        q, v = state.q.copy(), state.v.copy()
+        state.step(np.array([[9.0, -4.0], [3.0, 6.0 * (k > 20)]]))
+        needed = inverse_dynamics(bare, bare.inertial, q, v, state.a)
+        np.testing.assert_allclose(state.load, needed, atol=1e-6)
+    assert np.abs(state.v).max() > 0.1

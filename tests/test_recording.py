@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.files import atomic_path, write_json
-from hybrid.recording import Recording, resample, unbroken
+from hybrid.recording import Recording, read, resample, unbroken
+from hybrid.recording.joints import _prefix
 
 
 def log(samples: int = 200, joints: int = 3, rate: float = 100.0) -> Recording:
@@ -200,3 +201,34 @@ def test_json_with_nan_is_refused_before_anything_is_written(tmp_path: Path):
         write_json(target, {"value": float("nan")})
     assert "N·m" in target.read_text(encoding="utf-8")
     assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize(
+    ("lost", "left", "note"),
+    [
+        (None, {"q", "v", "tau"}, None),
+        ("dq", {"q", "tau"}, "v holds no number"),
+        ("tau", {"q", "v"}, "tau holds no number"),
+    ],
+)
+def test_a_channel_without_a_number_is_not_there_and_that_is_said(
+    tmp_path, lost, left, note
+):
+    t = np.arange(0.0, 2.0, 0.01)
+    table = {"t": t, "q1": np.sin(t), "dq1": np.cos(t), "tau1": 3 * np.sin(t)}
+    table |= {x: np.full(len(t), np.nan) for x in table if lost and x[:-1] == lost}
+    rows = np.column_stack(list(table.values()))
+    np.savetxt(
+        tmp_path / "a.csv", rows, delimiter=",", header=",".join(table), comments=""
+    )
+    found = read(tmp_path / "a.csv", torque=False)
+    assert found.has_torque == ("tau" in left)
+    assert (found.v is not None) == ("v" in left)
+    assert note is None or note in found.reading.notes
+
+
+def test_what_names_begin_with_ends_at_a_separator():
+    assert _prefix(["arm_left_1", "arm_left_2"]) == "arm_left_"
+    assert _prefix(["left/elbow", "left/wrist"]) == "left/"
+    assert _prefix(["shoulder_1", "should_2"]) == ""
+    assert _prefix(["alone_1"]) == ""

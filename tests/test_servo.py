@@ -115,7 +115,7 @@ def found(folder, stiffness: float = 1.0, delay: float = 0.0):
     kp = np.array([25.0, 20.0 * stiffness])
     gain = np.zeros((2, 10))
     gain[:, 0] = kp
-    logs = [log(k, delay=delay, actuator_gainprm=gain) for k in range(3)]
+    logs = [log(k, 6.0, delay, actuator_gainprm=gain) for k in range(3)]
     return fit_servo(arm(folder), logs)
 
 
@@ -361,7 +361,7 @@ def test_servos_of_a_urdf_have_no_limit_but_that_of_the_drive(tmp_path):
 def test_a_joint_that_never_moves_keeps_the_numbers_of_the_file(robot):
     logs = []
     for k in range(2):
-        x = log(k)
+        x = log(k, seconds=5.0)
         q, command = x.q.copy(), x.command.copy()
         q[:, 1], command[:, 1] = q[0, 1], command[0, 1]
         logs.append(replace(x, q=q, command=command))
@@ -432,7 +432,7 @@ def test_coordinates_lead_back_to_the_numbers(numbers):
 
 def test_the_verbs_write_a_simulator_and_numbers(folder, tmp_path, capsys):
     for k in range(2):
-        write(log(k, seconds=6.0), tmp_path / "logs" / f"{k}.csv")
+        write(log(k, seconds=3.0), tmp_path / "logs" / f"{k}.csv")
     robot, logs = arm(folder).path, str(tmp_path / "logs")
     fixed, numbers = tmp_path / "fixed.xml", tmp_path / "fit.json"
     asked = ["--robot", robot, "--recordings", logs]

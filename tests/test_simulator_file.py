@@ -590,3 +590,70 @@ def test_ripple_is_cogging_of_a_motor_that_nothing_commands(tmp_path):
     bare = replace(again, ripple=np.zeros((0, 4)))
     assert b"dcmotor" not in build_simulator(bare).text
     assert build_simulator(again).diff() == ""
+
+
+def edited(text, tmp_path, robot=None, effects=()):
+    """The file of an arm, and MuJoCo's model of it, before and with some changes."""
+    (tmp_path / "arm.xml").write_text(text)
+    own = Robot.load(tmp_path / "arm.xml")
+    build_simulator(robot(own) if robot else own, effects).write(tmp_path / "new.xml")
+    names = ("arm.xml", "new.xml")
+    return [mujoco.MjModel.from_xml_path(str(tmp_path / x)) for x in names]
+
+
+def test_a_spring_that_is_relaxed_elsewhere_is_written_and_no_other(tmp_path):
+    text = NAMELESS.replace('damping=".2"', 'damping=".2" stiffness="3" springref="20"')
+
+    def moved(own):
+        assert own.springref[0] == pytest.approx(np.deg2rad(20.0))
+        return replace(own, springref=own.springref + [0.1, 0.0])
+
+    old, new = edited(text, tmp_path, moved)
+    assert new.qpos_spring - old.qpos_spring == pytest.approx([0.1, 0.0])
+    assert new.jnt_stiffness == pytest.approx([3.0, 0.0])
+    same, again = edited(
+        text, tmp_path, lambda own: replace(own, damping=own.damping * 2)
+    )
+    np.testing.assert_array_equal(again.qpos_spring, same.qpos_spring)
+    text = (tmp_path / "new.xml").read_text()
+    assert text.count("springref") == 1 and 'springref="20"' in text
+
+
+def test_dry_friction_is_as_hard_as_a_step_lets_it_be(tmp_path):
+    """Its time constant is two steps, the least that MuJoCo takes."""
+    old, new = edited(NAMELESS, tmp_path, None, [Coulomb((0,), {"level": 0.4})])
+    assert new.dof_frictionloss == pytest.approx([0.4, 0.0])
+    assert new.dof_solref[0] == pytest.approx([2 * old.opt.timestep, 1.0])
+    assert new.dof_solref[1] == pytest.approx(old.dof_solref[1])
+
+
+def test_a_gain_multiplies_all_that_an_actuator_gives(tmp_path):
+    """What it gives without a command, its stiffness and its damping."""
+    drive = '<general joint="turns" gainprm="9" biastype="affine" biasprm="2 -9 -1"/>'
+    text = NAMELESS.replace("</mujoco>", f"<actuator>{drive}</actuator></mujoco>")
+    (tmp_path / "arm.xml").write_text(text)
+    old, new = edited(text, tmp_path, None, [TorqueGain((0,), {"gain": 0.25})])
+    part = 1 / 1.25  # of the torque asked for, so that what is logged is it
+    assert new.actuator_gainprm[0, 0] == pytest.approx(part * 9)
+    assert new.actuator_biasprm[0, :3] == pytest.approx(part * np.array([2, -9, -1]))
+
+
+def test_meshes_of_a_urdf_are_found_from_where_its_mjcf_will_stand(tmp_path):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "cube.obj").write_text(CUBE)
+    shape = (
+        '<collision><geometry><mesh filename="meshes/cube.obj"/></geometry></collision>'
+    )
+    bare = BARE.format('<link name="lower"/>')
+    text = bare.replace("</inertial></link>", f"</inertial>{shape}</link>", 1)
+    (tmp_path / "arm.urdf").write_text(text)
+    robot, _ = quiet(Robot.load, tmp_path / "arm.urdf")
+    (tmp_path / "out" / "deep").mkdir(parents=True)
+    chain = replace(robot.chain, armature=np.array([0.1, 0.2]))
+    made, _ = quiet(
+        build_simulator, replace(robot, chain=chain), folder=tmp_path / "out" / "deep"
+    )
+    made.write(tmp_path / "out" / "deep" / "arm.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "deep" / "arm.xml"))
+    assert model.nmesh == 1
+    assert model.dof_armature[:2] == pytest.approx([0.1, 0.2])

@@ -71,4 +71,4 @@ class TransmissionCoupling(Effect):
             rotor.wrap_joint(name, 1.0)
         inertia, viscous, coulomb = np.maximum(self.gain_values, 0.0)
         rotor.armature, rotor.frictionloss = inertia, coulomb
-        rotor.damping = np.array([viscous, 0.0, 0.0])
+        rotor.damping[0] = viscous

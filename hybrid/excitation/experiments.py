@@ -192,7 +192,7 @@ def multisine(
     for factor in 0.85 ** np.arange(25):
         q, v, a = factor * motion
         reference = Reference(t, home + q, v, a)
-        if constraint.excess(path_from_reference(reference)).max(initial=-1.0) <= 0:
+        if not (constraint.excess(path_from_reference(reference)) > 0).any():
             return checked(robot, reference, limits)
     raise ExcitationError(
         "gravity alone takes more torque than allowed at this posture"

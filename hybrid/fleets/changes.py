@@ -137,12 +137,6 @@ def _highest(count: int) -> Array:
     return highest
 
 
-def _as_normal(z: Array, degrees: float) -> Array:
-    """Scores whose variance was estimated, as if it were known."""
-    p = student.logsf(np.abs(z), max(degrees, 1.0))
-    return np.where(p > -600, norm.isf(np.exp(np.maximum(p, -600))), np.abs(z))
-
-
 def changes(
     t: Array,
     y: Array,
@@ -162,9 +156,11 @@ def changes(
         degrees: Degrees of freedom of the standard deviations.
         x: What the values may depend on, shape (N,), or None.
     """
+    # Of scores whose variance was estimated, what is as seldom.
+    limit = float(student.isf(norm.sf(limit), max(degrees, 1.0)))
     start = 0
     while True:
-        alarm = _first_alarm(t, y, s, limit, degrees, x, start)
+        alarm = _first_alarm(t, y, s, limit, x, start)
         if alarm is None:
             return
         # All data say best what it was, unless it has gone again since.
@@ -202,14 +198,13 @@ def _first_alarm(
     y: Array,
     s: Array,
     limit: float,
-    degrees: float,
     x: Array | None,
     start: int,
 ) -> int | None:
     for n in range(start + _LEAST, len(t) + 1):
         here = slice(max(start, n - _LOOK_BACK), n)
         z, _ = _scored(t[here], y[here], s[here], None if x is None else x[here])
-        if _as_normal(np.array([np.abs(z).max()]), degrees)[0] > limit:
+        if np.abs(z).max() > limit:
             return n - 1
     return None
 

@@ -78,24 +78,33 @@ class PartialRegression:
 
     def _gains(self, wave: Array) -> tuple[Array, Array, Array, Array]:
         """Gains of a wave, its own part, its normal matrix, and what it leaves."""
-        S, theta = self._inverse(
+        S, theta, asked = self._inverse(
             np.ones(len(self.others[0]), dtype=bool), self.columns, self.left
         )
-        own = wave - (wave @ self.columns.T @ S) @ self.columns
+        alike = wave @ self.columns.T @ S
+        own = wave - alike @ self.columns
         H = own @ wave.T + _ridge(wave @ wave.T)
         before = self.left - theta @ self.columns
-        gains: Array = np.asarray(np.linalg.solve(H, own @ before))
+        gains: Array = np.asarray(np.linalg.solve(H, own @ before - alike @ asked))
         return gains, own, H, before - gains @ own
 
     def _inverse(
         self, chosen: NDArray[np.bool_], D: Array, y: Array
-    ) -> tuple[Array, Array]:
-        """Inverse normal matrix, and optimum without a wave, of its unknowns."""
+    ) -> tuple[Array, Array, Array]:
+        """Of its unknowns, without a wave.
+
+        Returns:
+            Inverse normal matrix, optimum, and what other joints would have besides.
+        """
         A, b = (x[chosen].sum(axis=0) for x in self.others)
-        A[np.ix_(self.support, self.support)] += D @ D.T
-        b[self.support] += D @ y
-        inverse = pseudo_inverse(A)
-        return inverse[np.ix_(self.support, self.support)], (inverse @ b)[self.support]
+        here = np.ix_(self.support, self.support)
+        whole, moment = A.copy(), b.copy()
+        whole[here] += D @ D.T
+        moment[self.support] += D @ y
+        inverse = pseudo_inverse(whole)
+        theta = inverse @ moment
+        asked = (b - A @ theta)[self.support]
+        return inverse[here], theta[self.support], asked
 
     def cross_validated(
         self, waves: Array, fold: NDArray[np.intp]
@@ -116,7 +125,7 @@ class PartialRegression:
         before, after = [], []
         for k, held in enumerate(parts):
             rest = fold != k
-            S, theta = self._inverse(
+            S, theta, _ = self._inverse(
                 np.arange(folds) != k, self.columns[:, rest], self.left[rest]
             )
             B, G, c = (

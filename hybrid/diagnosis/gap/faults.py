@@ -106,7 +106,7 @@ def _usual_run(x: Array) -> int:
     A coarse sensor holds its level wherever torque hardly changes. A few times what it
     does otherwise is too long; it may have been stuck twice.
     """
-    lengths = np.diff(np.flatnonzero(np.diff(x)), prepend=0)
+    lengths = np.diff(np.flatnonzero(np.diff(x)), prepend=-1)
     return int(_UNUSUAL * np.sort(lengths)[-3]) if len(lengths) > 2 else 0
 
 

@@ -68,7 +68,7 @@ def stand_in(
         moved: Motions, and the rigid body along each.
         fields: Fields that the simulator has, of ``FIELDS``.
     """
-    (j,) = {effect.joints[0] for effect in effects}
+    (j,) = {j for effect in effects for j in effect.joints}
     v = np.concatenate([m.v[m.mask, j] for m, _ in moved])
     laws = [
         sum((e.torque(m, body)[m.mask, 0] for e in effects), np.zeros(m.mask.sum()))

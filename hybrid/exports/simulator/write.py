@@ -28,7 +28,7 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
     Raises:
         HybridError: The model has no such links, or was saved without a covariance.
     """
-    found = ranges(model, np.random.default_rng(0))
+    found = ranges(model, np.random.default_rng(0), draws=_DRAWS)
     nominal = fields_of_model(model, (usual_motion(model),))
     # Isaac Lab has one dry and one viscous friction, as URDF has.
     plain = ranges(model, np.random.default_rng(0), kind="urdf", draws=_DRAWS)

@@ -1,0 +1,442 @@
+"""The score of explanations and the moves of their search, on exact pendulums."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pendulum import NOISE, gap_of, pendulum, swings, with_torque
+
+from hybrid.diagnosis.evidence.candidates import candidate
+from hybrid.diagnosis.evidence.shapes import price
+from hybrid.diagnosis.explanations.explanation import explain, shares
+from hybrid.diagnosis.explanations.refit import (
+    _over_shapes,
+    _reported,
+    refit,
+    solve_all,
+)
+from hybrid.diagnosis.explanations.search import Search
+from hybrid.diagnosis.gap.measure import measure_gap
+from hybrid.diagnosis.gap.split import split
+from hybrid.effects import effect_classes
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.delay import Delay
+from hybrid.effects.presliding import Presliding
+from hybrid.effects.saturation import Saturation
+from hybrid.effects.spring import Spring
+from hybrid.effects.stribeck import Stribeck
+from hybrid.effects.torque_offset import TorqueOffset
+from hybrid.effects.viscous import Viscous
+
+RUBS, DRAGS = Coulomb((0,), {"level": 1.0}), Viscous((0,), {"coefficient": 0.8})
+ASKEW = TorqueOffset((0,), {"level": -1.0})
+SLIPS = Stribeck((0,), {"level": 1.0, "velocity": 0.5})
+BOTH = (RUBS, Coulomb((1,), {"level": 0.7}))
+BRISTLES = Presliding((0,), {"level": 1.0, "distance": 0.05})
+FEW = ("coulomb", "viscous", "torque_offset")
+
+
+def search(*effects, size=1, library=FEW):
+    """A search that has not run, with a small library."""
+    known = gap_of(*effects, size=size)
+    return Search(
+        known, split(known), [x for x in effect_classes() if x not in library]
+    )
+
+
+def cause(at, effect):
+    return at.cause(candidate(at.gap, effect))
+
+
+def places(at):
+    return {c.place for c in at.causes}
+
+
+@pytest.mark.parametrize(
+    ("effects", "size"), [((RUBS, ASKEW), 1), ((RUBS, DRAGS, ASKEW), 1), (BOTH, 2)]
+)
+def test_all_causes_of_a_gap_are_found_and_no_other(effects, size):
+    at = search(*effects, size=size)
+    found = at.run()
+    assert places(at) == {(e.id, e.joints) for e in effects}
+    assert at.whole == found == at.known
+    assert [b.cause for b in at.beliefs] == found
+    assert all(b.probability > 0.9 and b.worth > 10 for b in at.beliefs)
+
+
+def test_a_sound_arm_has_no_cause():
+    at = search()
+    assert at.run() == [] and at.beliefs == [] and at.whole == []
+
+
+@pytest.mark.parametrize("effects", [(), (RUBS,), (DRAGS,)])
+def test_what_may_be_added_raises_the_score_by_what_it_promises(effects):
+    at = search(*BOTH, size=2)
+    at.causes = [cause(at, e) for e in effects]
+    now, found = at.score(at.causes), at.proposals(at.causes)
+    assert [x.worth for x in found] == sorted((x.worth for x in found), reverse=True)
+    for x in found:
+        gained = at.score([*at.causes, x.make()]) - now
+        if x.candidate is None:  # less what a rough law leaves out
+            assert gained >= x.worth - 1e-6
+        else:
+            assert gained == pytest.approx(x.worth, abs=1e-6)
+            assert x.place not in places(at)
+
+
+def test_an_effect_at_every_joint_is_as_probable_as_one_and_then_at_each_or_not():
+    """The prior of all: that of one cause, and two possibilities for each joint."""
+    at = search(*BOTH, size=2)
+    causes = [cause(at, e) for e in BOTH]
+    cost = sum(at.prior.cause + price(e) for e in BOTH)
+    saved = cost - (at.prior.cause + 2 * np.log(2.0))
+    assert at.alike(causes) == pytest.approx(saved)
+    assert at.alike(causes[:1]) == 0.0
+    assert at.alike(causes[:1], "coulomb") == pytest.approx(saved)
+    assert at.alike(causes, "coulomb") == pytest.approx(saved + at.prior.cause)
+    assert at.alike([causes[0], cause(at, DRAGS)]) == 0.0
+    assert at.alike([*causes, causes[0]]) == pytest.approx(saved)
+
+
+def test_what_a_term_is_worth_is_the_evidence_lost_without_it():
+    at = search(RUBS, ASKEW)
+    at.causes = [cause(at, RUBS), cause(at, ASKEW)]
+    for k, term in enumerate(at.terms):
+        rest = [c for c in at.causes if c is not at.causes[k]]
+        fall = at.score(at.causes) - at.score(rest)
+        lost = fall + at.odds(at.causes[k]) - price(term.candidate.effect)
+        assert at.loss(term) == pytest.approx(lost)
+        assert at.placed(term) == (term.place[0], "hinge_0")
+    assert len(at.base()) == len(at.base(at.terms[0])) + 1
+
+
+def test_a_wider_prior_costs_the_logarithm_of_how_much_wider_it_is():
+    at = search(RUBS)
+    usual = candidate(at.gap, RUBS)
+    one, ten = (at.cause(replace(usual, wider=w)) for w in (1.0, 10.0))
+    assert ten.cost - one.cost == pytest.approx(np.log(10.0))
+    assert one.cost == pytest.approx(at.prior.cause + price(RUBS))
+    std = at.evidence.precision[[one.index[0], ten.index[0]]] ** -0.5
+    assert std[1] / std[0] == pytest.approx(10.0)
+
+
+def test_no_law_is_worth_more_than_it_is_inexact_by():
+    """A law that is off by 3 % leaves 9e-4 of its squares, and an unknown one 0.01."""
+    at = search(RUBS)
+    whole = at.evidence.lost(at.rigid, at.evidence.solve(at.rigid).gains)[0] / 2
+    known, law = cause(at, DRAGS), at.laws.all[0]
+    assert at.mimicked(known) == pytest.approx(9e-4 * whole, rel=1e-6)
+    assert at.mimicked(law) == pytest.approx(0.01 * whole, rel=1e-6)
+    assert at.odds(known) == pytest.approx(known.cost + at.mimicked(known))
+
+
+def test_a_cause_gives_way_to_what_explains_more_in_its_place():
+    at = search(RUBS)
+    wrong = cause(at, DRAGS)
+    at.causes = [wrong]
+    assert at._renew(wrong)
+    assert places(at) == {("coulomb", (0,))}
+    (right,) = at.causes
+    assert not at._renew(right) and at.causes == [right]
+
+
+def test_a_cause_that_explains_nothing_gives_way_to_nothing():
+    at = search(RUBS)
+    spare = cause(at, ASKEW)
+    at.causes = [cause(at, RUBS), spare]
+    assert at._renew(spare) and places(at) == {("coulomb", (0,))}
+    at.causes = [cause(at, RUBS), cause(at, ASKEW), cause(at, DRAGS)]
+    at._remove()
+    assert places(at) == {("coulomb", (0,))}
+
+
+def test_an_effect_is_at_a_place_once_and_what_repeats_a_few_times():
+    at = search(RUBS, library=(*FEW, "contact"))
+    at.causes = [cause(at, RUBS)]
+    ranked = at.ranked(at.columns(at.causes))
+    assert {"viscous", "torque_offset"} <= {c.place[0] for c, _ in ranked}
+    assert ("coulomb", (0,)) not in {c.place for c, _ in ranked}
+    assert ("coulomb", (0,)) in {c.place for c, _ in at.ranked(at.rigid)}
+    contact = replace(at.causes[0], place=("contact", (0,)))
+    few, many = ([contact] * k for k in (2, 3))
+    assert at._taken(few) == set() and at._taken(many) == {("contact", (0,))}
+
+
+def test_a_law_that_no_library_has_is_unknown_and_its_stand_ins_are_known():
+    at = search(SLIPS, library=("viscous", "torque_offset"))
+    at.run()
+    (law,) = at.causes
+    assert law.candidate is None and law.place[1] == (0,)
+    assert at.known == [] and at.terms == [] and len(at.background) > len(at.rigid)
+    before = at.score([])
+    at.stand_in()
+    assert all(c.candidate is not None for c in at.causes)
+    assert at.score(at.causes) >= before
+    assert at.whole == [law]
+
+
+def test_a_law_is_never_the_same_twice_and_there_are_few_at_a_joint():
+    at = search(SLIPS)
+    laws = at.laws.all
+    assert len({x.place for x in laws}) == len(laws) > 10
+    assert at.laws.open([]) == laws
+    assert laws[0] not in at.laws.open(laws[:1])
+    assert len(at.laws.open(laws[:2])) == len(laws) - 2
+    assert at.laws.open(laws[:3]) == []
+    assert at.laws.open([cause(at, e) for e in (RUBS, DRAGS, ASKEW)]) == laws
+
+
+def test_the_columns_of_a_law_are_those_that_its_evidence_is_of():
+    at = search(SLIPS)
+    for law in at.laws.all:
+        columns = at.columns_of(law)
+        again = at.evidence.trial(
+            at.rigid,
+            columns,
+            at.evidence.precision[law.index] ** -0.5,
+            np.full(len(law.index), -np.inf),
+        )
+        kept = at.evidence.solve(np.concatenate([at.rigid, law.index])).evidence
+        assert again.worth >= kept - at.evidence.solve(at.rigid).evidence - 1e-6
+
+
+def test_an_unknown_law_is_as_strong_as_it_has_to_be_at_a_cost():
+    """Its size is a guess: where it is far stronger, its prior is wider."""
+    strong = Stribeck((0,), {"level": 50.0, "velocity": 0.5})
+    costs = {}
+    for name, effect in (("weak", SLIPS), ("strong", strong)):
+        at = search(effect)
+        (law,) = (x for x in at.laws.all if x.place[0] == "speed")
+        wide = at.laws.widened(at.rigid, law)
+        costs[name] = wide.cost - law.cost
+        std = [at.evidence.precision[x.index[0]] ** -0.5 for x in (law, wide)]
+        assert std[1] / std[0] == pytest.approx(np.exp(costs[name]))
+        assert (wide is law) == (costs[name] == 0.0)
+        scores = [at.score([x]) for x in (law, wide)]
+        assert scores[1] >= scores[0] - 1e-9
+    assert costs["weak"] == 0.0 < costs["strong"]
+
+
+def test_numbers_of_a_file_that_are_farther_off_are_less_probable():
+    at = search(*BOTH, size=2)
+    assert at.doubt(0.02) == 0.0
+    assert at.doubt(0.01) == pytest.approx(0.5)  # a factor of two: one deviation
+    links = 2 * at.prior.cause  # each of both is another one then
+    assert at.doubt(0.08) == pytest.approx(0.5 * 2.0**2 + links)
+    at.spread(0.5)
+    assert at.widest == 0.5
+    at.spread(0.01)
+    assert at.widest == 0.05
+
+
+def test_a_link_that_is_heavier_than_its_file_says_is_told():
+    """Of the file's numbers, those of the link that is off."""
+    logs = [with_torque(m, (), NOISE, k) for k, m in enumerate(swings(2))]
+    light = pendulum(2).chain.inertial.copy()
+    light[1] /= 1.5
+    robot = pendulum(2).with_inertial(light)
+    for arm, told in ((robot, True), (pendulum(2), False)):
+        known = measure_gap(arm, logs, cutoff=10.0)
+        at = Search(known, split(known), list(effect_classes()))
+        at.spread(0.02)
+        assert (1 in at.strained()) == bool(at.strained()) == told
+
+
+def test_noise_is_at_most_what_an_explanation_leaves():
+    at = search(RUBS)
+    at.causes = [cause(at, RUBS)]
+    at.listen(at.causes)
+    true = at.noise.copy()
+    at.noise *= 100.0
+    at.evidence.covariances[0] *= 100.0
+    assert at.listen(at.causes)
+    np.testing.assert_allclose(at.noise, true, rtol=0.3)
+    assert not at.listen(at.causes)
+
+
+def test_a_cause_lowers_the_squares_on_samples_that_nothing_was_learnt_from():
+    at = search(RUBS, ASKEW)
+    at.causes = [cause(at, e) for e in (RUBS, ASKEW, DRAGS)]
+    falls = [at.unseen(at.causes)[c] for c in at.causes]
+    assert falls[0] > 50 and falls[1] > 50 and abs(falls[2]) < 5
+    assert at.unseen([]) == {}
+    assert at._holds(at.causes) is False or abs(falls[2]) < 5
+    at.causes = []
+    assert at._holds([cause(at, RUBS)])
+
+
+def test_a_cause_has_to_help_on_recordings_that_were_not_learnt_from():
+    """Friction of the first three recordings, which the fourth does not have."""
+    for effects, there in (((RUBS,) * 3 + (None,), False), ((RUBS,) * 4, True)):
+        logs = [
+            with_torque(m, [e] if e else (), NOISE, k)
+            for k, (m, e) in enumerate(zip(swings(), effects, strict=True))
+        ]
+        known = measure_gap(pendulum(), logs, cutoff=10.0)
+        others = [x for x in effect_classes() if x not in FEW]
+        at = Search(known, split(known), others)
+        at.run()
+        assert (("coulomb", (0,)) in places(at)) == there
+
+
+def test_nothing_is_counted_of_a_joint_without_samples():
+    at = search(RUBS)
+    assert at.test.count == pytest.approx([np.count_nonzero(at.test.use)], rel=0.1)
+    still = [
+        replace(m, q=m.q * [1, 0], v=m.v * [1, 0], a=m.a * [1, 0]) for m in swings(2)
+    ]
+    known = measure_gap(
+        pendulum(2), [with_torque(m, (), NOISE) for m in still], cutoff=10.0
+    )
+    count = Search(known, split(known), list(effect_classes())).test.count
+    assert count[0] > 100 and np.isnan(count[1])
+
+
+def test_values_are_those_of_the_arm_within_their_intervals():
+    at = search(RUBS, ASKEW)
+    at.run()
+    for effect in refit(at.gap, at):
+        truth = {"coulomb": RUBS, "torque_offset": ASKEW}[effect.id]
+        for name, value in effect.values.items():
+            off = abs(value - truth.values[name])
+            assert off < 3 * effect.std[name] < 0.2
+
+
+def test_the_interval_of_a_shape_is_that_of_all_that_fit_nearly_as_well():
+    at = search(BRISTLES, library=("presliding",))
+    at.run()
+    (found,) = refit(at.gap, at)
+    assert abs(found.values["distance"] - 0.05) < 3 * found.std["distance"] < 0.01
+    assert abs(found.values["level"] - 1.0) < 3 * found.std["level"] < 0.1
+    evidence, solution, (own,) = solve_all(at.gap, at)
+    base = np.setdiff1d(solution.index, own)
+    candidate_, steps = at.known[0].candidate, [-1.96, 0.0, 1.96]
+    worth = []
+    for x in steps:
+        moved = found.at(
+            {"distance": found.values["distance"] + x * found.std["distance"]}
+        )
+        columns = at.gap.columns(moved)
+        worth.append(
+            evidence.trial(base, columns, candidate_.std, candidate_.lower).worth
+        )
+    assert worth[1] - max(worth[0], worth[2]) > 1.0  # at its ends it fits worse
+
+
+def test_what_each_explains_is_what_is_left_less_by_it():
+    at = search(RUBS, ASKEW)
+    at.run()
+    scored, true = explain(at), {"coulomb": 1.0, "torque_offset": -1.0}
+    for k, term in enumerate(scored.terms):
+        torque = scored.contribution(k)[0]
+        assert np.abs(torque).mean() == pytest.approx(1.0, rel=0.15)
+        assert scored.named[k] == term.place[0]
+        gains = scored.gains[np.isin(scored.index, scored.own[k])]
+        assert gains == pytest.approx([true[term.place[0]]], rel=0.1)
+    noise = np.std(scored.after[0])
+    assert noise < 0.1 < np.std(scored.before[0])
+    assert shares(at, np.random.default_rng(0)) == pytest.approx([0.5, 0.5], abs=0.1)
+    assert len(scored.rigid) == len(scored.index) - 2
+
+
+def test_a_shape_is_as_far_off_as_fits_nearly_as_well():
+    """Within 1.92 nat of the best: its region of 95 %."""
+    at = search(BRISTLES, library=("presliding",))
+    (cause,) = at.run()
+    evidence, solution, (own,) = solve_all(at.gap, at)
+    base, found = np.setdiff1d(solution.index, own), cause.candidate
+    bends, best = found.effect.shapes[0], found.effect.values["distance"]
+    width = np.log(bends.upper / bends.lower)
+    values = best * np.exp(width * np.linspace(-0.015, 0.015, 61))
+    worth = []
+    for value in values:
+        columns = at.gap.columns(found.effect.at({"distance": value}))
+        worth.append(evidence.trial(base, columns, found.std, found.lower).worth)
+    inside = np.array(worth) > max(worth) - 1.92
+    assert not inside[0] and not inside[-1]
+    region = np.abs(values - best)[inside].max()
+    for std in (0.003, 0.006):  # from wherever it was drawn
+        far = _over_shapes(evidence, base, found, np.array([[std**2]]))
+        assert far[-1] == pytest.approx(region, rel=0.2)
+
+
+def test_a_late_torque_is_found_in_time():
+    late = Delay((0,), {"time": 0.004})
+    logs = []
+    for k, m in enumerate(swings()):
+        exact = with_torque(m, (), 0.0)
+        tau = late.report(m.t, exact.tau)
+        noise = NOISE * np.random.default_rng(k).standard_normal(tau.shape)
+        logs.append(replace(exact, tau=tau + noise))
+    known = measure_gap(pendulum(), logs, cutoff=10.0)
+    others = [x for x in effect_classes() if x not in ("delay", "coulomb", "viscous")]
+    at = Search(known, split(known), others)
+    at.run()
+    assert places(at) <= {("delay", (0,))}
+
+
+def test_a_spring_is_stiffer_than_its_file_says_by_so_much():
+    springy = Spring((0,), {"stiffness": 3.0})
+    at = search(springy, library=("spring", *FEW))
+    at.run()
+    (found,) = refit(at.gap, at)
+    assert found.id == "spring"
+    assert abs(found.values["stiffness"] - 3.0) < 3 * found.std["stiffness"] < 0.5
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        Saturation((0,), {"loss": 0.6, "limit": 5.0, "total": 0.0}),
+        Stribeck((0,), {"level": 2.0, "velocity": 0.3}),
+    ],
+)
+def test_deviations_follow_a_law_to_the_one_that_is_reported(effect):
+    """By its slopes, however they are changed: the delta method."""
+    names = [x.name for x in (*effect.gains, *effect.shapes) if not x.whole]
+    root = np.random.default_rng(0).normal(0.0, 1e-3, (len(names), len(names)))
+    found, law = _reported(effect, root @ root.T), effect.as_reported()
+    assert found.values == law.values
+
+    def at(k, step):
+        moved = effect.at({names[k]: effect.values[names[k]] + step}).as_reported()
+        return np.array([moved.values[x] for x in names])
+
+    step = 1e-5
+    columns = [(at(k, step) - at(k, -step)) / (2 * step) for k in range(len(names))]
+    J = np.array(columns).T
+    expected = np.sqrt(np.diag(J @ root @ root.T @ J.T))
+    np.testing.assert_allclose([found.std[x] for x in names], expected, rtol=1e-3)
+    if law is not effect:
+        assert found.std["loss"] == pytest.approx(
+            np.linalg.norm(root[0]) / 1.6**2, rel=1e-3
+        )
+
+
+def test_shares_are_what_terms_add_in_any_order_and_sum_to_one():
+    truth = TorqueOffset((0,), {"level": 2.0}), Coulomb((1,), {"level": 1.0})
+    at = search(*truth, size=2)
+    causes = [cause(at, e) for e in (*truth, Viscous((1,)))]
+    parts = []
+    for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
+        at.causes = [causes[k] for k in order]
+        found = shares(at, np.random.default_rng(0))
+        assert found.sum() == pytest.approx(1.0) and (found >= 0).all()
+        parts.append(found[np.argsort(order)])
+    np.testing.assert_allclose(parts, parts[:1] * 3, atol=0.05)
+    assert parts[0][2] < 0.05 < parts[0][:2].min()
+
+
+def test_what_is_left_at_once_and_what_is_seen_only_where_it_was_learnt():
+    at = search(RUBS, ASKEW)
+    at.run()
+    scored = explain(at)
+    for k in (0, 1):
+        assert scored.where_seen([k]) is scored
+        assert scored.members(scored.named[k]) == [k]
+    gains = np.zeros_like(scored.learnt.gains)
+    nowhere = replace(scored, gains=np.zeros_like(scored.gains))
+    assert nowhere.where_seen([0]) is scored.learnt and not gains.any()
+    block = scored.blocks(0)
+    seconds = scored.evidence.rows[0] / at.gap.rate
+    np.testing.assert_array_equal(block, seconds.astype(int))

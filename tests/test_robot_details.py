@@ -1,0 +1,42 @@
+"""A robot's own torque: rotor, friction and spring at each joint."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pendulum import pendulum
+
+ZERO = np.zeros((9, 2))
+X = np.random.default_rng(0).uniform(-2.0, 2.0, (9, 2))
+
+
+@pytest.mark.parametrize(
+    ("declared", "at", "expected"),
+    [
+        ({"damping": [0.5, 2.0]}, (ZERO, X, ZERO), X * [0.5, 2.0]),
+        ({"quadratic": [0.3, 0.0]}, (ZERO, X, ZERO), X * np.abs(X) * [0.3, 0.0]),
+        ({"cubic": [0.0, 0.2]}, (ZERO, X, ZERO), X**3 * [0.0, 0.2]),
+        ({"stiffness": [3.0, 0.0]}, (X, ZERO, ZERO), X * [3.0, 0.0]),
+        (
+            {"stiffness": [3.0, 2.0], "springref": [0.4, -0.1]},
+            (X, ZERO, ZERO), (X - [0.4, -0.1]) * [3.0, 2.0],
+        ),
+        (
+            {"knee": [0.7, 0.0], "knee_speed": [0.5, 0.0]},
+            (ZERO, X, ZERO), 0.7 * np.clip(X / 0.5, -1, 1) * [1.0, 0.0],
+        ),
+        ({}, (ZERO, ZERO, X), 0.05 * X),
+        ({}, (X, X, ZERO), ZERO),
+    ],
+)  # fmt: skip
+def test_a_joint_takes_what_its_file_declares(declared, at, expected):
+    robot = replace(pendulum(2), **{name: np.array(x) for name, x in declared.items()})
+    np.testing.assert_allclose(robot.joint_torque(*at), expected, atol=1e-12)
+
+
+def test_a_ripple_of_a_file_turns_with_its_joint():
+    robot = replace(pendulum(2), ripple=np.array([[1.0, 0.3, -0.2, 5.0]]))
+    expected = 0.3 * np.sin(5 * X[:, 1]) - 0.2 * np.cos(5 * X[:, 1])
+    found = robot.joint_torque(X, ZERO, ZERO)
+    np.testing.assert_allclose(found[:, 1], expected, atol=1e-12)
+    assert not found[:, 0].any()
