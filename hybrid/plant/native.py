@@ -12,6 +12,7 @@ from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.spring import Spring
+from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
@@ -100,6 +101,17 @@ def ripples(robot: Robot) -> list[Effect]:
         TorqueRipple((int(j),), {"sine": sine, "cosine": cosine, "periods": k})
         for j, sine, cosine, k in robot.ripple.tolist()
     ]
+
+
+def falls(robot: Robot) -> list[Effect]:
+    """Friction of a robot file that falls as a joint moves."""
+    return [fall(int(j), level, speed) for j, level, speed in robot.falling.tolist()]
+
+
+def fall(joint: int, level: float, speed: float) -> Effect:
+    """Friction that falls, as motors of a robot file have it."""
+    values = {"level": level, "velocity": speed, "exponent": 2.0}
+    return Stribeck((joint,), values)
 
 
 def knee(joint: int, level: float, speed: float) -> Effect:

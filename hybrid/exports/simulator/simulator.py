@@ -19,6 +19,7 @@ from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.instant import FIELDS
+from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.errors import HybridError, RobotError
 from hybrid.exports.simulator.friction import StandIn, is_friction, stand_in
@@ -27,7 +28,14 @@ from hybrid.files import atomic_path
 from hybrid.model.declared import declared_effects
 from hybrid.names import xml_comment
 from hybrid.plant.arm import overrides
-from hybrid.plant.native import effects_of_fields, knee, knees, split_effects, springs
+from hybrid.plant.native import (
+    effects_of_fields,
+    fall,
+    knee,
+    knees,
+    split_effects,
+    springs,
+)
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator, Edit
 from hybrid.robot.edit.mjcf import edit_mjcf, move_assets
@@ -38,7 +46,15 @@ from hybrid.signals import Motion
 # What a kind of file has for a joint.
 _JOINT = {"mjcf": FIELDS, "urdf": ("armature", "damping", "frictionloss")}
 _CURVE = {
-    "mjcf": ("frictionloss", "damping", "quadratic", "cubic", "preload", "knee"),
+    "mjcf": (
+        "frictionloss",
+        "damping",
+        "quadratic",
+        "cubic",
+        "preload",
+        "knee",
+        "fall",
+    ),
     "urdf": ("frictionloss", "damping"),
 }
 _SAME = 1e-9  # of the largest value of a kind
@@ -180,10 +196,12 @@ def _sorted(
             inertial, gravity = inertial + rigid[0], gravity + rigid[1]
     values, left = split_effects(acting, _JOINT[kind], n)
     chain = replace(robot.chain, inertial=inertial, gravity=gravity)
-    rubbing = [effect for effect in left if is_friction(effect)]
-    robot, own = _with_knees(robot, rubbing, "knee" in _CURVE[kind])
-    rubbing += own
+    own, rubbing = _exact_falls([e for e in left if is_friction(e)], kind)
+    robot, bent = _with_knees(robot, rubbing, "knee" in _CURVE[kind])
+    rubbing += bent
     fitted = _stand_ins(replace(robot, chain=chain), rubbing, values, kind, motions)
+    falling = [(e.joints[0], e.values["level"], e.values["velocity"]) for e in own]
+    robot = replace(robot, falling=np.array(falling).reshape(-1, 3))
     rest = [effect for effect in left if not is_friction(effect)]
     drives = dict[int, Actuator]()
     structure = []
@@ -204,6 +222,23 @@ def _sorted(
     missing = [*_missing(rubbing, values, fitted, n), *_faded(waves)]
     change = Edit(new, drives, structure)
     return _Sorted(change, fitted, (*rest, *missing), tuple(rest))
+
+
+def _exact_falls(
+    rubbing: Sequence[Effect], kind: str
+) -> tuple[list[Effect], list[Effect]]:
+    """Friction that falls just as motors of the file have it, and all other.
+
+    That of a joint with other friction, which is fitted, is fitted with it.
+    """
+    exact: list[Effect] = [
+        e for e in rubbing
+        if isinstance(e, Stribeck) and e.values["exponent"] == 2.0
+        and e.values["level"] > 0 and kind == "mjcf"
+    ]  # fmt: skip
+    more = {e.joints for e in rubbing if e not in exact}
+    own = [e for e in exact if e.joints not in more]
+    return own, [e for e in rubbing if e not in own]
 
 
 def _with_knees(
@@ -258,6 +293,11 @@ def _with_fields(
         both = springs({"stiffness": own["stiffness"], "preload": preload})
         own["stiffness"] = np.where(kept, robot.stiffness, both[0])
         own["springref"] = np.where(kept, robot.springref, both[1])
+    falling = [
+        (x.joint, x.values["fall"], x.values["fall_speed"])
+        for x in fitted if x.values.get("fall")
+    ]  # fmt: skip
+    own["falling"] = np.array([*robot.falling.tolist(), *falling]).reshape(-1, 3)
     return replace(robot, chain=replace(robot.chain, armature=armature), **own)
 
 
@@ -277,6 +317,8 @@ def _missing(
     for each in fitted:
         if level := each.values.get("knee", 0.0):
             yield knee(each.joint, -level, each.values["knee_speed"])
+        if level := each.values.get("fall", 0.0):
+            yield fall(each.joint, -level, each.values["fall_speed"])
 
 
 def _faded(waves: Sequence[TorqueRipple]) -> Iterator[Effect]:
@@ -295,7 +337,7 @@ def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
         RobotError: They differ.
     """
     names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"} & {*fields}
-    names |= {"ripple"} if "preload" in fields else set()
+    names |= {"ripple", "falling"} if "preload" in fields else set()
     names |= {"knee", "knee_speed"} if wanted.knee.any() else set()
     pairs = {x: (getattr(found, x), getattr(wanted, x)) for x in names}
     chains = ["armature", "inertial", *(["gravity"] if "preload" in fields else [])]
@@ -312,8 +354,10 @@ def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
 
 def _fitted(robot: Robot, x: StandIn) -> str:
     ids = ", ".join(dict.fromkeys(effect.id for effect in x.effects))
+    falls = x.values.get("fall", 0.0) > 0
+    kinds = "dry, falling and viscous" if falls else "dry and viscous"
     return (
-        f"friction of {robot.joints[x.joint]} ({ids}), as dry and viscous friction "
+        f"friction of {robot.joints[x.joint]} ({ids}), as {kinds} friction "
         f"that miss {x.missed:.3g} of {x.torque:.3g} N·m RMS"
     )
 

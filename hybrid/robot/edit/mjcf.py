@@ -12,10 +12,10 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.actuators import drives_of
+from hybrid.robot.actuators import bristles, drives_of
 from hybrid.robot.build import simulable, spec_text
 from hybrid.robot.compiled import compiled_spec
-from hybrid.robot.edit.beside import put_dry, put_ripples
+from hybrid.robot.edit.beside import put_dry, put_motors
 from hybrid.robot.edit.change import Edit, Structure
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.drives import edit_drives
@@ -26,6 +26,8 @@ from hybrid.robot.robot import Robot
 
 # By default MuJoCo's dry friction is so soft that it is viscous at low speed.
 _DRY = {"solimpfriction": (0.9999, 0.9999, 0.001, 0.5, 2.0)}
+_SWING = 1.0  # rad of a bristle's swing in a step: stable up to 2
+_POSTURES = 100  # among which a joint's inertia is the least
 _SOFTEST, _HARDEST = 0.0001, 0.9999  # impedances that MuJoCo allows
 _TURNS = ("quat", "diaginertia", "axisangle", "euler", "xyaxes", "zaxis")
 _LIMITS = ("velocity_limit", "acceleration_limit")
@@ -55,13 +57,14 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     parts = parts_of(old, mujoco_tree(model, document.where))
     for part in changed_parts(parts, old, new):
         _inertial(document, _body(document, model, part), part)
+    slides = _sliding(model, old, new)
     for j in range(new.size):
-        _joint(document, model, old, new, j)
+        _joint(document, model, old, new, j, bool(slides[j]))
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
-    put_ripples(document, old, new)
-    _knees(document, old, new)
+    _motors(document, model, old, new)
+    _knees(document, model.opt.timestep, old, new)
     return notes
 
 
@@ -196,7 +199,9 @@ def turn_unit(document: Document, slides: bool) -> float:
     return 1.0 if slides or angle == "radian" else 180.0 / np.pi
 
 
-def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> None:
+def _joint(
+    document: Document, model: Any, old: Robot, new: Robot, j: int, slides: bool
+) -> None:
     """Rotor, friction and spring of a joint, where they are not the file's."""
     changed = {
         name
@@ -207,7 +212,7 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
         changed.add("stiffness")
     if new.chain.armature[j] != old.chain.armature[j]:
         changed.add("armature")
-    if bool(old.knee[j]) != bool(new.knee[j]):
+    if slides or bool(old.knee[j]) != bool(new.knee[j]):
         changed.add("frictionloss")
     if not changed:
         return
@@ -251,7 +256,61 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
     document.set(tag, given)
 
 
-def _knees(document: Document, old: Robot, new: Robot) -> None:
+def _motors(document: Document, model: Any, old: Robot, new: Robot) -> None:
+    """Ripple and friction that falls, if they are others.
+
+    Bristles are as stiff as a step allows: they swing with the inertia at the joint.
+    """
+    if not _motors_differ(old, new) and not _sliding(model, old, new).any():
+        return
+    fastest = _SWING / model.opt.timestep  # rad/s
+    put_motors(document, model, new, fastest**2 * _least_inertia(document, old, new))
+
+
+def _motors_differ(old: Robot, new: Robot) -> bool:
+    pairs = (old.ripple, new.ripple), (old.falling, new.falling)
+    return not all(np.array_equal(x, y) for x, y in pairs)
+
+
+def _sliding(model: Any, old: Robot, new: Robot) -> Array:
+    """Dry friction of motors that nothing commands, which the joint takes, (n,)."""
+    index, found = [joint_names(model).index(x) for x in new.joints], np.zeros(new.size)
+    if _motors_differ(old, new) or (old.frictionloss != new.frictionloss).any():
+        for j, level, _, _ in bristles(model, index):
+            found[int(j)] += level
+    return found
+
+
+def _least_inertia(document: Document, old: Robot, new: Robot) -> Array:
+    """Torque per acceleration at each joint in the document, (n,), [kg·m²].
+
+    The least of many postures, all other joints free.
+    """
+    import mujoco
+
+    model = model_of(document, old)
+    index = [joint_names(model).index(x) for x in new.joints]
+    at, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]
+    low, high = np.maximum(new.q_min, -np.pi), np.minimum(new.q_max, np.pi)
+    rng = np.random.default_rng(0)
+    data, most = mujoco.MjData(model), model.dof_invweight0[dofs]
+    inverse, unit = np.empty((2, model.nv, model.nv))
+    for q in rng.uniform(low, np.maximum(low, high), (_POSTURES, new.size)):
+        data.qpos[at], unit[:] = q, np.eye(model.nv)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_solveM(model, data, inverse, unit)
+        most = np.maximum(most, np.diag(inverse)[dofs])
+    return np.asarray(1.0 / most)
+
+
+def _mobility(document: Document, old: Robot, new: Robot) -> Array:
+    """Acceleration per torque at each joint in the document, (n,), [1/(kg·m²)]."""
+    model = model_of(document, old)
+    dofs = model.jnt_dofadr[[joint_names(model).index(x) for x in new.joints]]
+    return np.asarray(model.dof_invweight0[dofs])
+
+
+def _knees(document: Document, step: float, old: Robot, new: Robot) -> None:
     """Friction that rises to a level: MuJoCo's dry friction, as soft as that.
 
     How soft it is depends on the inertia at the joint, so that it comes last.
@@ -263,17 +322,15 @@ def _knees(document: Document, old: Robot, new: Robot) -> None:
     )
     if not new.knee.any() or (ours == theirs).all():
         return
-    model = model_of(document, old)
-    dofs = model.jnt_dofadr[[joint_names(model).index(x) for x in new.joints]]
+    mobility = _mobility(document, old, new)
     for j in np.flatnonzero(new.knee):
-        mobility = float(model.dof_invweight0[dofs[j]])
         slope = new.knee[j] / new.knee_speed[j]
         # The speed of the end of a step counts: the friction never overshoots.
-        share = slope * mobility * model.opt.timestep
+        share = slope * mobility[j] * step
         d = float(np.clip(share / (1.0 + share), _SOFTEST, _HARDEST))
         given = {
             "frictionloss": new.knee[j],
-            "solreffriction": (0.0, -slope * (1.0 - d) * mobility),
+            "solreffriction": (0.0, -slope * (1.0 - d) * mobility[j]),
             "solimpfriction": (d, d, *_DRY["solimpfriction"][2:]),
         }
         document.set(joint_tag(document, new.joints[j]), given)
