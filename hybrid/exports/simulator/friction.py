@@ -21,6 +21,7 @@ from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.instant import FRICTION
+from hybrid.effects.stribeck import Stribeck
 from hybrid.signals import Motion
 
 _BENDS = np.geomspace(0.25, 4.0, 9)  # w, of the highest speed
@@ -140,7 +141,9 @@ def _parts(
         speeds = known, *fastest * _KNEES
         knees += [list(_dry(w, fields)) for w in speeds if w > 0]
     if "fall" in fields:
-        falls += [[{"fall": 1.0, "fall_speed": u}] for u in fastest * _FALLS if u > 0]
+        low, high = Stribeck.shapes[0].lower, Stribeck.shapes[0].upper
+        speeds = (*[u for u in fastest * _FALLS if low <= u <= high],)
+        falls += [[{"fall": 1.0, "fall_speed": u}] for u in speeds]
     return always, knees, falls
 
 
