@@ -18,7 +18,7 @@ from hybrid.plant.servo import Servo
 RATE, SUBSTEPS, MOVES = 500.0, 2, 6
 MEMORY = 0.05  # s, of a disturbance
 TURNS = 0.05  # rad/s: below, the sign of a speed is not full
-RUNS, CHANGE = 8, 0.02  # of a tuning: looks at the simulator, and changes of a gain
+RUNS, CHANGE = 6, 0.02  # of a tuning: looks at the simulator, and changes of a gain
 
 
 class FileArms:
