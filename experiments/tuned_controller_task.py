@@ -15,7 +15,7 @@ from hybrid import Motion, Robot
 from hybrid.dynamics import inverse_dynamics
 from hybrid.plant.servo import Servo
 
-RATE, SUBSTEPS, MOVES = 500.0, 2, 6
+RATE, SUBSTEPS, MOVES = 500.0, 2, 4
 MEMORY = 0.05  # s, of a disturbance
 TURNS = 0.05  # rad/s: below, the sign of a speed is not full
 RUNS, CHANGE = 6, 0.02  # of a tuning: looks at the simulator, and changes of a gain
@@ -48,7 +48,7 @@ World = Callable[[np.ndarray], Any]  # arms at rest at (B, n) in a simulator
 
 def moves(robot: Robot, rng: np.random.Generator) -> list[Motion]:
     """Moves of least jerk at 80 % of the arm's speed or acceleration, then rest."""
-    ends = 0.7 * rng.uniform(robot.q_min, robot.q_max, (2, MOVES, robot.size))
+    ends = 0.35 * rng.uniform(robot.q_min, robot.q_max, (2, MOVES, robot.size))
     far = np.abs(ends[1] - ends[0])
     times = np.maximum(
         (1.875 * far / (0.8 * robot.v_max)).max(axis=1),
