@@ -41,10 +41,8 @@ def put_motors(document: Document, model: Any, new: Robot, stiffness: Array) -> 
         new: The arm as it shall be.
         stiffness: That of bristles at each joint, shape (n,), [N·m/rad].
     """
-    for kind in ("dcmotor", "general"):
-        for tag in document.find("actuator", kind, input="none"):
-            if tag.attributes.get("joint") in new.joints:
-                document.replace(tag, "")
+    for joint in new.joints:
+        drop_motors(document, joint)
     for number, (j, sine, cosine, k) in enumerate(new.ripple, 1):
         size, phase = np.hypot(sine, cosine), np.arctan2(-cosine, -sine)
         cogging = {"cogging": (size, k, phase)}
@@ -55,6 +53,13 @@ def put_motors(document: Document, model: Any, new: Robot, stiffness: Array) -> 
         lugre = {"lugre": (stiffness[int(j)], 0.0, 0.0, level, speed)}
         _put_motor(document, new.joints[int(j)], f"falling_{number}", lugre)
     _room(document, model, new)
+
+
+def drop_motors(document: Document, joint: str) -> None:
+    """Take out the motors of a joint that nothing commands."""
+    for kind in ("dcmotor", "general"):
+        for tag in document.find("actuator", kind, input="none", joint=joint):
+            document.replace(tag, "")
 
 
 def _put_motor(document: Document, joint: str, name: str, has: dict[str, Any]) -> None:
