@@ -12,6 +12,8 @@ from arms import MODELS
 from simulated import motions, quiet
 from test_export import model_of
 
+from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import RigidBody
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.armature import Armature
@@ -34,6 +36,7 @@ from hybrid.errors import EffectError, HybridError, RobotError
 from hybrid.exports import build_simulator
 from hybrid.exports.simulator.check import file_torque
 from hybrid.model.declared import declared_effects
+from hybrid.plant import Plant, simulate
 from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator
@@ -651,6 +654,19 @@ def test_a_joint_breaks_loose_above_its_sliding_friction_and_stays_at_rest(
     for _ in range(round(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
     np.testing.assert_allclose(data.qvel, 0.0, atol=1e-3)
+
+
+def test_a_file_with_friction_that_falls_lacks_nothing_of_an_arm_that_has_it(falling):
+    robot, _, file = falling
+    plant = Plant(robot, [Stribeck((1,), FALLS)])
+    logs = simulate(plant, trajectories=2, duration=4.0, seed=3)
+    before, after = (
+        measure_gap(x, logs, cutoff=15.0) for x in (robot, Robot.load(file))
+    )
+    rms = [np.sqrt(np.mean(x.left[x.moving[:, 1], 1] ** 2)) for x in (before, after)]
+    assert rms[1] < 0.6 * rms[0]
+    found = examine(Robot.load(file), logs).diagnosis
+    assert (found.verdict, found.findings) == ("no_gap", ())
 
 
 def test_sliding_friction_of_a_passive_motor_is_dry_friction_of_its_joint(tmp_path):

@@ -26,10 +26,10 @@ from hybrid.signals import Motion
 
 _BENDS = np.geomspace(0.25, 4.0, 9)  # w, of the highest speed
 _KNEES = np.geomspace(0.01, 1.0, 13)  # w, of the highest speed
-_TURNS = 2
-_SPEEDS = "knee_speed", "fall_speed"
-_WORTH = 0.005  # of the friction that a knee or a fall must take to be in the file
 _FALLS = np.geomspace(0.003, 1.0, 25)  # u, of the highest speed
+_WORTH = 0.005  # of the friction's RMS, that a knee or a fall takes if it is there
+_TURNS = 2  # of seeking a fall and a knee, each for the best of the other
+_SPEEDS = "knee_speed", "fall_speed"
 
 Parts = list[dict[str, float]]  # values of fields of which others are sums
 
@@ -97,8 +97,7 @@ def _least(
 ) -> dict[str, float]:
     """Values of fields whose curve leaves least of torques, as a sum of parts.
 
-    A knee and a fall are worth ``_WORTH`` of the torque's squares, or not in it. They
-    are sought in turn, from none and from the best knee.
+    A knee and a fall are sought in turn, from none and from the best knee.
     """
     always, knees, falls = _parts(float(np.abs(v).max()), fields, known)
     parts = [*always, *chain(*knees), *chain(*falls)]
@@ -142,8 +141,10 @@ def _parts(
         knees += [list(_dry(w, fields)) for w in speeds if w > 0]
     if "fall" in fields:
         low, high = Stribeck.shapes[0].lower, Stribeck.shapes[0].upper
-        speeds = (*[u for u in fastest * _FALLS if low <= u <= high],)
-        falls += [[{"fall": 1.0, "fall_speed": u}] for u in speeds]
+        falls += [
+            [{"fall": 1.0, "fall_speed": u}]
+            for u in fastest * _FALLS if low <= u <= high
+        ]  # fmt: skip
     return always, knees, falls
 
 
