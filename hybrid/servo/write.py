@@ -17,7 +17,8 @@ from hybrid.robot.edit.beside import drop_motors
 from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, element
 from hybrid.robot.edit.drives import actuator_tags
-from hybrid.robot.edit.mjcf import edit_mjcf, joint_tag, turn_unit
+from hybrid.robot.edit.mjcf import edit_mjcf, turn_unit
+from hybrid.robot.edit.parsed import joint_tag
 from hybrid.servo.drive import Drive
 from hybrid.servo.model import (
     dampings,

@@ -19,7 +19,6 @@ from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.instant import FIELDS
-from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.errors import HybridError, RobotError
 from hybrid.exports.simulator.friction import StandIn, is_friction, stand_in
@@ -32,9 +31,9 @@ from hybrid.plant.native import (
     effects_of_fields,
     fall,
     knee,
-    knees,
     split_effects,
     springs,
+    with_curves,
 )
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator, Edit
@@ -196,12 +195,9 @@ def _sorted(
             inertial, gravity = inertial + rigid[0], gravity + rigid[1]
     values, left = split_effects(acting, _JOINT[kind], n)
     chain = replace(robot.chain, inertial=inertial, gravity=gravity)
-    own, rubbing = _exact_falls([e for e in left if is_friction(e)], kind)
-    robot, bent = _with_knees(robot, rubbing, "knee" in _CURVE[kind])
-    rubbing += bent
+    rubbing = [effect for effect in left if is_friction(effect)]
+    robot, rubbing = with_curves(robot, rubbing, kind == "mjcf")
     fitted = _stand_ins(replace(robot, chain=chain), rubbing, values, kind, motions)
-    falling = [(e.joints[0], e.values["level"], e.values["velocity"]) for e in own]
-    robot = replace(robot, falling=np.array(falling).reshape(-1, 3))
     rest = [effect for effect in left if not is_friction(effect)]
     drives = dict[int, Actuator]()
     structure = []
@@ -222,34 +218,6 @@ def _sorted(
     missing = [*_missing(rubbing, values, fitted, n), *_faded(waves)]
     change = Edit(new, drives, structure)
     return _Sorted(change, fitted, (*rest, *missing), tuple(rest))
-
-
-def _exact_falls(
-    rubbing: Sequence[Effect], kind: str
-) -> tuple[list[Effect], list[Effect]]:
-    """Friction that falls just as motors of the file have it, and all other.
-
-    That of a joint with other friction, which is fitted, is fitted with it.
-    """
-    exact: list[Effect] = [
-        e for e in rubbing
-        if isinstance(e, Stribeck) and e.values["exponent"] == 2.0
-        and e.values["level"] > 0 and kind == "mjcf"
-    ]  # fmt: skip
-    more = {e.joints for e in rubbing if e not in exact}
-    own = [e for e in exact if e.joints not in more]
-    return own, [e for e in rubbing if e not in own]
-
-
-def _with_knees(
-    robot: Robot, rubbing: Sequence[Effect], has: bool
-) -> tuple[Robot, list[Effect]]:
-    """The arm with the knees that stay as they are, and the others as effects."""
-    more = {j for effect in rubbing for j in effect.joints}
-    fitted = [e for e in knees(robot) if not has or e.joints[0] in more]
-    level = robot.knee.copy()
-    level[[e.joints[0] for e in fitted]] = 0.0
-    return replace(robot, knee=level), fitted
 
 
 def _stand_ins(

@@ -12,23 +12,18 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.actuators import bristles, drives_of
+from hybrid.robot.actuators import drives_of
 from hybrid.robot.build import simulable, spec_text
-from hybrid.robot.compiled import compiled_spec
-from hybrid.robot.edit.beside import put_dry, put_motors
+from hybrid.robot.edit.beside import DRY, put_dry, put_knees, put_motors, sliding
 from hybrid.robot.edit.change import Edit, Structure
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.drives import edit_drives
+from hybrid.robot.edit.parsed import joint_tag, model_of, spec_of
 from hybrid.robot.edit.part import Part, changed_parts, parts_of
 from hybrid.robot.mjcf import joint_names, mujoco_tree
 from hybrid.robot.read import read_robot
 from hybrid.robot.robot import Robot
 
-# By default MuJoCo's dry friction is so soft that it is viscous at low speed.
-_DRY = {"solimpfriction": (0.9999, 0.9999, 0.001, 0.5, 2.0)}
-_SWING = 1.0  # rad of a bristle's swing in a step: stable up to 2
-_POSTURES = 100  # among which a joint's inertia is the least
-_SOFTEST, _HARDEST = 0.0001, 0.9999  # impedances that MuJoCo allows
 _TURNS = ("quat", "diaginertia", "axisangle", "euler", "xyaxes", "zaxis")
 _LIMITS = ("velocity_limit", "acceleration_limit")
 _USUAL = {
@@ -57,24 +52,15 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     parts = parts_of(old, mujoco_tree(model, document.where))
     for part in changed_parts(parts, old, new):
         _inertial(document, _body(document, model, part), part)
-    slides = _sliding(model, old, new)
+    slides = sliding(model, old, new)
     for j in range(new.size):
         _joint(document, model, old, new, j, bool(slides[j]))
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
-    _motors(document, model, old, new)
-    _knees(document, model.opt.timestep, old, new)
+    put_motors(document, model, old, new)
+    put_knees(document, model.opt.timestep, old, new)
     return notes
-
-
-def model_of(document: Document, robot: Robot) -> Any:
-    """MuJoCo's model of the document, in the folder of the arm's file.
-
-    Raises:
-        RobotError: It does not compile.
-    """
-    return compiled_spec(spec_of(document, robot), robot.path)[0]
 
 
 def check_mjcf(document: Document, robot: Robot) -> Robot:
@@ -86,19 +72,6 @@ def check_mjcf(document: Document, robot: Robot) -> Robot:
     except RobotError as error:
         raise RobotError(str(error).replace("MjSpec", robot.path, 1)) from error
     return replace(Robot(**fields), name=robot.name, path=robot.path)
-
-
-def spec_of(document: Document, robot: Robot) -> Any:
-    """The document as a spec, in the folder of the arm's file."""
-    import mujoco
-
-    try:
-        spec = mujoco.MjSpec.from_string(document.written().decode())
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise RobotError(f"{robot.path}: cannot be edited ({reason})") from error
-    spec.modelfiledir = str(Path(robot.path).parent)
-    return spec
 
 
 def move_assets(document: Document, home: Path, folder: Path) -> None:
@@ -175,22 +148,6 @@ def _inertial(document: Document, body: Tag, part: Part) -> None:
         document.set(tag, {"inertiafromgeom": "auto"})
 
 
-def joint_tag(document: Document, name: str) -> Tag:
-    """The element of a joint.
-
-    Raises:
-        RobotError: No joint of the file has the name.
-    """
-    for kind in ("joint", "freejoint"):
-        for tag in document.find(kind, name=name):
-            if "worldbody" in tag.path:
-                return tag
-    raise RobotError(
-        f"{document.where}: joint {name!r} is not in the file; valid are joints with "
-        "names, outside of replicate and attach"
-    )
-
-
 def turn_unit(document: Document, slides: bool) -> float:
     """The file's units of angle in a radian; 1 of a joint that slides."""
     angle = "degree"
@@ -239,7 +196,7 @@ def _joint(
         dry = {
             "frictionloss": new.frictionloss[j],
             "solreffriction": (2 * model.opt.timestep, 1.0),
-            **_DRY,
+            **DRY,
         }
         given |= {} if new.knee[j] else dry
         put_dry(document, new.joints[j], dry if new.knee[j] else {"frictionloss": 0.0})
@@ -254,86 +211,6 @@ def _joint(
                 f"actuator, which is more than was found; valid is {name} at the joint"
             )
     document.set(tag, given)
-
-
-def _motors(document: Document, model: Any, old: Robot, new: Robot) -> None:
-    """Ripple and friction that falls, if they are others.
-
-    Bristles are as stiff as a step allows: they swing with the inertia at the joint.
-    """
-    if not _motors_differ(old, new) and not _sliding(model, old, new).any():
-        return
-    fastest = _SWING / model.opt.timestep  # rad/s
-    put_motors(document, model, new, fastest**2 * _least_inertia(document, old, new))
-
-
-def _motors_differ(old: Robot, new: Robot) -> bool:
-    pairs = (old.ripple, new.ripple), (old.falling, new.falling)
-    return not all(np.array_equal(x, y) for x, y in pairs)
-
-
-def _sliding(model: Any, old: Robot, new: Robot) -> Array:
-    """Dry friction of motors that nothing commands, which the joint takes, (n,)."""
-    index, found = [joint_names(model).index(x) for x in new.joints], np.zeros(new.size)
-    if _motors_differ(old, new) or (old.frictionloss != new.frictionloss).any():
-        for j, level, _, _ in bristles(model, index):
-            found[int(j)] += level
-    return found
-
-
-def _least_inertia(document: Document, old: Robot, new: Robot) -> Array:
-    """Torque per acceleration at each joint in the document, (n,), [kg·m²].
-
-    The least of many postures, all other joints free.
-    """
-    import mujoco
-
-    model = model_of(document, old)
-    index = [joint_names(model).index(x) for x in new.joints]
-    at, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]
-    low, high = np.maximum(new.q_min, -np.pi), np.minimum(new.q_max, np.pi)
-    rng = np.random.default_rng(0)
-    data, most = mujoco.MjData(model), model.dof_invweight0[dofs]
-    inverse, unit = np.empty((2, model.nv, model.nv))
-    for q in rng.uniform(low, np.maximum(low, high), (_POSTURES, new.size)):
-        data.qpos[at], unit[:] = q, np.eye(model.nv)
-        mujoco.mj_fwdPosition(model, data)
-        mujoco.mj_solveM(model, data, inverse, unit)
-        most = np.maximum(most, np.diag(inverse)[dofs])
-    return np.asarray(1.0 / most)
-
-
-def _mobility(document: Document, old: Robot, new: Robot) -> Array:
-    """Acceleration per torque at each joint in the document, (n,), [1/(kg·m²)]."""
-    model = model_of(document, old)
-    dofs = model.jnt_dofadr[[joint_names(model).index(x) for x in new.joints]]
-    return np.asarray(model.dof_invweight0[dofs])
-
-
-def _knees(document: Document, step: float, old: Robot, new: Robot) -> None:
-    """Friction that rises to a level: MuJoCo's dry friction, as soft as that.
-
-    How soft it is depends on the inertia at the joint, so that it comes last.
-    """
-    names = "knee", "knee_speed", "frictionloss"
-    ours, theirs = (
-        np.c_[x.chain.inertial, x.chain.armature, *(getattr(x, y) for y in names)]
-        for x in (new, old)
-    )
-    if not new.knee.any() or (ours == theirs).all():
-        return
-    mobility = _mobility(document, old, new)
-    for j in np.flatnonzero(new.knee):
-        slope = new.knee[j] / new.knee_speed[j]
-        # The speed of the end of a step counts: the friction never overshoots.
-        share = slope * mobility[j] * step
-        d = float(np.clip(share / (1.0 + share), _SOFTEST, _HARDEST))
-        given = {
-            "frictionloss": new.knee[j],
-            "solreffriction": (0.0, -slope * (1.0 - d) * mobility[j]),
-            "solimpfriction": (d, d, *_DRY["solimpfriction"][2:]),
-        }
-        document.set(joint_tag(document, new.joints[j]), given)
 
 
 def _structure(
@@ -356,7 +233,7 @@ def _structure(
         document.put_after(tag, element("joint", given))
         added.append(j)
     known = {child.tag for child in before}
-    hard = {"solreffriction": (2 * model.opt.timestep, 1.0), **_DRY}
+    hard = {"solreffriction": (2 * model.opt.timestep, 1.0), **DRY}
     for tendon in after.iter("fixed"):
         if "frictionloss" in tendon.attrib:
             tendon.attrib |= {key: text_of(x) for key, x in hard.items()}
