@@ -76,7 +76,9 @@ def tuned(
     ends[0][:2], ends[1][:2] = 0.25, 1.0
 
     def off(x: np.ndarray) -> np.ndarray:
-        own = tracked(world, robot, servo, ways, x.reshape(-1, 6, robot.size))
+        gains = x.reshape(-1, 6, robot.size)
+        feed = fed_forward(robot, ways, gains)
+        own = tracked(world, servo, ways, feed, gains[:, :2])
         return own.reshape(len(own), -1)
 
     def slopes(x: np.ndarray) -> np.ndarray:
@@ -91,47 +93,57 @@ def tuned(
     return np.asarray(found.x.reshape(6, -1))
 
 
+def fed_forward(robot: Robot, ways: Sequence[Motion], gains: np.ndarray) -> np.ndarray:
+    """Torque that K controllers feed forward, shape (K, M, N, n), [N·m].
+
+    Args:
+        robot: The nominal arm.
+        ways: M moves.
+        gains: Gains of each controller, shape (K, 6, n): the last four are multiples
+            of the nominal weight and inertia, and of speed and its sign in tenths of
+            rated torque.
+    """
+    chain, v = robot.chain, np.stack([m.v for m in ways])
+    weight, rigid = (
+        np.stack([inverse_dynamics(chain, chain.inertial, *x) for x in own])
+        for own in (
+            [(m.q, 0 * m.v, 0 * m.a) for m in ways],
+            [(m.q, m.v, m.a) for m in ways],
+        )
+    )
+    unit = 0.1 * robot.tau_max
+    drag = unit / robot.v_max * v, unit * np.tanh(v / TURNS)
+    parts = np.stack([weight, rigid - weight, *drag])
+    return np.einsum("kpj,pmtj->kmtj", gains[:, 2:], parts)
+
+
 def tracked(
     world: World,
-    robot: Robot,
     servo: Servo,
     ways: Sequence[Motion],
+    feed: np.ndarray,
     gains: np.ndarray,
-    push: np.ndarray | float = 0.0,
 ) -> np.ndarray:
     """Tracking errors of K controllers, shape (K, M, N, n), [rad].
 
     Args:
         world: Where they run.
-        robot: The nominal arm.
         servo: Usual gains.
         ways: M moves.
+        feed: Torque beside that of the gains, shape (K, M, N, n), [N·m].
         gains: Stiffness and damping as shares of those of a quarter of the usual
-            bandwidth; multiples of the nominal weight and inertia, and of speed and its
-            sign in tenths of rated torque; shape (K, 6, n).
-        push: Disturbance of each move, shape (M, N, n), [N·m].
+            bandwidth, shape (K, 2, n).
     """
-    q, v, a = (np.stack([getattr(m, x) for m in ways]) for x in "qva")  # (M, N, n)
-    chain = robot.chain
-    rest = [(m.q, 0 * m.v, 0 * m.a) for m in ways]
-    move = [(m.q, m.v, m.a) for m in ways]
-    weight, rigid = (
-        np.stack([inverse_dynamics(chain, chain.inertial, *x) for x in own])
-        for own in (rest, move)
-    )
-    unit = 0.1 * robot.tau_max
-    drag = unit / robot.v_max * v, unit * np.tanh(v / TURNS)
-    parts = np.stack([weight, rigid - weight, *drag])
-    feed = push + np.einsum("kpj,pmtj->kmtj", gains[:, 2:], parts)
+    q, v = (np.stack([getattr(m, x) for m in ways]) for x in "qv")  # (M, N, n)
     kp, kd = gains[:, 0] * servo.kp / 16, gains[:, 1] * servo.kd / 4
-    shape = len(gains), len(ways), robot.size
-    state = world(np.broadcast_to(q[:, 0], shape).reshape(-1, robot.size).copy())
+    shape = len(gains), len(ways), q.shape[2]
+    state = world(np.broadcast_to(q[:, 0], shape).reshape(-1, shape[2]).copy())
     off = np.empty(feed.shape)
     for k in range(q.shape[1]):
         off[:, :, k] = q[:, k] - state.q.reshape(shape)
         turn = v[:, k] - state.v.reshape(shape)
         pd = kp[:, None] * off[:, :, k] + kd[:, None] * turn
-        state.step((feed[:, :, k] + pd).reshape(-1, robot.size), SUBSTEPS)
+        state.step((feed[:, :, k] + pd).reshape(-1, shape[2]), SUBSTEPS)
     return off
 
 
