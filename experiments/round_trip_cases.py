@@ -23,6 +23,7 @@ from hybrid import (
     simulate,
 )
 from hybrid.arrays import Array
+from hybrid.diagnosis.diagnose import examine
 from hybrid.effects import effects_from_text
 from hybrid.errors import HybridWarning
 from hybrid.identification.preparation import prepare_motions
@@ -45,6 +46,13 @@ class Case:
     model: DynamicModel
     fitting: Sequence[Motion]
     scoring: Sequence[Motion]
+
+    def findings(self, file: Path) -> tuple[str, str]:
+        """Verdict and findings of a diagnosis of a file on motions it has not seen."""
+        robot = Robot.load(file, joints=self.model.robot.joints)
+        found = examine(robot, self.scoring, cutoff=self.model.cutoff).diagnosis
+        names = [f"{x.effect} of {', '.join(x.joints)}" for x in found.findings]
+        return found.verdict, "; ".join(names) or "–"
 
 
 def cases(data: Path | None) -> Iterator[Case]:

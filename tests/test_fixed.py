@@ -31,9 +31,9 @@ EXACT = {
     "torque_offset": {}, "torque_gain": {}, "saturation": {"limit": 2.0, "loss": 1.0},
     "actuator_lag": {"time": 0.02}, "transmission_coupling": {}, "gravity_tilt": {},
     "torque_ripple": {"sine": 2.0, "periods": 3.0},
+    "stribeck": {"level": 2.0, "velocity": 0.3},
 }  # fmt: skip
 NEARLY = (
-    "stribeck",
     "asymmetric_friction",
     "load_friction",
     "presliding",
@@ -79,8 +79,8 @@ def left_behind(model, log, start=1.0, seconds=0.5):
     joints = [model.joint(name).dofadr[0] for name in arm("planar").joints]
     torque, q = CubicSpline(log.t, log.tau), CubicSpline(log.t, log.q)
     data.qpos[joints], data.qvel[joints] = q(start), q(start, 1)
-    if model.na:
-        data.act[:] = torque(start)[model.actuator_actadr >= 0]
+    own = model.actuator_actadr[: len(joints)]  # of the drives; bristles come after
+    data.act[own[own >= 0]] = torque(start)[own >= 0]
     off = []
     for k in range(round(seconds / model.opt.timestep)):
         t = start + k * model.opt.timestep

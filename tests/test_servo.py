@@ -469,3 +469,20 @@ def test_logs_of_which_some_lack_torque_are_refused(folder, tmp_path, capsys):
     (tmp_path / "b.csv").unlink()
     assert main([*asked, "--out", str(tmp_path / "x.json")]) == 2
     assert ".xml" in capsys.readouterr().err
+
+
+def test_friction_of_a_passive_motor_becomes_that_of_the_servo(tmp_path):
+    motor = (
+        '<actuator><dcmotor name="falls" joint="elbow" input="none" motorconst="0" '
+        'resistance="1" lugre="1e4 0 0 0.2 0.3"/></actuator></mujoco>'
+    )
+    (tmp_path / "arm.xml").write_text(ARM.replace("</mujoco>", motor))
+    robot = Robot.load(tmp_path / "arm.xml")
+    drive = Drive.declared(robot)
+    np.testing.assert_allclose(drive["stiction"], [0.0, 0.2])
+    assert drive["stribeck_speed"][1] == pytest.approx(0.3)
+    write_servos(robot, drive, tmp_path / "fixed.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "fixed.xml"))
+    np.testing.assert_allclose(
+        model.actuator_biasprm[:, 4].sum(), (drive["coulomb"] + drive["stiction"]).sum()
+    )

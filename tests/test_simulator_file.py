@@ -12,6 +12,8 @@ from arms import MODELS
 from simulated import motions, quiet
 from test_export import model_of
 
+from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import RigidBody
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.armature import Armature
@@ -34,6 +36,7 @@ from hybrid.errors import EffectError, HybridError, RobotError
 from hybrid.exports import build_simulator
 from hybrid.exports.simulator.check import file_torque
 from hybrid.model.declared import declared_effects
+from hybrid.plant import Plant, simulate
 from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator
@@ -657,3 +660,100 @@ def test_meshes_of_a_urdf_are_found_from_where_its_mjcf_will_stand(tmp_path):
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "deep" / "arm.xml"))
     assert model.nmesh == 1
     assert model.dof_armature[:2] == pytest.approx([0.1, 0.2])
+
+
+FALLS = {"level": 1.2, "velocity": 0.15, "exponent": 2.0}
+
+
+@pytest.fixture
+def falling(tmp_path):
+    """An arm whose elbow has friction that falls, and its file."""
+    robot = Robot.load(MODELS / "planar.xml")
+    made = build_simulator(robot, [Stribeck((1,), FALLS)], folder=tmp_path)
+    made.write(tmp_path / "arm.xml")
+    return robot, made, tmp_path / "arm.xml"
+
+
+def test_friction_that_falls_is_in_the_file_with_every_digit(falling):
+    robot, made, file = falling
+    again = Robot.load(file)
+    assert made.notes == () and len(made.diff().splitlines()) <= 12
+    np.testing.assert_array_equal(again.falling, [[1, 1.2, 0.15]])
+    assert build_simulator(again).diff() == ""
+    (effect,) = [e for e in declared_effects(again) if e.id == "stribeck"]
+    assert effect.joints == (1,) and effect.values == FALLS
+    motion = motions(robot, count=1)[0]
+    theirs = file_inverse_dynamics(file, robot.joints, motion, {})
+    moving = np.abs(motion.v) > 0.05  # where the file's own dry friction is not soft
+    np.testing.assert_allclose(theirs[moving], torque(again, motion)[moving], atol=1e-6)
+    bare = replace(again, falling=np.zeros((0, 3)))
+    assert b"dcmotor" not in build_simulator(bare).text
+
+
+@pytest.mark.parametrize("speed", [0.01, 0.1, 0.2, 1.0])
+def test_bristles_that_slide_have_the_friction_of_the_law(falling, speed):
+    model = mujoco.MjModel.from_xml_path(str(falling[2]))
+    data, own = mujoco.MjData(model), model.actuator("elbow/falling_1").id
+    for _ in range(round(1.0 / model.opt.timestep)):
+        data.qvel[:] = 0.0, speed
+        mujoco.mj_step(model, data)
+    (law,) = Stribeck.law(SimpleNamespace(v=speed, sign=1.0), **FALLS)
+    assert -data.actuator_force[own] == pytest.approx(FALLS["level"] * law, 0.01, 1e-9)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_a_joint_breaks_loose_above_its_sliding_friction_and_stays_at_rest(
+    falling, factor
+):
+    """Also at a longer step than that of the file."""
+    model = mujoco.MjModel.from_xml_path(str(falling[2]))
+    model.opt.gravity[:], model.opt.timestep = 0.0, factor * model.opt.timestep
+    data, dry = mujoco.MjData(model), Robot.load(falling[2]).frictionloss[1]
+    asked, seconds = 1.5 * (dry + FALLS["level"]), 3.0
+    moved, at = [], []
+    while data.time < seconds:
+        data.qfrc_applied[1] = asked * data.time / seconds
+        mujoco.mj_step(model, data)
+        moved.append(abs(data.qvel[1]) > 0.05)
+        at.append(data.qfrc_applied[1])
+    assert at[moved.index(True)] == pytest.approx(dry + FALLS["level"], rel=0.1)
+    data.qfrc_applied[:] = 0.0
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    np.testing.assert_allclose(data.qvel, 0.0, atol=1e-3)
+
+
+def test_a_file_with_friction_that_falls_lacks_nothing_of_an_arm_that_has_it(falling):
+    robot, _, file = falling
+    plant = Plant(robot, [Stribeck((1,), FALLS)])
+    logs = simulate(plant, trajectories=2, duration=4.0, seed=3)
+    before, after = (
+        measure_gap(x, logs, cutoff=15.0) for x in (robot, Robot.load(file))
+    )
+    rms = [np.sqrt(np.mean(x.left[x.moving[:, 1], 1] ** 2)) for x in (before, after)]
+    assert rms[1] < 0.6 * rms[0]
+    found = examine(Robot.load(file), logs).diagnosis
+    assert (found.verdict, found.findings) == ("no_gap", ())
+
+
+def test_sliding_friction_of_a_passive_motor_is_dry_friction_of_its_joint(tmp_path):
+    """A file that has LuGre friction of its own, and a keyframe of its bristles."""
+    text = (MODELS / "planar.xml").read_text()
+    motor = (
+        '<actuator><dcmotor name="mine" joint="elbow" input="none" motorconst="0" '
+        'resistance="1" gear="2" lugre="1e4 10 0.5 0.8 0.2" cogging="0.1 4 0"/>'
+        '</actuator><keyframe><key name="bent" qpos="0 1" act="1e-5"/></keyframe>'
+    )
+    (tmp_path / "own.xml").write_text(text.replace("</mujoco>", motor + "</mujoco>"))
+    before, robot = (
+        Robot.load(x) for x in (MODELS / "planar.xml", tmp_path / "own.xml")
+    )
+    assert robot.frictionloss[1] == pytest.approx(before.frictionloss[1] + 1.0)
+    np.testing.assert_allclose(robot.falling, [[1, 0.6, 0.1]])
+    assert build_simulator(robot).diff() == ""
+    made = build_simulator(robot, [Coulomb((1,), {"level": 0.3})])
+    model = mujoco.MjModel.from_xml_string(made.text.decode())
+    assert model.key("bent").act.shape == (1,)
+    assert made.robot.frictionloss[1] == pytest.approx(robot.frictionloss[1] + 0.3)
+    np.testing.assert_allclose(made.robot.falling, robot.falling)
+    np.testing.assert_allclose(made.robot.ripple, robot.ripple)

@@ -28,7 +28,9 @@ class Stribeck(JointEffect):
     equation = "τ = F_s · exp(−|v/v_s|^γ) · sgn v"
     source = "Bo and Pavelescu 1982, doi 10.1016/0043-1648(82)90156-4"
     sentence = "Friction of {joints} is higher at low speed and falls with speed."
-    remedy = "Add a Stribeck term, or run the joint above its Stribeck speed."
+    remedy = (
+        "Add Stribeck friction (MuJoCo: lugre of a dcmotor), or run the joint faster."
+    )
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:

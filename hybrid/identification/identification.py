@@ -264,7 +264,7 @@ class Identification:
         robot = self.robot
         known = robot.joint_torque(motion.q, motion.v, motion.a)
         known += RigidBody(robot.chain, motion).load
-        known += robot.frictionloss * np.sign(motion.v)
+        known += robot.dry_friction(motion.v)
         return np.asarray(motion.tau - known)
 
     def _friction(self, start: Solution) -> dict[int, list[Effect]]:

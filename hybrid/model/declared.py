@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hybrid.effects import Effect
-from hybrid.plant.native import effects_of_fields, knees, ripples
+from hybrid.plant.native import effects_of_fields, falls, knees, ripples
 from hybrid.robot import Robot
 
 
@@ -13,4 +13,5 @@ def declared_effects(robot: Robot) -> list[Effect]:
     values = {name: getattr(robot, name) for name in names}
     values["armature"] = robot.chain.armature
     values["preload"] = -robot.stiffness * robot.springref
-    return [*effects_of_fields(values), *knees(robot), *ripples(robot)]
+    beside = *knees(robot), *ripples(robot), *falls(robot)
+    return [*effects_of_fields(values), *beside]

@@ -14,7 +14,7 @@ from hybrid.errors import HybridError
 from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
 from hybrid.plant.laws import Laws, part
 from hybrid.plant.native import split_effects, springs
-from hybrid.robot.actuators import cogging
+from hybrid.robot.actuators import passive_motors
 from hybrid.robot.mjcf import knee_slope, single_tendons
 from hybrid.robot.robot import Robot
 
@@ -88,8 +88,9 @@ class Installed:
         model.dof_solref[rising], model.dof_solimp[rising, :2] = _dry(model)
         beside = [t for t, at, _ in single_tendons(model) if at in dof]
         model.tendon_frictionloss[beside] = 0.0
-        motors = [a for a, joint, _ in cogging(model) if joint in joints]
-        model.actuator_biasprm[motors, 0] = 0.0
+        motors = [a for a, joint, _ in passive_motors(model) if joint in joints]
+        for size in (0, 3, 4):  # of cogging, and of bristles' friction
+            model.actuator_biasprm[motors, size] = 0.0
 
     def remove(self) -> None:
         """Leave the simulation as it was."""

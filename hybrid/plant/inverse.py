@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.robot.actuators import cogging
+from hybrid.robot.actuators import passive_motors
 from hybrid.robot.compiled import compiled
 from hybrid.robot.mjcf import joint_names, start
 from hybrid.signals import Motion
@@ -22,7 +23,8 @@ def file_inverse_dynamics(
 ) -> Array:
     """Torque of MuJoCo's inverse dynamics along a motion, shape (N, n), [N·m].
 
-    Dry friction is that of the speed at the start of a step, not at its end.
+    Dry friction is that of the speed at the start of a step, not at its end, and as it
+    is where speed lasts.
 
     Args:
         file: The MJCF file.
@@ -40,7 +42,7 @@ def file_inverse_dynamics(
     model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
     data, names = mujoco.MjData(model), joint_names(model)
     index = [names.index(name) for name in joints]
-    motors = list(cogging(model))
+    motors = list(passive_motors(model))
     places, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]
     data.qpos[:] = start(model, held)
     torque = np.empty_like(motion.q)
@@ -51,8 +53,20 @@ def file_inverse_dynamics(
         dry = data.qfrc_constraint[dofs].copy()
         data.qacc[dofs] = motion.a[k]
         mujoco.mj_inverse(model, data)
+        _slide(model, data, motors)
         mujoco.mj_fwdActuation(model, data)
         for a, joint, gear in motors:
             data.qfrc_inverse[model.jnt_dofadr[joint]] -= gear * data.actuator_force[a]
         torque[k] = (data.qfrc_inverse + data.qfrc_constraint)[dofs] - dry
     return torque
+
+
+def _slide(model: Any, data: Any, motors: Sequence[tuple[int, int, float]]) -> None:
+    """Bend bristles (LuGre) as far as they are bent where speed lasts."""
+    for a, _, _ in motors:
+        level, static, speed = model.actuator_biasprm[a, 3:6]
+        stiffness = model.actuator_dynprm[a, 5]
+        if stiffness > 0:
+            v = data.actuator_velocity[a]
+            most = level + (static - level) * np.exp(-((v / speed) ** 2))
+            data.act[model.actuator_actadr[a]] = np.sign(v) * most / stiffness

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.spring import Spring
+from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
@@ -102,10 +104,49 @@ def ripples(robot: Robot) -> list[Effect]:
     ]
 
 
+def falls(robot: Robot) -> list[Effect]:
+    """Friction of a robot file that falls as a joint moves."""
+    return [fall(int(j), level, speed) for j, level, speed in robot.falling.tolist()]
+
+
+def fall(joint: int, level: float, speed: float) -> Effect:
+    """Friction that falls, as motors of a robot file have it."""
+    values = {"level": level, "velocity": speed, "exponent": 2.0}
+    return Stribeck((joint,), values)
+
+
 def knee(joint: int, level: float, speed: float) -> Effect:
     """Friction that rises to a level at a speed."""
     values = {"rising": level, "threshold": speed, "width": 0.0}
     return ThresholdFriction((joint,), values)
+
+
+def with_curves(
+    robot: Robot, rubbing: Sequence[Effect], has: bool
+) -> tuple[Robot, list[Effect]]:
+    """The arm with the knees and falls that it has just so, and all other friction.
+
+    Those of a joint with other friction, which is fitted, are fitted with it.
+
+    Args:
+        robot: The arm as its file has it.
+        rubbing: Friction that no field says, falls of the file among it.
+        has: Whether the simulator has knees and falls at all.
+    """
+    falling = [
+        e for e in rubbing
+        if has and isinstance(e, Stribeck)
+        and e.values["exponent"] == 2.0 and e.values["level"] > 0
+    ]  # fmt: skip
+    more = {e.joints for e in rubbing if e not in falling}
+    falling = [e for e in falling if e.joints not in more]
+    rest = [e for e in rubbing if e not in falling]
+    bent = [e for e in knees(robot) if not has or e.joints in more]
+    level = robot.knee.copy()
+    level[[e.joints[0] for e in bent]] = 0.0
+    rows = [(e.joints[0], e.values["level"], e.values["velocity"]) for e in falling]
+    own = np.array(rows).reshape(-1, 3)
+    return replace(robot, knee=level, falling=own), [*rest, *bent]
 
 
 def springs(values: Mapping[str, Array]) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from hybrid.effects import Effect
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.plant.arm import Arm, build_arm, drives, overrides
 from hybrid.plant.lockstep import Lockstep
-from hybrid.plant.native import knees, ripples
+from hybrid.plant.native import falls, knees, ripples
 from hybrid.plant.noise import Noise
 from hybrid.plant.reference import Reference
 from hybrid.plant.servo import Servo
@@ -151,7 +151,8 @@ class Plant:
             for signal in zip(*plans, strict=True)
         )
         kp, kd = self._gains()
-        effects = [*self.effects, *knees(self.robot), *ripples(self.robot)]
+        robot = self.robot
+        effects = [*self.effects, *knees(robot), *ripples(robot), *falls(robot)]
         state = Lockstep(self.arm, effects, q_ref[0], time=t[0])
         weight, lead = self._alignment(substeps)
         log = {x: np.empty((samples, *q_ref.shape[1:])) for x in ("q", "v", "tau")}

@@ -15,8 +15,8 @@ def drives_of(model: Any) -> Iterator[tuple[int, int, float]]:
     return (x for x in _on_joints(model) if model.actuator_ctrlnum[x[0]])
 
 
-def cogging(model: Any) -> Iterator[tuple[int, int, float]]:
-    """The same of each motor that nothing commands, which has cogging only."""
+def passive_motors(model: Any) -> Iterator[tuple[int, int, float]]:
+    """The same of each motor that nothing commands: cogging and friction (LuGre)."""
     return (x for x in _on_joints(model) if not model.actuator_ctrlnum[x[0]])
 
 
@@ -33,11 +33,28 @@ def _on_joints(model: Any) -> Iterator[tuple[int, int, float]]:
 def ripples(model: Any, index: list[int]) -> np.ndarray:
     """Ripples of the joints, shape (R, 4); see :class:`~hybrid.robot.robot.Robot`."""
     found = []
-    for a, joint, gear in cogging(model):
-        if joint in index:
-            size, k, phase = model.actuator_biasprm[a, :3]
+    for a, joint, gear in passive_motors(model):
+        size, k, phase = model.actuator_biasprm[a, :3]
+        if joint in index and size:
             sine, cosine = -gear * size * np.array([np.cos(phase), np.sin(phase)])
             found.append((index.index(joint), sine, cosine, gear * k))
+    return np.array(found).reshape(-1, 4)
+
+
+def bristles(model: Any, index: list[int]) -> np.ndarray:
+    """Friction of passive motors at the joints as they slide (LuGre), shape (B, 4).
+
+    Returns:
+        Joint, level [N·m], what is above it at rest [N·m], and the speed that takes
+        this off [rad/s].
+    """
+    found = []
+    for a, joint, gear in passive_motors(model):
+        level, static, speed = model.actuator_biasprm[a, 3:6]
+        if joint in index and model.actuator_dynprm[a, 5] > 0:
+            pull = abs(gear)
+            above = pull * (static - level)
+            found.append((index.index(joint), pull * level, above, speed / pull))
     return np.array(found).reshape(-1, 4)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from hybrid.errors import HybridWarning, RobotError
 from hybrid.robot.actuators import (
+    bristles,
     drives_of,
     ripples,
     servo_gains,
@@ -63,6 +64,7 @@ def fields_of_mujoco(
     _check_inertias(model, moved, wanting)
     gravity = _gravity(model, index, moved)
     armature = with_drives(model, "armature", drives)[model.jnt_dofadr[index]]
+    falling = bristles(model, index)[:, [0, 2, 3]]
     return {
         "chain": tree.chain(keep, held, gravity, armature),
         "held": dict(held),
@@ -76,6 +78,7 @@ def fields_of_mujoco(
         "timestep": float(model.opt.timestep),
         **_passive(model, index, drives),
         "ripple": ripples(model, index),
+        "falling": falling[(falling[:, 1:] > 0).all(axis=1)],
     }
 
 
@@ -105,6 +108,8 @@ def _passive(model: Any, index: list[int], drives: list[Any]) -> dict[str, Any]:
     beside = np.zeros(model.nv)
     for t, dof, pull in single_tendons(model):
         beside[dof] += dry * pull * model.tendon_frictionloss[t]
+    for j, sliding, _, _ in bristles(model, index):
+        beside[dofs[int(j)]] += sliding
     return {
         "damping": damper * damping[dofs],
         "quadratic": quadratic,

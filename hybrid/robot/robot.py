@@ -34,8 +34,9 @@ class Robot:
 
     Its drives need the torque of the links, and at each joint that of rotor, friction
     and spring: armature·a + damping·v + quadratic·v|v| + cubic·v³ +
-    stiffness·(q − springref) + frictionloss·sgn v + knee·clip(v / knee_speed), and
-    ripples sine·sin(k q) + cosine·cos(k q).
+    stiffness·(q − springref) + frictionloss·sgn v + knee·clip(v / knee_speed),
+    ripples sine·sin(k q) + cosine·cos(k q), and friction that falls as it moves,
+    level·exp(−(v/v_s)²)·sgn v.
 
     Attributes:
         name: Name in the file.
@@ -60,6 +61,8 @@ class Robot:
         knee_speed: Speed at which it is there, shape (n,), [rad/s].
         ripple: Declared ripples, shape (R, 4): joint, sine [N·m], cosine [N·m] and k,
             [1/rad].
+        falling: Declared friction that falls, shape (F, 3): joint, level [N·m], and v_s
+            [rad/s].
         held: Positions at which joints off the arm are held, [rad or m], where those
             are not the file's.
     """
@@ -84,6 +87,7 @@ class Robot:
     knee: Array = field(default_factory=lambda: np.zeros(0))
     knee_speed: Array = field(default_factory=lambda: np.zeros(0))
     ripple: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    falling: Array = field(default_factory=lambda: np.zeros((0, 3)))
     held: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -190,6 +194,17 @@ class Robot:
             torque[:, int(joint)] += sine * np.sin(angle) + cosine * np.cos(angle)
         return torque
 
+    def dry_friction(self, v: Array) -> Array:
+        """Friction that opposes motion however slow it is, shape (N, n), [N·m].
+
+        Args:
+            v: Speed, shape (N, n), [rad/s].
+        """
+        level = np.tile(self.frictionloss, (len(v), 1))
+        for joint, height, speed in self.falling:
+            level[:, int(joint)] += height * np.exp(-((v[:, int(joint)] / speed) ** 2))
+        return np.asarray(level * np.sign(v))
+
     def position_slope(self, q: Array) -> Array:
         """Derivative of :meth:`joint_torque` by position, shape (N, n), [N·m/rad]."""
         slope = np.tile(self.stiffness, (len(q), 1))
@@ -231,8 +246,10 @@ class Robot:
         names = (*_VECTORS, *_SERVO)
         content |= {name: _plain(getattr(self, name)) for name in names}
         step = None if np.isnan(self.timestep) else self.timestep
-        ripple = self.ripple.tolist()
-        return content | {"timestep": step, "held": dict(self.held), "ripple": ripple}
+        content |= {
+            name: getattr(self, name).tolist() for name in ("ripple", "falling")
+        }
+        return content | {"timestep": step, "held": dict(self.held)}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Robot:
@@ -261,6 +278,7 @@ class Robot:
                 **own,
                 timestep=float(step[0]),
                 ripple=_numbers("ripple", content.get("ripple", [])).reshape(-1, 4),
+                falling=_numbers("falling", content.get("falling", [])).reshape(-1, 3),
                 held=held,
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:

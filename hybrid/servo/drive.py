@@ -164,6 +164,9 @@ class Drive:
             "mass": np.ones(n),
             "sign": np.ones(n),
         }
+        known["stiction"] = np.zeros(n)
+        for j, level, speed in robot.falling:
+            known["stiction"][int(j)], known["stribeck_speed"][int(j)] = level, speed
         values = [known.get(name, np.zeros(n)) for name in NAMES]
         return cls(np.array(values), stall)
 

@@ -13,10 +13,12 @@ from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot import Robot
 from hybrid.robot.build import spec_text
+from hybrid.robot.edit.beside import drop_motors
 from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, element
 from hybrid.robot.edit.drives import actuator_tags
-from hybrid.robot.edit.mjcf import edit_mjcf, joint_tag, turn_unit
+from hybrid.robot.edit.mjcf import edit_mjcf, turn_unit
+from hybrid.robot.edit.parsed import joint_tag
 from hybrid.servo.drive import Drive
 from hybrid.servo.model import (
     dampings,
@@ -104,6 +106,7 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
         document.set(joint, given)
         motor = _MOTOR | {name: x[j].tolist() for name, x in parameters.items()}
         motor |= _delay(float(drive["delay"][j]), step)
+        drop_motors(document, name)  # a servo's friction is all that the joint has
         own = actuator_tags(document, name)
         sections = document.find("mujoco", "actuator")
         if own:

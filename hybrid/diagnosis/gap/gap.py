@@ -206,7 +206,7 @@ class Gap:
         """
         parts = []
         for m, (slow, body, sampler) in zip(self.motions, self.calm, strict=True):
-            dry = self.robot.frictionloss * np.sign(m.v)
+            dry = self.robot.dry_friction(m.v)
             low = partial(butterworth, dry, rate=m.rate)
             usual = low(cutoff=_CALM * self.cutoff)
             turned = dry if self.cutoff < _TURNING else low(cutoff=_TURNING)
@@ -224,5 +224,5 @@ def simulated_torque(robot: Robot, motion: Motion, body: RigidBody) -> Array:
     return (
         body.load
         + robot.joint_torque(motion.q, motion.v, motion.a)
-        + robot.frictionloss * np.sign(motion.v)
+        + robot.dry_friction(motion.v)
     )

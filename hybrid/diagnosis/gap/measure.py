@@ -81,7 +81,7 @@ def measure_gap(
         slow = np.abs(v) <= np.maximum(_STANDING * fastest, _SLOWEST)
         slow[1:] |= v[1:] * v[:-1] < 0
         reach = _REST / cutoff * motion.rate / sampler.factor
-        resting = robot.frictionloss > 0
+        resting = robot.dry_friction(np.full((1, robot.size), _SLOWEST))[0] > 0
         slow[:, resting] = _around(slow[:, resting], round(reach))
         moving.append(~slow & usable)
     fold, trajectory = _folds(motions, cutoff)

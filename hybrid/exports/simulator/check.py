@@ -70,5 +70,5 @@ def file_torque(file: str | Path | Robot, model: DynamicModel, motion: Motion) -
             warnings.simplefilter("ignore", HybridWarning)
             robot = Robot.load(robot, joints=joints, held=held)
     torque = robot.joint_torque(motion.q, motion.v, motion.a)
-    torque += robot.frictionloss * np.sign(motion.v)
+    torque += robot.dry_friction(motion.v)
     return torque + RigidBody(robot.chain, motion).load

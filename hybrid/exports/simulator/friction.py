@@ -4,14 +4,15 @@ Friction is fitted as frictionloss·sgn v + damping·v + quadratic·v|v| + cubic
 two levels of dry friction where a joint may have a preload, over the samples of
 motions, each of which weighs the same. It is a sum of parts that each take energy at
 every speed, none below zero: v(1 − |v|/w)² for some w is what makes the sum bend
-downwards. Where a joint may have it, knee·clip(v/w) is added, for the w that leaves
-least.
+downwards. Where a joint may have it, dry friction is knee·clip(v/w) instead, and
+fall·exp(−(v/u)²)·sgn v is added, for the w and the u that leave least.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from scipy.optimize import nnls
@@ -20,10 +21,17 @@ from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.instant import FRICTION
+from hybrid.effects.stribeck import Stribeck
 from hybrid.signals import Motion
 
 _BENDS = np.geomspace(0.25, 4.0, 9)  # w, of the highest speed
 _KNEES = np.geomspace(0.01, 1.0, 13)  # w, of the highest speed
+_FALLS = np.geomspace(0.003, 1.0, 25)  # u, of the highest speed
+_WORTH = 0.005  # of the friction's RMS, that a knee or a fall takes if it is there
+_TURNS = 2  # of seeking a fall and a knee, each for the best of the other
+_SPEEDS = "knee_speed", "fall_speed"
+
+Parts = list[dict[str, float]]  # values of fields of which others are sums
 
 
 @dataclass(frozen=True)
@@ -34,7 +42,7 @@ class StandIn:
         joint: The joint, counted from 0.
         effects: Effects of which the friction is the sum, beside exact ones.
         values: ``frictionloss``, ``damping``, ``quadratic``, ``cubic``, ``preload``,
-            and ``knee`` with ``knee_speed``, SI units.
+            ``knee`` with ``knee_speed``, and ``fall`` with ``fall_speed``, SI units.
         missed: RMS of the torque that is left, [N·m].
         torque: RMS of the friction itself, [N·m].
     """
@@ -87,45 +95,73 @@ def stand_in(
 def _least(
     torque: Array, v: Array, fields: Collection[str], known: float
 ) -> dict[str, float]:
-    """Values of fields whose curve leaves least of torques, as a sum of parts."""
-    fastest = float(np.abs(v).max())
-    smooth = list(_smooth(fastest, fields))
-    speeds = fastest * _KNEES if "knee" in fields and fastest > 0 else np.zeros(0)
-    smooth += _dry(0.0, fields)
-    rising = [list(_dry(w, fields)) for w in (*[known] * (known > 0), *speeds)]
-    parts = [*smooth, *(part for own in rising for part in own)]
+    """Values of fields whose curve leaves least of torques, as a sum of parts.
+
+    A knee and a fall are sought in turn, from none and from the best knee.
+    """
+    always, knees, falls = _parts(float(np.abs(v).max()), fields, known)
+    parts = [*always, *chain(*knees), *chain(*falls)]
     A = np.stack([curve(x, v) for x in parts], axis=1)  # (N, parts)
     size = np.linalg.norm(A, axis=0)
     size[size == 0.0] = 1.0
     R = np.linalg.qr(np.c_[A / size, torque], mode="reduced").R
-    found, at = [], len(smooth)
-    for own in rising or [[]]:
-        columns = [*range(len(smooth)), *range(at, at + len(own))]
-        share, left = nnls(R[:, columns], R[:, -1])
-        found.append((left, columns, share / size[columns]))
-        at += len(own)
-    _, columns, share = min(found, key=lambda x: x[0])
-    values = dict.fromkeys([x for x in fields if x != "knee_speed"], 0.0)
-    for c, x in zip(columns, share.tolist(), strict=True):
-        for name, unit in parts[c].items():
-            if name == "knee_speed":
-                values |= {name: unit} if x else {}
-            else:
-                values[name] += unit * x
+    price = float((_WORTH * np.linalg.norm(torque)) ** 2)
+
+    def fit(rise: Parts, fall: Parts) -> tuple[float, Array]:
+        """Squares that parts leave and cost, and how much there is of each."""
+        own = {id(x) for x in (*always, *rise, *fall)}
+        columns = [k for k, x in enumerate(parts) if id(x) in own]
+        share = np.zeros(len(parts))
+        share[columns], rest = nnls(R[:, columns], R[:, -1])
+        return rest**2 + price * (bool(rise) + bool(fall)), share / size
+
+    found = []
+    for rise in ([], min(knees, key=lambda x: fit(x, [])[0])):
+        for _ in range(_TURNS):
+            fall = min(falls, key=lambda x, y=rise: fit(y, x)[0])  # type: ignore[misc]
+            rise = min(knees, key=lambda x, y=fall: fit(x, y)[0])  # type: ignore[misc]
+        found.append(fit(rise, fall))
+    _, share = min(found, key=lambda x: x[0])
+    values = dict.fromkeys(fields, 0.0)
+    for part, x in zip(parts, share.tolist(), strict=True):
+        for name, unit in part.items() if x else ():
+            values[name] = unit if name in _SPEEDS else values[name] + unit * x
     return values
+
+
+def _parts(
+    fastest: float, fields: Collection[str], known: float
+) -> tuple[Parts, list[Parts], list[Parts]]:
+    """Parts of any sum, and the choices of a knee and of a fall, none at first."""
+    always = [*_smooth(fastest, fields), *_dry(0.0, fields)]
+    knees: list[Parts] = [[]]
+    falls: list[Parts] = [[]]
+    if "knee" in fields:
+        speeds = known, *fastest * _KNEES
+        knees += [list(_dry(w, fields)) for w in speeds if w > 0]
+    if "fall" in fields:
+        low, high = Stribeck.shapes[0].lower, Stribeck.shapes[0].upper
+        falls += [
+            [{"fall": 1.0, "fall_speed": u}]
+            for u in fastest * _FALLS if low <= u <= high
+        ]  # fmt: skip
+    return always, knees, falls
 
 
 def curve(values: Mapping[str, float], v: Array) -> Array:
     """Torque at speeds of the fields of a joint, [N·m]."""
-    level, linear, quadratic, cubic, preload, knee = (
-        values.get(x, 0.0)
-        for x in ("frictionloss", "damping", "quadratic", "cubic", "preload", "knee")
+    names = "frictionloss", "damping", "quadratic", "cubic", "preload", "knee", "fall"
+    level, linear, quadratic, cubic, preload, knee, fall = (
+        values.get(x, 0.0) for x in names
     )
     speed = np.abs(v)
     bent = (linear + (quadratic + cubic * speed) * speed) * v
     if knee:
         bent = bent + knee * np.clip(v / values["knee_speed"], -1.0, 1.0)
-    return np.asarray(level * np.sign(v) + bent + preload)
+    dry = np.full_like(v, level)
+    if fall:
+        dry = level + fall * np.exp(-((v / values["fall_speed"]) ** 2))
+    return np.asarray(dry * np.sign(v) + bent + preload)
 
 
 def _dry(w: float, fields: Collection[str]) -> Iterator[dict[str, float]]:

@@ -86,7 +86,7 @@ def _bare(model: DynamicModel) -> Robot:
     robot, none = model.robot, np.zeros(model.robot.size)
     names = "damping", "frictionloss", "quadratic", "cubic", "stiffness", "knee"
     own: dict[str, Any] = dict.fromkeys(names, none)
-    own["ripple"] = np.zeros((0, 4))
+    own |= {"ripple": np.zeros((0, 4)), "falling": np.zeros((0, 3))}
     return replace(robot, chain=replace(robot.chain, armature=none), **own)
 
 

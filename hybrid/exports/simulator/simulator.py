@@ -27,7 +27,14 @@ from hybrid.files import atomic_path
 from hybrid.model.declared import declared_effects
 from hybrid.names import xml_comment
 from hybrid.plant.arm import overrides
-from hybrid.plant.native import effects_of_fields, knee, knees, split_effects, springs
+from hybrid.plant.native import (
+    effects_of_fields,
+    fall,
+    knee,
+    split_effects,
+    springs,
+    with_curves,
+)
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator, Edit
 from hybrid.robot.edit.mjcf import edit_mjcf, move_assets
@@ -38,7 +45,15 @@ from hybrid.signals import Motion
 # What a kind of file has for a joint.
 _JOINT = {"mjcf": FIELDS, "urdf": ("armature", "damping", "frictionloss")}
 _CURVE = {
-    "mjcf": ("frictionloss", "damping", "quadratic", "cubic", "preload", "knee"),
+    "mjcf": (
+        "frictionloss",
+        "damping",
+        "quadratic",
+        "cubic",
+        "preload",
+        "knee",
+        "fall",
+    ),
     "urdf": ("frictionloss", "damping"),
 }
 _SAME = 1e-9  # of the largest value of a kind
@@ -181,8 +196,7 @@ def _sorted(
     values, left = split_effects(acting, _JOINT[kind], n)
     chain = replace(robot.chain, inertial=inertial, gravity=gravity)
     rubbing = [effect for effect in left if is_friction(effect)]
-    robot, own = _with_knees(robot, rubbing, "knee" in _CURVE[kind])
-    rubbing += own
+    robot, rubbing = with_curves(robot, rubbing, kind == "mjcf")
     fitted = _stand_ins(replace(robot, chain=chain), rubbing, values, kind, motions)
     rest = [effect for effect in left if not is_friction(effect)]
     drives = dict[int, Actuator]()
@@ -204,17 +218,6 @@ def _sorted(
     missing = [*_missing(rubbing, values, fitted, n), *_faded(waves)]
     change = Edit(new, drives, structure)
     return _Sorted(change, fitted, (*rest, *missing), tuple(rest))
-
-
-def _with_knees(
-    robot: Robot, rubbing: Sequence[Effect], has: bool
-) -> tuple[Robot, list[Effect]]:
-    """The arm with the knees that stay as they are, and the others as effects."""
-    more = {j for effect in rubbing for j in effect.joints}
-    fitted = [e for e in knees(robot) if not has or e.joints[0] in more]
-    level = robot.knee.copy()
-    level[[e.joints[0] for e in fitted]] = 0.0
-    return replace(robot, knee=level), fitted
 
 
 def _stand_ins(
@@ -258,6 +261,11 @@ def _with_fields(
         both = springs({"stiffness": own["stiffness"], "preload": preload})
         own["stiffness"] = np.where(kept, robot.stiffness, both[0])
         own["springref"] = np.where(kept, robot.springref, both[1])
+    falling = [
+        (x.joint, x.values["fall"], x.values["fall_speed"])
+        for x in fitted if x.values.get("fall")
+    ]  # fmt: skip
+    own["falling"] = np.array([*robot.falling.tolist(), *falling]).reshape(-1, 3)
     return replace(robot, chain=replace(robot.chain, armature=armature), **own)
 
 
@@ -277,6 +285,8 @@ def _missing(
     for each in fitted:
         if level := each.values.get("knee", 0.0):
             yield knee(each.joint, -level, each.values["knee_speed"])
+        if level := each.values.get("fall", 0.0):
+            yield fall(each.joint, -level, each.values["fall_speed"])
 
 
 def _faded(waves: Sequence[TorqueRipple]) -> Iterator[Effect]:
@@ -295,7 +305,7 @@ def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
         RobotError: They differ.
     """
     names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"} & {*fields}
-    names |= {"ripple"} if "preload" in fields else set()
+    names |= {"ripple", "falling"} if "preload" in fields else set()
     names |= {"knee", "knee_speed"} if wanted.knee.any() else set()
     pairs = {x: (getattr(found, x), getattr(wanted, x)) for x in names}
     chains = ["armature", "inertial", *(["gravity"] if "preload" in fields else [])]
@@ -312,8 +322,10 @@ def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
 
 def _fitted(robot: Robot, x: StandIn) -> str:
     ids = ", ".join(dict.fromkeys(effect.id for effect in x.effects))
+    falls = x.values.get("fall", 0.0) > 0
+    kinds = "dry, falling and viscous" if falls else "dry and viscous"
     return (
-        f"friction of {robot.joints[x.joint]} ({ids}), as dry and viscous friction "
+        f"friction of {robot.joints[x.joint]} ({ids}), as {kinds} friction "
         f"that miss {x.missed:.3g} of {x.torque:.3g} N·m RMS"
     )
 

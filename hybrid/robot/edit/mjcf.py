@@ -14,19 +14,16 @@ from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.robot.actuators import drives_of
 from hybrid.robot.build import simulable, spec_text
-from hybrid.robot.compiled import compiled_spec
-from hybrid.robot.edit.beside import put_dry, put_ripples
+from hybrid.robot.edit.beside import DRY, put_dry, put_knees, put_motors, sliding
 from hybrid.robot.edit.change import Edit, Structure
 from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
 from hybrid.robot.edit.drives import edit_drives
+from hybrid.robot.edit.parsed import joint_tag, model_of, spec_of
 from hybrid.robot.edit.part import Part, changed_parts, parts_of
 from hybrid.robot.mjcf import joint_names, mujoco_tree
 from hybrid.robot.read import read_robot
 from hybrid.robot.robot import Robot
 
-# By default MuJoCo's dry friction is so soft that it is viscous at low speed.
-_DRY = {"solimpfriction": (0.9999, 0.9999, 0.001, 0.5, 2.0)}
-_SOFTEST, _HARDEST = 0.0001, 0.9999  # impedances that MuJoCo allows
 _TURNS = ("quat", "diaginertia", "axisangle", "euler", "xyaxes", "zaxis")
 _LIMITS = ("velocity_limit", "acceleration_limit")
 _USUAL = {
@@ -55,23 +52,15 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     parts = parts_of(old, mujoco_tree(model, document.where))
     for part in changed_parts(parts, old, new):
         _inertial(document, _body(document, model, part), part)
+    slides = sliding(model, old, new)
     for j in range(new.size):
-        _joint(document, model, old, new, j)
+        _joint(document, model, old, new, j, bool(slides[j]))
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
-    put_ripples(document, old, new)
-    _knees(document, old, new)
+    put_motors(document, model, old, new)
+    put_knees(document, model.opt.timestep, old, new)
     return notes
-
-
-def model_of(document: Document, robot: Robot) -> Any:
-    """MuJoCo's model of the document, in the folder of the arm's file.
-
-    Raises:
-        RobotError: It does not compile.
-    """
-    return compiled_spec(spec_of(document, robot), robot.path)[0]
 
 
 def check_mjcf(document: Document, robot: Robot) -> Robot:
@@ -83,19 +72,6 @@ def check_mjcf(document: Document, robot: Robot) -> Robot:
     except RobotError as error:
         raise RobotError(str(error).replace("MjSpec", robot.path, 1)) from error
     return replace(Robot(**fields), name=robot.name, path=robot.path)
-
-
-def spec_of(document: Document, robot: Robot) -> Any:
-    """The document as a spec, in the folder of the arm's file."""
-    import mujoco
-
-    try:
-        spec = mujoco.MjSpec.from_string(document.written().decode())
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise RobotError(f"{robot.path}: cannot be edited ({reason})") from error
-    spec.modelfiledir = str(Path(robot.path).parent)
-    return spec
 
 
 def move_assets(document: Document, home: Path, folder: Path) -> None:
@@ -172,22 +148,6 @@ def _inertial(document: Document, body: Tag, part: Part) -> None:
         document.set(tag, {"inertiafromgeom": "auto"})
 
 
-def joint_tag(document: Document, name: str) -> Tag:
-    """The element of a joint.
-
-    Raises:
-        RobotError: No joint of the file has the name.
-    """
-    for kind in ("joint", "freejoint"):
-        for tag in document.find(kind, name=name):
-            if "worldbody" in tag.path:
-                return tag
-    raise RobotError(
-        f"{document.where}: joint {name!r} is not in the file; valid are joints with "
-        "names, outside of replicate and attach"
-    )
-
-
 def turn_unit(document: Document, slides: bool) -> float:
     """The file's units of angle in a radian; 1 of a joint that slides."""
     angle = "degree"
@@ -196,7 +156,9 @@ def turn_unit(document: Document, slides: bool) -> float:
     return 1.0 if slides or angle == "radian" else 180.0 / np.pi
 
 
-def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> None:
+def _joint(
+    document: Document, model: Any, old: Robot, new: Robot, j: int, slides: bool
+) -> None:
     """Rotor, friction and spring of a joint, where they are not the file's."""
     changed = {
         name
@@ -207,7 +169,7 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
         changed.add("stiffness")
     if new.chain.armature[j] != old.chain.armature[j]:
         changed.add("armature")
-    if bool(old.knee[j]) != bool(new.knee[j]):
+    if slides or bool(old.knee[j]) != bool(new.knee[j]):
         changed.add("frictionloss")
     if not changed:
         return
@@ -234,7 +196,7 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
         dry = {
             "frictionloss": new.frictionloss[j],
             "solreffriction": (2 * model.opt.timestep, 1.0),
-            **_DRY,
+            **DRY,
         }
         given |= {} if new.knee[j] else dry
         put_dry(document, new.joints[j], dry if new.knee[j] else {"frictionloss": 0.0})
@@ -249,34 +211,6 @@ def _joint(document: Document, model: Any, old: Robot, new: Robot, j: int) -> No
                 f"actuator, which is more than was found; valid is {name} at the joint"
             )
     document.set(tag, given)
-
-
-def _knees(document: Document, old: Robot, new: Robot) -> None:
-    """Friction that rises to a level: MuJoCo's dry friction, as soft as that.
-
-    How soft it is depends on the inertia at the joint, so that it comes last.
-    """
-    names = "knee", "knee_speed", "frictionloss"
-    ours, theirs = (
-        np.c_[x.chain.inertial, x.chain.armature, *(getattr(x, y) for y in names)]
-        for x in (new, old)
-    )
-    if not new.knee.any() or (ours == theirs).all():
-        return
-    model = model_of(document, old)
-    dofs = model.jnt_dofadr[[joint_names(model).index(x) for x in new.joints]]
-    for j in np.flatnonzero(new.knee):
-        mobility = float(model.dof_invweight0[dofs[j]])
-        slope = new.knee[j] / new.knee_speed[j]
-        # The speed of the end of a step counts: the friction never overshoots.
-        share = slope * mobility * model.opt.timestep
-        d = float(np.clip(share / (1.0 + share), _SOFTEST, _HARDEST))
-        given = {
-            "frictionloss": new.knee[j],
-            "solreffriction": (0.0, -slope * (1.0 - d) * mobility),
-            "solimpfriction": (d, d, *_DRY["solimpfriction"][2:]),
-        }
-        document.set(joint_tag(document, new.joints[j]), given)
 
 
 def _structure(
@@ -299,7 +233,7 @@ def _structure(
         document.put_after(tag, element("joint", given))
         added.append(j)
     known = {child.tag for child in before}
-    hard = {"solreffriction": (2 * model.opt.timestep, 1.0), **_DRY}
+    hard = {"solreffriction": (2 * model.opt.timestep, 1.0), **DRY}
     for tendon in after.iter("fixed"):
         if "frictionloss" in tendon.attrib:
             tendon.attrib |= {key: text_of(x) for key, x in hard.items()}

@@ -1,0 +1,49 @@
+"""An MJCF document as MuJoCo reads it, and its elements by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hybrid.errors import RobotError
+from hybrid.robot.compiled import compiled_spec
+from hybrid.robot.edit.document import Document, Tag
+from hybrid.robot.robot import Robot
+
+
+def model_of(document: Document, robot: Robot) -> Any:
+    """MuJoCo's model of the document, in the folder of the arm's file.
+
+    Raises:
+        RobotError: It does not compile.
+    """
+    return compiled_spec(spec_of(document, robot), robot.path)[0]
+
+
+def spec_of(document: Document, robot: Robot) -> Any:
+    """The document as a spec, in the folder of the arm's file."""
+    import mujoco
+
+    try:
+        spec = mujoco.MjSpec.from_string(document.written().decode())
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise RobotError(f"{robot.path}: cannot be edited ({reason})") from error
+    spec.modelfiledir = str(Path(robot.path).parent)
+    return spec
+
+
+def joint_tag(document: Document, name: str) -> Tag:
+    """The element of a joint.
+
+    Raises:
+        RobotError: No joint of the file has the name.
+    """
+    for kind in ("joint", "freejoint"):
+        for tag in document.find(kind, name=name):
+            if "worldbody" in tag.path:
+                return tag
+    raise RobotError(
+        f"{document.where}: joint {name!r} is not in the file; valid are joints with "
+        "names, outside of replicate and attach"
+    )
