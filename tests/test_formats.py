@@ -293,3 +293,12 @@ def test_words_around_a_label_say_what_it_is_of_and_are_no_joint(
 def test_a_torque_that_is_commanded_is_not_taken_for_a_measured_one():
     found = meaning("tau_elbow_desired")
     assert found.channel == "" and "commanded" in found.why
+
+
+@pytest.mark.parametrize("zone", ["", "Z", "+00:00", "+02:00", "-0330"])
+def test_dates_of_any_zone_are_a_clock(tmp_path, zone):
+    rows = [f"2023-11-14T22:13:20.{k:02d}{zone},{k / 7},{k / 3}" for k in range(50)]
+    (tmp_path / "log.csv").write_text("\n".join(["time,q1,tau1", *rows]))
+    found = read(tmp_path / "log.csv")
+    np.testing.assert_allclose(found.t - found.t[0], np.arange(50) / 100, atol=1e-6)
+    np.testing.assert_allclose(found.q[:, 0], np.arange(50) / 7)

@@ -23,6 +23,7 @@ from hybrid.recording.table import LARGEST_FILE, LogTable
 
 DELIMITERS = (",", ";", "\t")
 _DATE = re.compile(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
+_ZONE = re.compile(r"(Z|[+-]\d\d:?\d\d)\s*$")
 _WHOLE = re.compile(r"\s*\d{16,19}\s*")  # digits beyond a float's
 _LINE = 1 << 20  # bytes
 
@@ -65,7 +66,8 @@ def _columns(text: _Text, names: Iterable[str]) -> dict[str, NDArray[Any]]:
     for k in names:
         cell = first.get(int(k), "")
         whole = pa.int64() if _WHOLE.fullmatch(cell) else pa.float64()
-        kinds[k] = pa.timestamp("ns") if _DATE.match(cell) else whole
+        date = pa.timestamp("ns", tz="UTC" if _ZONE.search(cell) else None)
+        kinds[k] = date if _DATE.match(cell) else whole
     try:
         table = _table(text, kinds)
     except pa.ArrowException:
