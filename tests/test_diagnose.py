@@ -20,9 +20,7 @@ from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.gap.split import between, split
 from hybrid.dynamics import RigidBody
-from hybrid.effects import effect_classes
 from hybrid.effects.actuator_lag import ActuatorLag
-from hybrid.effects.armature import Armature
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
@@ -841,29 +839,3 @@ def test_units_are_those_of_a_joint_that_slides(tmp_path):
     }  # fmt: skip
     assert result.diagnosis.units == ("N·m", "N")
     assert "\u00a0N (noise" in "\n".join(verdict_lines(result.diagnosis))
-
-
-@pytest.mark.study
-def test_an_arm_of_whose_file_all_is_missing_has_as_many_causes():
-    """Four at each of six joints, of a file with neither friction nor rotors."""
-    robot = arm("coman_like")
-    none = np.zeros(robot.size)
-    bare = replace(
-        robot,
-        chain=replace(robot.chain, armature=none),
-        damping=none, frictionloss=none,
-    )  # fmt: skip
-    size = robot.tau_max / 10
-    sizes = {"level": size, "coefficient": size / robot.v_max * 3, "inertia": size / 10}
-    laws = Coulomb, Viscous, TorqueOffset, Armature
-    truth = [
-        law((j,), {law.gains[0].name: float(sizes[law.gains[0].name][j])})
-        for law in laws for j in range(robot.size)
-    ]  # fmt: skip
-    plant = Plant(bare, truth, noise=Noise.typical(robot))
-    without = [x for x in effect_classes() if x not in {law.id for law in laws}]
-    recordings = simulate(plant, trajectories=4, duration=5.0, seed=4)
-    found = examine(bare, recordings, without=without).diagnosis
-    named = {(f.effect, j) for f in found.findings for j in f.joints}
-    wanted = {(e.id, robot.joints[e.joints[0]]) for e in truth}
-    assert len(named & wanted) > 20 and named <= wanted
