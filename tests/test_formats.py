@@ -270,6 +270,28 @@ def test_files_of_a_folder_that_hold_no_joint_are_left_out_and_said(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "table", ["pose,x,y\n1,0.1,0.2\n", "t,x\n0.1,1\n0.2,2\n", "name,value\na,1\n"]
+)
+def test_a_table_without_joints_stops_no_folder(tmp_path, table):
+    write(log(), tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_text(table)
+    with pytest.warns(HybridWarning, match="left out: .*b.csv"):
+        (found,) = read_all(tmp_path)
+    assert found.source == str(tmp_path / "a.csv")
+    (tmp_path / "a.csv").unlink()
+    with pytest.raises(RecordingError, match="b.csv: no .* among"):
+        read_all(tmp_path)
+
+
+def test_a_log_without_a_clock_stops_a_folder(tmp_path):
+    write(log(), tmp_path / "a.csv")
+    text = (tmp_path / "a.csv").read_text()
+    (tmp_path / "b.csv").write_text(text.replace("time", "x", 1))
+    with pytest.raises(RecordingError, match="b.csv: no column of time"):
+        read_all(tmp_path)
+
+
+@pytest.mark.parametrize(
     ("label", "channel", "joint", "number"),
     [
         ("q_shoulder_actual", "q", "shoulder", None),

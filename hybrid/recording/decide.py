@@ -16,7 +16,7 @@ from hybrid.recording.joints import match_joints
 from hybrid.recording.mapping import Mapping, preset_of
 from hybrid.recording.reading import Reading, Used
 from hybrid.recording.recording import CHANNELS, joint_mismatch, numbered_joints
-from hybrid.recording.table import MOST_COLUMNS, LogTable
+from hybrid.recording.table import MOST_COLUMNS, LogTable, NoJointsError
 from hybrid.recording.units import SI, converted
 from hybrid.recording.words import (
     CHANNEL_WORDS,
@@ -63,13 +63,19 @@ class Decider:
         """What each column is.
 
         Raises:
-            RecordingError: Time, positions or torques are missing, two columns are for
-                the same joint, a unit fits no channel, or joints are not the robot's.
+            NoJointsError: Positions are missing.
+            RecordingError: Time or torques are missing, two columns are for the same
+                joint, a unit fits no channel, or joints are not the robot's.
 
         Warns:
             HybridWarning: Columns were set aside; they are listed unless ``quiet``.
         """
-        time = self._time()
+        try:
+            time = self._time()
+        except RecordingError as error:
+            if self._columns(-1)["q"]:
+                raise
+            raise NoJointsError(str(error)) from None
         columns = self._columns(time.index)
         needed = _NEEDED if self.torque else _NEEDED[:1]
         joints, used = self.joints or self._joints_of(columns), [time]
@@ -211,9 +217,10 @@ class Decider:
                 "number or a list in the order of the joints"
             )
         words = [w for w in CHANNEL_WORDS[channel].split()[:3] if w != "tauj"]
-        return self._error(
-            f"no {word} among the columns {_listed(self.labels)}; valid are "
-            f"{', '.join(f'{w}1 or {w}_<joint>' for w in words)}, {_HELP}"
+        kind = NoJointsError if channel == "q" else RecordingError
+        return kind(
+            f"{self.table.place}: no {word} among the columns {_listed(self.labels)}; "
+            f"valid are {', '.join(f'{w}1 or {w}_<joint>' for w in words)}, {_HELP}"
         )
 
     def _joints_of(self, columns: dict[str, list[Meaning]]) -> tuple[str, ...]:

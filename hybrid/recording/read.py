@@ -68,7 +68,11 @@ def read_all(
             found[file] = single or found.get(file, False)
     if not found:
         raise RecordingError("no paths given; valid are files, folders and globs")
-    mapping, recordings = read_mapping(map), []
+    mapping, recordings, left = (
+        read_mapping(map),
+        list[Recording](),
+        list[NoJointsError](),
+    )
     for file, single in found.items():
         try:
             recordings += [
@@ -78,7 +82,11 @@ def read_all(
         except NoJointsError as error:
             if single:
                 raise
-            warnings.warn(f"left out: {error}", HybridWarning, stacklevel=2)
+            left.append(error)
+    if len(found) == 1 and left:
+        raise left[0]
+    for why in left:
+        warnings.warn(f"left out: {why}", HybridWarning, stacklevel=2)
     if not recordings:
         raise RecordingError(f"{next(iter(found)).parent}: no file there holds joints")
     return recordings

@@ -16,7 +16,7 @@ from hybrid.recording.decide import Decider
 from hybrid.recording.mapping import Map, Mapping, read_mapping
 from hybrid.recording.reading import Reading
 from hybrid.recording.recording import Recording
-from hybrid.recording.table import LogTable
+from hybrid.recording.table import LogTable, NoJointsError
 from hybrid.recording.units import seconds
 
 
@@ -54,18 +54,18 @@ def _best(
 ) -> LogTable:
     """The stream with most channels: torques before all, then joint states."""
     good: list[tuple[tuple[bool, bool, int], LogTable]] = []
-    bad = []
+    bad = list[RecordingError]()
     for table in tables:
         try:
             reading = Decider(table, joints, mapping, torque).decide(quiet=True)
         except RecordingError as error:
-            bad.append(str(error))
+            bad.append(error)
         else:
             found = reading.channels
             rank = ("tau" in found, table.preset == "joint_state", len(found))
             good.append((rank, table))
     if not good:
-        raise RecordingError(min(bad, key=lambda line: "no positions among" in line))
+        raise min(bad, key=lambda error: isinstance(error, NoJointsError))
     best = max(rank for rank, _ in good)
     first, *more = (table for rank, table in good if rank == best)
     if more:
