@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
+from weakref import proxy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,8 @@ class Elsewhere:
     """
 
     def __init__(self, search: Posterior, use: NDArray[np.bool_]) -> None:
-        self._search, self.use, gap = search, use, search.gap
+        # The search keeps this: together they would outlive their use.
+        self._search, self.use, gap = proxy(search), use, search.gap
         self.evidence = Evidence(gap, use)
         self.evidence.noise = search.evidence.noise
         self.evidence.weigh(search.covariances)
@@ -69,7 +71,7 @@ class Elsewhere:
 
     def _gains(self, causes: Sequence[Cause]) -> Array:
         search = self._search
-        return search.evidence.solve(search.columns(causes)).gains
+        return np.asarray(search.evidence.solve(search.columns(causes)).gains)
 
     @cached_property
     def count(self) -> Array:

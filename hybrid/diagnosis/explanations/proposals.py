@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import partial
+from weakref import proxy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,7 @@ class Proposals(Posterior):
             short = [own.candidate, *short]
         for c in short:
             better, worth = self.refine(base, c)
-            make = partial(self.cause, better)
+            make = partial(Proposals.cause, proxy(self), better)  # a search keeps these
             alike = self.alike(rest, c.place[0]) - self.alike(rest)
             odds = self.prior.cause - alike + self.mimicked(c)
             found.append(Proposal(c.place, worth - odds, make, better))
