@@ -8,15 +8,12 @@ from functools import partial
 from weakref import proxy
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.diagnosis.evidence.candidates import Place
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.posterior import Posterior
 from hybrid.diagnosis.explanations.proposal import Proposal
-from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 
 
@@ -28,16 +25,8 @@ class Proposals(Posterior):
         library_only: Whether unknown laws are left out.
     """
 
-    def __init__(
-        self,
-        gap: Gap,
-        learn: NDArray[np.bool_] | None = None,
-        without: Sequence[str] = (),
-        prior: Prior | None = None,
-    ) -> None:
-        super().__init__(gap, learn, without, prior)
-        self.refused: set[Place] = set()
-        self.library_only = False
+    refused: frozenset[Place] = frozenset()
+    library_only = False
 
     def proposals(
         self, causes: Sequence[Cause], own: Cause | None = None

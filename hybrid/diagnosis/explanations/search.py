@@ -119,7 +119,7 @@ class Search(Proposals):
         or three others belong.
         """
         before = self.causes, self.off
-        self.causes, self.refused = self._with_usual([]), set()
+        self.causes, self.refused = self._with_usual([]), frozenset()
         self._widen()
         self.listen(self.causes)
         self._remove()
@@ -147,7 +147,7 @@ class Search(Proposals):
         if all(c.candidate is not None for c in self.causes):
             return
         self.causes, self.library_only = self.known, True
-        self.refused = set()
+        self.refused = frozenset()
         usual = self._with_usual(self.causes)
         self.causes = max(self.causes, usual, key=self.score)
         self._remove()
@@ -274,7 +274,7 @@ class Search(Proposals):
             plain = belief.plainest(_BETTER)
             if plain is not None:
                 self.causes[self.causes.index(belief.cause)] = plain.make()
-                self.refused.add(belief.cause.place)
+                self.refused |= {belief.cause.place}
         return self.causes != before
 
     def _unmask(self) -> bool:
