@@ -103,14 +103,12 @@ class Products:
             for part in (gap.fold, gap.trajectory):
                 follows &= np.diff(part[rows], prepend=-1) == 0
             processes.append(Noise(covariance, follows))
-        known = [
-            self._coloured(i, self._columns[i][:, : len(names)])
-            for i, names in enumerate(self._owner)
-        ]
+        # Joint by joint: two copies of all columns are too many.
+        for i, (names, process) in enumerate(zip(self._owner, processes, strict=True)):
+            columns = self._coloured(i, self._columns[i][:, : len(names)])
+            self._columns[i] = process.whiten(columns)
+            self._white[i], self._done[i] = process.whiten(self.left[i]), 0
         self._processes, self._kept = processes, (b"", {})
-        for i, columns in enumerate(known):
-            self._white[i] = self._whiten(i, self.left[i])
-            self._columns[i], self._done[i] = self._whiten(i, columns), 0
 
     def _whiten(self, i: int, x: Array) -> Array:
         return x if self._processes is None else self._processes[i].whiten(x)
