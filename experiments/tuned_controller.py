@@ -51,7 +51,7 @@ from hybrid.report import markdown_table, numbers_table, provenance, write_resul
 
 TRUTH = "payload,armature,stribeck,nonlinear_viscous,load_friction,torque_ripple"
 METHODS = ("truth", "nominal", "plain LS", "ours")
-KINDS = "fed forward", "tuned", "fed forward, disturbed", "tuned, disturbed"
+KINDS = "tuned", "tuned, disturbed", "fed forward", "fed forward, disturbed"
 MEASURES = dict.fromkeys(KINDS, "mrad")
 LEAST_SQUARES = {"stages": ("rigid",), "estimator": "ls"}
 DISTURBANCE = 0.02  # of rated torque

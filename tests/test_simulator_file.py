@@ -36,7 +36,7 @@ from hybrid.errors import EffectError, HybridError, RobotError
 from hybrid.exports import build_simulator
 from hybrid.exports.simulator.check import file_torque
 from hybrid.model.declared import declared_effects
-from hybrid.plant import Plant, simulate
+from hybrid.plant import Plant, install, simulate
 from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator
@@ -757,3 +757,14 @@ def test_sliding_friction_of_a_passive_motor_is_dry_friction_of_its_joint(tmp_pa
     assert made.robot.frictionloss[1] == pytest.approx(robot.frictionloss[1] + 0.3)
     np.testing.assert_allclose(made.robot.falling, robot.falling)
     np.testing.assert_allclose(made.robot.ripple, robot.ripple)
+    # Beside the callback it has none of its own: all is that of the model.
+    mj = mujoco.MjModel.from_xml_path(str(tmp_path / "own.xml"))
+    data, before = mujoco.MjData(mj), mj.actuator_dynprm.copy()
+    own = SimpleNamespace(robot=robot, effects=(), remainder=None)
+    installed = install(mj, data, own)
+    data.qvel[:] = 1.0
+    for _ in range(20):
+        mujoco.mj_step(mj, data)
+    np.testing.assert_allclose(data.actuator_force[-1], 0.0, atol=1e-9)
+    installed.remove()
+    np.testing.assert_array_equal(mj.actuator_dynprm, before)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _OWN = (
     "dof_damping", "dof_dampingpoly", "dof_frictionloss", "jnt_stiffness",
     "qpos_spring", "dof_solref", "dof_solimp", "tendon_frictionloss",
-    "actuator_biasprm",
+    "actuator_biasprm", "actuator_dynprm",
 )  # fmt: skip
 
 
@@ -91,6 +91,7 @@ class Installed:
         motors = [a for a, joint, _ in passive_motors(model) if joint in joints]
         for size in (0, 3, 4):  # of cogging, and of bristles' friction
             model.actuator_biasprm[motors, size] = 0.0
+        model.actuator_dynprm[motors, 6] = 0.0  # damping of bristles
 
     def remove(self) -> None:
         """Leave the simulation as it was."""

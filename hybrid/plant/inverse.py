@@ -68,5 +68,6 @@ def _slide(model: Any, data: Any, motors: Sequence[tuple[int, int, float]]) -> N
         stiffness = model.actuator_dynprm[a, 5]
         if stiffness > 0:
             v = data.actuator_velocity[a]
-            most = level + (static - level) * np.exp(-((v / speed) ** 2))
+            fallen = np.exp(-((v / speed) ** 2)) if speed > 0 else 0.0
+            most = level + (static - level) * fallen
             data.act[model.actuator_actadr[a]] = np.sign(v) * most / stiffness
