@@ -411,3 +411,32 @@ def test_deviations_follow_a_law_to_the_one_that_is_reported(effect):
         assert found.std["loss"] == pytest.approx(
             np.linalg.norm(root[0]) / 1.6**2, rel=1e-3
         )
+
+
+def test_shares_are_what_terms_add_in_any_order_and_sum_to_one():
+    truth = TorqueOffset((0,), {"level": 2.0}), Coulomb((1,), {"level": 1.0})
+    at = search(*truth, size=2)
+    causes = [cause(at, e) for e in (*truth, Viscous((0,)))]
+    parts = []
+    for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
+        at.causes = [causes[k] for k in order]
+        found = shares(at, np.random.default_rng(0))
+        assert found.sum() == pytest.approx(1.0) and (found >= 0).all()
+        parts.append(found[np.argsort(order)])
+    np.testing.assert_allclose(parts, parts[:1] * 3, atol=0.05)
+    assert parts[0][2] < 0.05 < parts[0][:2].min()
+
+
+def test_what_is_left_at_once_and_what_is_seen_only_where_it_was_learnt():
+    at = search(RUBS, ASKEW)
+    at.run()
+    scored = explain(at)
+    for k in (0, 1):
+        assert scored.where_seen([k]) is scored
+        assert scored.members(scored.named[k]) == [k]
+    gains = np.zeros_like(scored.learnt.gains)
+    nowhere = replace(scored, gains=np.zeros_like(scored.gains))
+    assert nowhere.where_seen([0]) is scored.learnt and not gains.any()
+    block = scored.blocks(0)
+    seconds = scored.evidence.rows[0] / at.gap.rate
+    np.testing.assert_array_equal(block, seconds.astype(int))
