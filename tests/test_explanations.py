@@ -12,7 +12,6 @@ from simulated import arm
 from hybrid.diagnosis.explanations.belief import Belief
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.proposal import Proposal
-from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.explanations.twist import twists
 from hybrid.diagnosis.explanations.unknown import unknown_laws, waves
 from hybrid.diagnosis.gap.measure import measure_gap
@@ -34,14 +33,6 @@ def logs(*names):
 @cache
 def gap_of(*names):
     return measure_gap(arm("planar"), logs(*names))
-
-
-@cache
-def searched(*names, without=()):
-    gap = gap_of(*names)
-    search = Search(gap, split(gap), without)
-    search.run()
-    return search
 
 
 def proposed(effect, worth):
@@ -84,42 +75,6 @@ def test_the_plainer_of_two_that_are_as_probable_is_named():
         both = {x.place: x for x in (proposed(SOFT, 20.0), proposed(SHARP, gain))}
         found = Belief.of(cause, 5.0, both, (), 0.01).plainest(0.5)
         assert (found is not None) == plainer
-
-
-def test_an_explanation_is_at_its_best_and_no_cause_is_worth_less_than_its_odds():
-    search = searched("ripple", "stribeck")
-    places = {c.place for c in search.causes}
-    assert places == {("torque_ripple", (0,)), ("stribeck", (1,))}
-    now = search.score(search.causes)
-    assert all(x.worth < 0.5 for x in search.proposals(search.causes))
-    for cause in search.causes:
-        assert search.score([c for c in search.causes if c is not cause]) < now
-
-
-def test_a_law_out_of_the_library_is_an_unknown_one_of_its_joint():
-    search = searched("ripple", without=("torque_ripple",))
-    assert search.causes
-    assert {c.candidate for c in search.causes} == {None}
-    assert {c.place[1] for c in search.causes} == {(0,)}
-
-
-def test_the_squares_elsewhere_are_those_of_the_residual():
-    search = searched("ripple", "stribeck")
-    test, gains = search.test, search.evidence.solve(search.columns(search.causes))
-    squares = test.squares(search.causes)
-    for i in range(2):
-        left = test.evidence.residual(i, test.columns(search.causes), gains.gains)
-        assert squares[i] == pytest.approx(left @ left, rel=1e-6)
-
-
-def test_no_law_is_held_to_be_exact():
-    """A gap that is larger asks for more evidence at its joint, and only there."""
-    small, large = searched("stribeck"), searched("ripple", "stribeck")
-    more = [x.evidence.noise - x.noise for x in (small, large)]
-    assert np.all(more[0] > 0.0)
-    ripple = 0.5 * np.hypot(*RIPPLE.gain_values) ** 2  # its mean square
-    least = small.prior.inexact**2 * ripple  # of one sample that is like no other
-    assert more[1][0] - more[0][0] > least
 
 
 def test_unknown_laws_are_of_every_sample_and_finite():

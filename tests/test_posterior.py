@@ -33,6 +33,7 @@ ASKEW = TorqueOffset((0,), {"level": -1.0})
 SLIPS = Stribeck((0,), {"level": 1.0, "velocity": 0.5})
 BOTH = (RUBS, Coulomb((1,), {"level": 0.7}))
 BRISTLES = Presliding((0,), {"level": 1.0, "distance": 0.05})
+LARGE = TorqueOffset((1,), {"level": 5.0})
 FEW = ("coulomb", "viscous", "torque_offset")
 
 
@@ -62,6 +63,11 @@ def test_all_causes_of_a_gap_are_found_and_no_other(effects, size):
     assert at.whole == found == at.known
     assert [b.cause for b in at.beliefs] == found
     assert all(b.probability > 0.9 and b.worth > 10 for b in at.beliefs)
+    # It is at its best: nothing is worth adding, and nothing can be spared.
+    now = at.score(found)
+    assert all(x.worth < 0.5 for x in at.proposals(found))
+    for own in found:
+        assert at.score([c for c in found if c is not own]) < now
 
 
 def test_a_sound_arm_has_no_cause():
@@ -279,6 +285,26 @@ def test_a_cause_has_to_help_on_recordings_that_were_not_learnt_from():
         assert (("coulomb", (0,)) in places(at)) == there
 
 
+def test_the_squares_elsewhere_are_those_of_the_residual():
+    at = search(*BOTH, size=2)
+    at.causes = [cause(at, e) for e in BOTH]
+    test, gains = at.test, at.evidence.solve(at.columns(at.causes)).gains
+    squares = test.squares(at.causes)
+    for i in range(2):
+        left = test.evidence.residual(i, test.columns(at.causes), gains)
+        assert squares[i] == pytest.approx(left @ left, rel=1e-6)
+
+
+def test_no_law_is_held_to_be_exact():
+    """A gap that is larger asks for more evidence at its joint, and only there."""
+    small, large = search(RUBS, size=2), search(RUBS, LARGE, size=2)
+    more = [x.evidence.noise - x.noise for x in (small, large)]
+    assert np.all(more[0] > 0.0)
+    least = small.prior.inexact**2 * 25.0  # of one sample that is like no other
+    assert more[1][1] - more[0][1] > least
+    assert abs(more[1][0] - more[0][0]) < 0.1 * (more[1][1] - more[0][1])
+
+
 def test_nothing_is_counted_of_a_joint_without_samples():
     at = search(RUBS)
     assert at.test.count == pytest.approx([np.count_nonzero(at.test.use)], rel=0.1)
@@ -416,7 +442,7 @@ def test_deviations_follow_a_law_to_the_one_that_is_reported(effect):
 def test_shares_are_what_terms_add_in_any_order_and_sum_to_one():
     truth = TorqueOffset((0,), {"level": 2.0}), Coulomb((1,), {"level": 1.0})
     at = search(*truth, size=2)
-    causes = [cause(at, e) for e in (*truth, Viscous((1,)))]
+    causes = [cause(at, e) for e in (*truth, Viscous((0,)))]
     parts = []
     for order in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
         at.causes = [causes[k] for k in order]
