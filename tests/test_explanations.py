@@ -1,6 +1,5 @@
 """The most probable explanation: its score, its classes, and what is unknown."""
 
-import weakref
 from functools import cache
 from unittest.mock import Mock
 
@@ -15,8 +14,6 @@ from hybrid.diagnosis.explanations.proposal import Proposal
 from hybrid.diagnosis.explanations.twist import twists
 from hybrid.diagnosis.explanations.unknown import unknown_laws, waves
 from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.diagnosis.gap.split import split
-from hybrid.effects import effect_classes
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.presliding import Presliding
 from hybrid.plant import Plant, simulate
@@ -129,13 +126,3 @@ class TestTwists:
         left = self.felt(wound)
         assert left["twist with load"] < 0.05
         assert left["twist with position"] > 0.1
-
-
-def test_a_search_is_freed_with_its_last_use():
-    """It holds all columns: hundreds of megabytes, which no cycle may keep alive."""
-    gap = gap_of("stribeck")
-    at = Search(gap, split(gap), [x for x in effect_classes() if x != "stribeck"])
-    assert at.run()
-    at.stand_in()
-    at, alive = None, weakref.ref(at)
-    assert alive() is None

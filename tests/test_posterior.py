@@ -1,5 +1,6 @@
 """The score of explanations and the moves of their search, on exact pendulums."""
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -466,3 +467,12 @@ def test_what_is_left_at_once_and_what_is_seen_only_where_it_was_learnt():
     block = scored.blocks(0)
     seconds = scored.evidence.rows[0] / at.gap.rate
     np.testing.assert_array_equal(block, seconds.astype(int))
+
+
+def test_a_search_is_freed_with_its_last_use():
+    """It holds all columns: hundreds of megabytes, which no cycle may keep alive."""
+    at = search(RUBS)
+    assert at.run()
+    at.stand_in()
+    at, alive = None, weakref.ref(at)
+    assert alive() is None
