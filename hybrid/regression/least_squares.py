@@ -150,7 +150,7 @@ def pseudo_solve(A: Array, b: Array) -> Array:
     """Solution of normal equations, zero where the data leave it open, shape (p,)."""
     scaled, size = unit_columns(A)
     factor, fails = dpotrf(scaled, lower=1)
-    if not fails and np.diag(factor).min() > _SURELY:
+    if not fails and np.diag(factor).min(initial=np.inf) > _SURELY:
         found, _ = dpotrs(factor, b / size, lower=1)
         return np.asarray(found / size)
     values, vectors = eigh(scaled)
