@@ -150,7 +150,7 @@ def pseudo_solve(A: Array, b: Array) -> Array:
     """Solution of normal equations, zero where the data leave it open, shape (p,)."""
     scaled, size = unit_columns(A)
     factor, fails = dpotrf(scaled, lower=1)
-    if not fails and np.diag(factor).min(initial=np.inf) > _SURELY:
+    if not fails and np.diag(factor).min() > _SURELY:
         found, _ = dpotrs(factor, b / size, lower=1)
         return np.asarray(found / size)
     values, vectors = eigh(scaled)
@@ -170,9 +170,10 @@ def _bounded_solve(A: Array, b: Array, lower: Array) -> Array:
     for _ in range(_MOST_CHANGES * len(b)):
         free = ~held
         aim = theta.copy()
-        aim[free] = pseudo_solve(
-            A[np.ix_(free, free)], b[free] - A[np.ix_(free, held)] @ theta[held]
-        )
+        if free.any():
+            aim[free] = pseudo_solve(
+                A[np.ix_(free, free)], b[free] - A[np.ix_(free, held)] @ theta[held]
+            )
         step = aim - theta
         falls = free & (aim < lower)
         if falls.any():  # go as far as the first bound, and hold it
