@@ -107,7 +107,9 @@ class Search(Proposals):
             self._start_again()
         self.beliefs = beliefs(self)
         while self._simplify() | self._unmask():
+            before = self.causes, self.off
             self._settle()
+            self._keep(before)
             self.beliefs = beliefs(self)
         self.whole = list(self.causes)
         return self.causes
@@ -125,6 +127,10 @@ class Search(Proposals):
         self._remove()
         for self.library_only in (True, False):
             self._settle()
+        self._keep(before)
+
+    def _keep(self, before: tuple[list[Cause], float]) -> None:
+        """Go back to an explanation, and how far off the file is, if more probable."""
         now = self.score(self.causes) - self.doubt(self.off)
         self.evidence.spread(self.numbers, before[1])
         if self.score(before[0]) - self.doubt(before[1]) > now:
