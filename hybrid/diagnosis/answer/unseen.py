@@ -14,6 +14,7 @@ from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.background import background
 from hybrid.regression.least_squares import pseudo_solve
 
+_FREE = 1e3  # times the size of a number: nothing is known of it before
 _BEYOND = 1.5  # times the squares of noise: what is more on unseen motions is none
 
 
@@ -50,7 +51,9 @@ def _least_squares(search: Search) -> Array:
     seen, other = Evidence(gap, search.learn), Evidence(gap, search.test.use)
     index, there = (np.concatenate(x.add(blocks, sizes)) for x in (seen, other))
     seen.noise = seen.power.sum(axis=1) / np.maximum(seen.count.sum(axis=1), 1) + 1e-12
-    left = other.squares(there, pseudo_solve(*seen.normal(index)))
+    seen.spread(index, _FREE)
+    A, b = seen.normal(index)
+    left = other.squares(there, pseudo_solve(A + np.diag(seen.precision[index]), b))
     return np.asarray(left.sum(axis=1))
 
 

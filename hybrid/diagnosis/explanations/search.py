@@ -106,10 +106,7 @@ class Search(Proposals):
         if len(self.known) < len(self.causes) or len(self.causes) > _FEW:
             self._start_again()
         self.beliefs = beliefs(self)
-        while self._simplify() | self._unmask():
-            before = self.causes, self.off
-            self._settle()
-            self._keep(before)
+        if self._simplify() | self._unmask():
             self.beliefs = beliefs(self)
         self.whole = list(self.causes)
         return self.causes
@@ -127,10 +124,6 @@ class Search(Proposals):
         self._remove()
         for self.library_only in (True, False):
             self._settle()
-        self._keep(before)
-
-    def _keep(self, before: tuple[list[Cause], float]) -> None:
-        """Go back to an explanation, and how far off the file is, if more probable."""
         now = self.score(self.causes) - self.doubt(self.off)
         self.evidence.spread(self.numbers, before[1])
         if self.score(before[0]) - self.doubt(before[1]) > now:
@@ -280,7 +273,6 @@ class Search(Proposals):
             plain = belief.plainest(_BETTER)
             if plain is not None:
                 self.causes[self.causes.index(belief.cause)] = plain.make()
-                self.refused |= {belief.cause.place}
         return self.causes != before
 
     def _unmask(self) -> bool:
@@ -292,7 +284,6 @@ class Search(Proposals):
             b.cause for b in self.beliefs
             if b.limit is not None and b.cause in self.causes
         ]  # fmt: skip
-        self.refused |= {c.place for c in masks}
         for cause in masks:
             self.causes = [c for c in self.causes if c is not cause]
             laws = self.laws.open(self.causes)
