@@ -68,11 +68,8 @@ def read_all(
             found[file] = single or found.get(file, False)
     if not found:
         raise RecordingError("no paths given; valid are files, folders and globs")
-    mapping, recordings, left = (
-        read_mapping(map),
-        list[Recording](),
-        list[NoJointsError](),
-    )
+    mapping = read_mapping(map)
+    recordings, left = list[Recording](), list[NoJointsError]()
     for file, single in found.items():
         try:
             recordings += [
