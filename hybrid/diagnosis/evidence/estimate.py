@@ -103,9 +103,9 @@ def _flexible(evidence: Evidence, i: int, index: Index) -> tuple[Array, float, f
     takes from noise).
     """
     columns, gap = evidence.own(i, index), evidence.left[i]
-    parts = [(columns[a:b], gap[a:b]) for a, b in evidence.parts(i)]
-    G = np.array([x.T @ x for x, _ in parts])
-    c = np.array([x.T @ y for x, y in parts])
+    parts = [(columns[:, a:b], gap[a:b]) for a, b in evidence.parts(i)]
+    G = np.array([x @ x.T for x, _ in parts])
+    c = np.array([x @ y for x, y in parts])
     size = np.sqrt(np.maximum(np.diagonal(G.sum(axis=0)), 1e-300))
     G, c = G / size / size[:, None], c / size
     A, b, folds = G.sum(axis=0), c.sum(axis=0), list(zip(G, c, strict=True))
@@ -114,7 +114,7 @@ def _flexible(evidence: Evidence, i: int, index: Index) -> tuple[Array, float, f
     for ridge in _RIDGES:
         w = np.array([_ridge(A - g, b - x, ridge) for g, x in folds])
         power = np.einsum("fk,fk->", w, (G @ w[..., None])[..., 0] - 2 * c)
-        left = (gap - columns @ (_ridge(A.copy(), b, ridge) / size))[back]
+        left = (gap - (_ridge(A.copy(), b, ridge) / size) @ columns)[back]
         alike = memory(left, row)
         found.append((left, (gap @ gap + power) / len(row) * alike, alike, ridge))
     left, noise, alike, ridge = min(found, key=lambda x: x[1])

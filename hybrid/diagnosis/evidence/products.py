@@ -13,7 +13,7 @@ from hybrid.diagnosis.gap.gap import Columns, Gap
 
 Index = NDArray[np.intp]
 
-_ROOM = 64  # columns
+_ROOM = 1.5  # times as much as is needed, so that little is copied
 
 
 class Products:
@@ -55,8 +55,8 @@ class Products:
         self._processes: list[Noise] | None = None
         self._white = list(self.left)  # as independent samples
         self._owner: list[list[int]] = [[] for _ in range(n)]
-        # With room for more: what is taken in one by one is not copied each time.
-        self._columns = [np.zeros((len(r), 0)) for r in self.rows]
+        # One a row, with room for more.
+        self._columns = [np.zeros((0, len(r))) for r in self.rows]
         self._sums = [(np.zeros((0, 0)), np.zeros(0)) for _ in range(n)]
         self._done = [0] * n  # columns that are in the sums
         self._kept: tuple[bytes, dict[int, tuple[Index, Array]]] = b"", {}
@@ -88,7 +88,7 @@ class Products:
             self.size += count
         for i, parts in enumerate(fresh):
             if parts:
-                self._extend(i, self._whiten(i, np.hstack(parts)), names[i])
+                self._extend(i, self._whiten(i, np.hstack(parts)).T, names[i])
         return index
 
     def weigh(self, covariances: Sequence[Array]) -> None:
@@ -105,8 +105,8 @@ class Products:
             processes.append(Noise(covariance, follows))
         # Joint by joint: two copies of all columns are too many.
         for i, (names, process) in enumerate(zip(self._owner, processes, strict=True)):
-            columns = self._coloured(i, self._columns[i][:, : len(names)])
-            self._columns[i] = process.whiten(columns)
+            columns = self._columns[i][: len(names)]
+            columns[:] = process.whiten(self._coloured(i, columns.T)).T
             self._white[i], self._done[i] = process.whiten(self.left[i]), 0
         self._processes, self._kept = processes, (b"", {})
 
@@ -118,10 +118,11 @@ class Products:
         return 1.0 if self._processes is not None else float(1.0 / self.noise[i])
 
     def _extend(self, i: int, new: Array, names: list[int]) -> None:
-        k, whole = len(self._owner[i]), len(self._owner[i]) + new.shape[1]
-        if whole > self._columns[i].shape[1]:
-            self._columns[i] = _roomier(self._columns[i], k, whole + _ROOM, axes=(1,))
-        self._columns[i][:, k:whole] = new
+        k, whole = len(self._owner[i]), len(self._owner[i]) + len(new)
+        if whole > len(self._columns[i]):
+            shape = round(_ROOM * whole), new.shape[1]
+            self._columns[i] = _roomier(self._columns[i], k, shape)
+        self._columns[i][k:whole] = new
         self._owner[i] += names
 
     def _multiplied(self, i: int) -> tuple[Array, Array]:
@@ -130,12 +131,13 @@ class Products:
         (gram, moment), k = self._sums[i], self._done[i]
         if whole > k:
             if whole > len(moment):
-                gram = _roomier(gram, k, whole + _ROOM, axes=(0, 1))
-                moment = _roomier(moment, k, whole + _ROOM, axes=(0,))
-            new = columns[:, k:whole]
-            gram[:whole, k:whole] = columns[:, :whole].T @ new
+                size = round(_ROOM * whole)
+                gram, moment = _roomier(gram, k, (size, size)), np.resize(moment, size)
+            new = columns[k:whole]
+            gram[:k, k:whole] = columns[:k] @ new.T
             gram[k:whole, :k] = gram[:k, k:whole].T
-            moment[k:whole] = new.T @ self._white[i]
+            gram[k:whole, k:whole] = new @ new.T  # of half the cost: it is symmetric
+            moment[k:whole] = new @ self._white[i]
             self._sums[i], self._done[i] = (gram, moment), whole
         return gram, moment
 
@@ -153,7 +155,7 @@ class Products:
         for i in range(len(self.rows)):
             if self._processes is None:  # it is asked once or twice only
                 at, columns = self.known(index, i)
-                gram, moment = columns.T @ columns, columns.T @ self._white[i]
+                gram, moment = columns @ columns.T, columns @ self._white[i]
             else:
                 here, at = self._here(i, index)
                 gram, moment = self._multiplied(i)
@@ -169,9 +171,9 @@ class Products:
         for i in range(len(self.rows)):
             (at, columns), weight = self.known(index, i), self._weight(i)
             for f, (first, last) in enumerate(self.parts(i)):
-                own, left = columns[first:last], self._white[i][first:last]
-                A[f][np.ix_(at, at)] += own.T @ own * weight
-                b[f][at] += own.T @ left * weight
+                own, left = columns[:, first:last], self._white[i][first:last]
+                A[f][np.ix_(at, at)] += own @ own.T * weight
+                b[f][at] += own @ left * weight
         return A, b
 
     def parts(self, i: int) -> list[tuple[int, int]]:
@@ -209,7 +211,7 @@ class Products:
         return across, within, moment
 
     def known(self, base: Index, i: int) -> tuple[Index, Array]:
-        """Columns of a joint that are in a base, with their place in it; kept."""
+        """Columns of a joint that are in a base, one a row, with their place; kept."""
         if self._kept[0] != base.tobytes():
             self._kept = base.tobytes(), {}
         if i not in self._kept[1]:
@@ -217,8 +219,8 @@ class Products:
         return self._kept[1][i]
 
     def own(self, i: int, index: Index) -> Array:
-        """Columns of a joint that are among some, as independent samples."""
-        return self._columns[i][:, self._here(i, index)[0]]
+        """Columns of a joint that are among some, as independent samples, one a row."""
+        return self._columns[i][self._here(i, index)[0]]
 
     def cross(self, base: Index, i: int, x: Array) -> tuple[Index, Array, Array, Array]:
         """Cross-products of columns that are not in, weighed by noise.
@@ -233,7 +235,7 @@ class Products:
             with each other and with the gap.
         """
         new, (target, known) = self._whiten(i, x), self.known(base, i)
-        parts = (known.T @ new, new.T @ new, new.T @ self._white[i])
+        parts = (known @ new, new.T @ new, new.T @ self._white[i])
         across, own, moment = (self._weight(i) * part for part in parts)
         return target, across, own, moment
 
@@ -257,7 +259,7 @@ class Products:
     ) -> Array:
         """What gains make at a joint, whitened."""
         at, columns = self.known(index, i)
-        return np.asarray(columns[part] @ gains[at])
+        return np.asarray(gains[at] @ columns[:, part])
 
     def _coloured(self, i: int, x: Array) -> Array:
         return x if self._processes is None else self._processes[i].colour(x)
@@ -283,11 +285,8 @@ class Products:
         return self._coloured(i, self._white[i] - self._fitted(i, index, gains))
 
 
-def _roomier(x: Array, used: int, size: int, axes: tuple[int, ...]) -> Array:
-    """The same with room for more along some axes."""
-    shape, own = list(x.shape), [slice(None)] * x.ndim
-    for axis in axes:
-        shape[axis], own[axis] = size, slice(used)
+def _roomier(x: Array, used: int, shape: tuple[int, int]) -> Array:
+    """The same rows, and as many columns, with room for more."""
     out = np.empty(shape)
-    out[tuple(own)] = x[tuple(own)]
+    out[:used, : x.shape[1]] = x[:used]
     return out
