@@ -15,6 +15,7 @@ Label = TypeVar("Label", bound=np.generic)
 Spectrum = NDArray[np.complex128]
 
 _ORDER = 5  # of one pass
+_SAMPLES = 3.5  # that are kept of a period of the cut-off
 _AT_ONCE = 6  # signals filtered: more would not stay in the cache
 _PART = 0.7  # of a signal: to filter less than that alone is worth the cut
 
@@ -46,12 +47,12 @@ class Sampler:
 
     @classmethod
     def for_rate(cls, rate: float, cutoff: float) -> Sampler:
-        """The strongest decimation that keeps five samples per cut-off period.
+        """The strongest decimation that keeps 3.5 samples per cut-off period.
 
-        At 2.5 times the cut-off, the Nyquist frequency that is left, the filter passes
-        1e-4 of the amplitude, so aliasing does not matter.
+        What falls into the band then comes from 2.5 times the cut-off or beyond, of
+        which the filter passes 1e-4 of the amplitude: aliasing does not matter.
         """
-        factor = max(1, int(rate / (5.0 * cutoff) + 1e-9))
+        factor = max(1, int(rate / (_SAMPLES * cutoff) + 1e-9))
         return cls(rate=rate, cutoff=cutoff, factor=factor)
 
     @property
