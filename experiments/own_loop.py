@@ -21,6 +21,7 @@ from hybrid.robot import Robot
 
 STEP, HOLD, LOG = 0.0005, 2, 2  # s; steps a torque is held; torques to a logged one
 DURATION, SETTLE, OFF = 10.0, 0.8, 0.02  # s; s; what the file is off by, at most
+NOISE = 0.003  # of the rated torque
 
 
 class OwnLoop:
@@ -31,6 +32,7 @@ class OwnLoop:
         kinds: Which faults, of ``own_fault.KINDS``.
         seed: Source of joints, motions and noise.
         motion: What makes the motions.
+        without: Number of a fault that is left out of an otherwise equal loop.
     """
 
     def __init__(
@@ -39,6 +41,7 @@ class OwnLoop:
         kinds: tuple[str, ...],
         seed: int,
         motion: Make = random_fourier,
+        without: int | None = None,
     ) -> None:
         self.motion = motion
         self.rng = np.random.default_rng([seed, *map(KINDS.index, kinds)])
@@ -47,7 +50,8 @@ class OwnLoop:
         joints = [int(self.rng.integers(robot.size)) for _ in kinds]
         self.faults = [
             Fault(kind, j, scales[j], self.rated)
-            for kind, j in zip(kinds, joints, strict=True)
+            for k, (kind, j) in enumerate(zip(kinds, joints, strict=True))
+            if k != without
         ]
         inertia = self._inertia(robot)
         kp, kd = inertia * (10 * np.pi) ** 2, inertia * 16 * np.pi
@@ -129,7 +133,7 @@ class OwnLoop:
             x[::LOG] for x in (reference.t, q, tau, targets)
         )  # fmt: skip
         q = 2e-5 * np.round(q / 2e-5)
-        tau = tau + 0.003 * self.rated * self.rng.standard_normal(tau.shape)
+        tau = tau + NOISE * self.rated * self.rng.standard_normal(tau.shape)
         return Recording(t, q, tau=tau, command=command, joints=robot.joints)
 
     def _act(self, fault: Fault, given: np.ndarray, t: float) -> None:

@@ -1,7 +1,9 @@
 """Are both faults of a loop found that has two?
 
 Pairs of the faults of ``own_loops``, drawn at random, each at a joint of its own or at
-the same. Some leave next to no trace at the joint that they fall on, and are counted.
+the same. A number beside each fault says how many times the noise it changes the torque
+along one motion, both below 10 Hz: some leave next to no trace at the joint that they
+fall on. They are counted, and those apart of which both are as large as the noise.
 
     python experiments/own_loops_pairs.py --arms models/scara.xml,ur5,z1 --seed 41
 """
@@ -9,17 +11,22 @@ the same. Some leave next to no trace at the joint that they fall on, and are co
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
+from blind.robots import load_arm
 from outputs import command_line
 from own_fault import IN_COMMAND, KINDS
+from own_loop import HOLD, LOG, NOISE, STEP, OwnLoop
 from own_loops import counted, run, write_report
 from rich.console import Console
 
 from hybrid.report import Table
+from hybrid.signals.filters import butterworth
+
+BAND = 10.0  # Hz
 
 
 def outcome(found: dict[str, Any]) -> str:
@@ -38,7 +45,20 @@ def outcome(found: dict[str, Any]) -> str:
 def pair(job: tuple[str, tuple[str, ...], int]) -> dict[str, Any]:
     """Diagnose two faults on an arm."""
     found = run(*job)
-    return found | {"outcome": outcome(found)}
+    return found | {"outcome": outcome(found), "sizes": sizes(*job)}
+
+
+def sizes(arm: str, kinds: tuple[str, ...], seed: int) -> list[float]:
+    """What each fault changes of the torque, at most at a joint, in units of noise."""
+    robot, band = load_arm(arm), {"rate": 1 / (STEP * HOLD * LOG), "cutoff": BAND}
+    torques = []
+    for without in (None, *range(len(kinds))):
+        loop = OwnLoop(robot, kinds, seed, without=without)
+        loop.rng = np.random.default_rng(seed)  # the same motion, and noise
+        torques.append(butterworth(loop.record().tau, **band))
+    noise = NOISE * loop.rated * np.sqrt(2 * BAND / band["rate"])
+    changes = [np.sqrt(np.mean((x - torques[0]) ** 2, axis=0)) for x in torques[1:]]
+    return [float((x / noise).max()) for x in changes]
 
 
 def draw(arms: list[str], count: int, seed: int) -> Iterator[tuple[Any, ...]]:
@@ -64,17 +84,27 @@ def main() -> None:
             console.print(found["arm"], found["true"], found["outcome"])
             runs.append(found)
     rows = [
-        (r["arm"], *(" at ".join(x) for x in r["true"]), r["outcome"]) for r in runs
-    ]
+        (r["arm"], *(f"{' at '.join(x)} ({size:.1f})" for x, size in
+                     zip(r["true"], r["sizes"], strict=True)), r["outcome"])
+        for r in runs
+    ]  # fmt: skip
     table = Table(
         ("arm", "one", "the other", "found"), tuple(rows),
         "What is found of two faults at once", words=True,
     )  # fmt: skip
-    count = Counter(r["outcome"].split(" ")[0].strip(",") for r in runs)
-    count["something false"] = sum("and" in r["outcome"] for r in runs)
+    large = [r for r in runs if min(r["sizes"]) >= 1.0]
+    summary = f"All {len(runs)}: {count(runs)}\n\n"
+    summary += f"Both as large as the noise, {len(large)}: {count(large)}"
     command = "python experiments/own_loops_pairs.py"
     command += f" --arms {args.arms} --count {args.count} --seed {args.seed}"
-    write_report(args.out, table, counted(count), command, runs)
+    write_report(args.out, table, summary, command, runs)
+
+
+def count(runs: Sequence[dict[str, Any]]) -> str:
+    """How often both faults, one or none were found, and something false, in words."""
+    found = Counter(r["outcome"].split(" ")[0].strip(",") for r in runs)
+    found["something false"] = sum("and" in r["outcome"] for r in runs)
+    return counted(found)
 
 
 if __name__ == "__main__":
