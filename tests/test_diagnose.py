@@ -630,7 +630,7 @@ class TestEvents:
         values = {p.name: p for p in finding.parameters}
         assert values["start"].value == pytest.approx(2.2, abs=0.02)
         assert values["duration"].value == pytest.approx(0.7, abs=0.03)
-        assert finding.shrink["torque"].interval[0] > 0
+        assert finding.shrink["torque"].removed > 0.8
 
     @pytest.mark.study
     def test_a_contact_that_happened_once_is_said_to_be_unchecked(self):

@@ -28,7 +28,7 @@ _LATEST, MOST_SHIFT = 0.2, 0.05  # s; as the effects latency and delay allow
 _STEP = 0.001  # s
 LATENCIES = np.arange(0.0, _LATEST, _STEP)
 _ENOUGH = 2000  # samples, to scan
-FEWEST = 100  # samples of a joint
+FEWEST = 70  # samples of a joint: twenty periods of the cut-off
 _CLIPPED = 0.98  # of the rated torque
 # Signals of a joint, in the order of their columns.
 (_FEED, _WEIGHT, _ERROR, _ASKED, _SPEED, _GROWTH, _ONE, _TORQUE, SLOPE) = range(9)
