@@ -26,11 +26,12 @@ from hybrid.effects.counterbalance import Counterbalance
 from hybrid.effects.delay import Delay
 from hybrid.effects.elasticity import Elasticity
 from hybrid.effects.torque_gain import TorqueGain
+from hybrid.errors import RecordingError
 from hybrid.plant import Noise, Plant, random_fourier, simulate
 from hybrid.plant.rollout import _before_report
 from hybrid.recording import Recording
 from hybrid.robot.chain import INERTIAL_NAMES
-from hybrid.signals import Motion
+from hybrid.signals import Motion, motion_from_recording
 
 
 def quiet_motion(t, q) -> Motion:
@@ -201,6 +202,16 @@ def test_a_slow_arm_moves():
     assert np.abs(np.diff(log.q, axis=0)).max() / (slow.t[1] - slow.t[0]) < 0.1
     gap = measure_gap(robot, [slow], cutoff=1.0)
     assert (gap.moving.mean(axis=0) > 0.5).all()
+
+
+def test_motions_alone_need_a_cut_off_and_none_lets_through_more_than_the_log():
+    robot, recordings = quiet_logs()
+    motions = [motion_from_recording(x, cutoff=60.0) for x in recordings]
+    with pytest.raises(RecordingError, match="valid is a cut-off besides"):
+        measure_gap(robot, motions)
+    for logs in (recordings, motions):
+        gap = measure_gap(robot, logs, cutoff=np.inf)
+        assert gap.cutoff == gap.rate / 2 and len(gap.left) == len(logs[0].t)
 
 
 @pytest.mark.parametrize(

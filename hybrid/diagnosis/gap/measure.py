@@ -18,7 +18,7 @@ from hybrid.identification.preparation import motions_of
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
-from hybrid.signals.filters import butterworth, filter_reach
+from hybrid.signals.filters import butterworth, filter_reach, passes_all
 
 _STANDING = 0.01  # of the highest speed
 _SLOWEST = 0.002  # rad/s or m/s; a servo at rest seems to move as fast
@@ -50,9 +50,17 @@ def measure_gap(
         correct: What to do to each motion first; see :mod:`.convention`.
 
     Raises:
-        RecordingError: A recording has no torque.
+        RecordingError: A recording has no torque, or there are motions alone and no
+            cut-off.
     """
+    known = cutoff is not None or any(isinstance(x, Recording) for x in recordings)
+    if not known:
+        raise RecordingError(
+            "motions do not say how they were filtered; valid is a cut-off besides, "
+            "in Hz"
+        )
     motions, cutoff = motions_of(recordings, cutoff)
+    cutoff = min(cutoff, *(m.rate / 2 for m in motions))  # no filter lets through more
     motions = [correct(m) for m in motions] if correct else motions
     for motion in motions:
         if not np.isfinite(motion.tau).all():
@@ -111,8 +119,6 @@ def _asked(motion: Motion, simulated: Array, cutoff: float) -> Array:
     Noise of the measured torque is in the gap as well; a column that held it would
     seem to explain it.
     """
-    if not np.isfinite(cutoff):
-        return motion.tau
     low = partial(butterworth, motion.tau - simulated, rate=motion.rate)
     slow = low(cutoff=_CALM * cutoff)
     rough = np.abs(low(cutoff=cutoff) - slow)
@@ -129,10 +135,9 @@ def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Fau
     found = find_faults(recording.in_order(motion.joints))
     near = np.clip(np.searchsorted(recording.t, motion.t), 0, len(recording.t) - 1)
     both = np.column_stack([found.posture, found.torque])[near]
-    reach = 0
-    if np.isfinite(cutoff):
+    if not passes_all(motion.rate, cutoff):
         reach = filter_reach(cutoff / motion.rate, tolerance=1e-3)
-    both = _around(both, reach)
+        both = _around(both, reach)
     return replace(found, posture=both[:, 0], torque=both[:, 1:])
 
 
