@@ -52,6 +52,7 @@ class Search(Proposals):
         self.beliefs: list[Belief] = []
         self.whole: list[Cause] = []
         self._last: dict[Cause, frozenset[object]] = {}
+        self._spreads = list(self.prior.file)  # that are tried
 
     @property
     def known(self) -> list[Cause]:
@@ -144,6 +145,7 @@ class Search(Proposals):
         A simulator has no other laws. They are no causes.
         """
         if all(c.candidate is not None for c in self.causes):
+            self._narrow()  # some causes may have been taken back
             return
         self.causes, self.library_only = self.known, True
         self.refused = frozenset()
@@ -157,7 +159,7 @@ class Search(Proposals):
         while True:
             self._grow()
             bad = [c for c, fall in self.unseen(self.causes).items() if fall <= 0]
-            if not bad and not self.listen(self.causes):
+            if not (bad or self._narrow() or self.listen(self.causes)):
                 break
             self.refused |= {c.place for c in bad}
             self.causes = [c for c in self.causes if c not in bad]
@@ -193,13 +195,31 @@ class Search(Proposals):
             self.evidence.spread(self.numbers, off)
             return self.left_out(self.causes)
 
-        now, best = self.off, max(self.prior.file, key=score)
+        now, best = self.off, max(self._spreads, key=score)
         wider = score(best) > score(now) + _BETTER
         wider = wider and bool(np.all(lost(best) < lost(now)))
         self.evidence.spread(self.numbers, now)
         if wider:
             self.spread(best)
         return wider
+
+    def _narrow(self) -> bool:
+        """Take the file's numbers to be off as usual if more fails on unseen samples.
+
+        Returns:
+            Whether more had failed; it is not tried again then.
+        """
+        usual, now = self.prior.file[1], self.off
+        if now <= usual:
+            return False
+        whole = self.lost(self.causes)
+        self.evidence.spread(self.numbers, usual)
+        holds = np.min(self.lost(self.causes) - whole) > 0
+        self.evidence.spread(self.numbers, now)
+        if not holds:
+            self._spreads = [x for x in self._spreads if x <= usual]
+            self.spread(usual)
+        return not holds
 
     def _add(self) -> bool:
         base = self.columns(self.causes)
