@@ -11,11 +11,14 @@ from simulated import arm
 from hybrid.diagnosis.explanations.belief import Belief
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.proposal import Proposal
+from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.explanations.twist import twists
 from hybrid.diagnosis.explanations.unknown import unknown_laws, waves
 from hybrid.diagnosis.gap.measure import measure_gap
+from hybrid.diagnosis.gap.split import split
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.presliding import Presliding
+from hybrid.effects.saturation import Saturation
 from hybrid.plant import Plant, simulate
 from hybrid.signals.filters import butterworth
 
@@ -126,3 +129,18 @@ class TestTwists:
         left = self.felt(wound)
         assert left["twist with load"] < 0.05
         assert left["twist with position"] > 0.1
+
+
+def test_numbers_of_the_file_that_fail_on_unseen_motion_stay_near_the_file():
+    """Links that mimic a clipped torque on what was learnt from are no better ones."""
+    clipped = Saturation((1,), {"limit": 3.7, "loss": 1.0})
+    plant = Plant(arm("planar"), [clipped])
+    recordings = simulate(plant, trajectories=4, duration=5.0, seed=1)
+    gap = measure_gap(plant.robot, recordings)
+    search = Search(gap, split(gap), without=("saturation", "soft_saturation"))
+    usual, before = search.off, search.test.evidence.power.sum(axis=1)
+    search.spread(2.0)
+    assert search.test.squares([])[1] > 4 * before[1]
+    search.stand_in()
+    assert search.off == usual
+    assert search.test.squares([])[1] < before[1]
