@@ -19,6 +19,7 @@ from hybrid.diagnosis.gap.split import split
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.presliding import Presliding
 from hybrid.effects.saturation import Saturation
+from hybrid.errors import HybridWarning
 from hybrid.plant import Plant, simulate
 from hybrid.signals.filters import butterworth
 
@@ -135,7 +136,8 @@ def test_numbers_of_the_file_that_fail_on_unseen_motion_stay_near_the_file():
     """Links that mimic a clipped torque on what was learnt from are no better ones."""
     clipped = Saturation((1,), {"limit": 3.7, "loss": 1.0})
     plant = Plant(arm("planar"), [clipped])
-    recordings = simulate(plant, trajectories=4, duration=5.0, seed=1)
+    with pytest.warns(HybridWarning, match="at its torque limit"):
+        recordings = simulate(plant, trajectories=4, duration=5.0, seed=1)
     gap = measure_gap(plant.robot, recordings)
     search = Search(gap, split(gap), without=("saturation", "soft_saturation"))
     usual, before = search.off, search.test.evidence.power.sum(axis=1)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from hybrid.errors import HybridWarning
+from hybrid.progress import Progress
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
     from hybrid.servo import ServoFit
 
 _WIDTH_OF_A_FILE = 160
+_SHORT = 1.0  # s: a step of less is no line of a file
+_GUESSED = 0.05  # of the work: what is left is not guessed before
 
 
 class Screen:
@@ -57,25 +61,42 @@ class Screen:
         self.show(words_table(table.header, table.rows, title=table.caption))
 
     @contextmanager
-    def working(self, text: str) -> Iterator[Callable[[str], None]]:
-        """Show on a terminal that something goes on, what, and for how long.
+    def working(self, text: str) -> Iterator[Progress]:
+        """Show what is being done, for how long, and how long it will take.
+
+        A terminal shows one line that changes. Elsewhere each step is a line, but for
+        steps of less than a second.
 
         Yields:
-            Says what is being done now.
+            Is told of each step.
         """
-        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bar
+        from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
         description = TextColumn("{task.description}", markup=False)
-        with Progress(
+        is_terminal, start = self._err.is_terminal, monotonic()
+        last = start
+        with Bar(
             SpinnerColumn(),
             description,
             TimeElapsedColumn(),
             console=self._err,
             transient=True,
-            disable=not self._err.is_terminal,
-        ) as progress:
-            task = progress.add_task(text, total=None)
-            yield lambda now: progress.update(task, description=now)
+            disable=not is_terminal,
+        ) as bar:
+            task = bar.add_task(text, total=None)
+
+            def tell(text: str, done: float | None = None, /) -> None:
+                nonlocal last
+                now = monotonic()
+                text += _left(now - start, done)
+                if is_terminal:
+                    bar.update(task, description=text)
+                elif now - last > _SHORT:
+                    self._err.print(f"{now - start:.0f} s: {text}", soft_wrap=True)
+                    last = now
+
+            yield tell
 
     @contextmanager
     def warnings(self) -> Iterator[None]:
@@ -94,6 +115,13 @@ class Screen:
             warnings.simplefilter("always", HybridWarning)
             warnings.showwarning = show
             yield
+
+
+def _left(elapsed: float, done: float | None) -> str:
+    """How long the rest of the work takes, if it goes on as it began."""
+    if done is None or not _GUESSED <= done < 1.0:
+        return ""
+    return f" (about {elapsed * (1.0 - done) / done:.0f} s left)"
 
 
 def words_table(
