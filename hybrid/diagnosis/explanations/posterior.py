@@ -160,19 +160,23 @@ class Posterior:
         """
         places = {c.place for c in causes if c.candidate is not None}
         count = Counter([*(kind for kind, _ in places), *([more] if more else [])])
-        most = self.prior.cause + self.gap.robot.size * np.log(2.0)
-        less = [max(self.prior.cause * k - most, 0.0) for k in count.values()]
+        less = [max(self.prior.cause * k - self._at_many, 0.0) for k in count.values()]
         return float(sum(less))
+
+    @property
+    def _at_many(self) -> float:
+        """Odds against one kind of cause at any of the joints, [nat]."""
+        return float(self.prior.cause + self.gap.robot.size * np.log(2.0))
 
     def doubt(self, off: float) -> float:
         """Odds against the file's numbers being so far off, [nat].
 
-        If they are farther off than is usual, each link is another one.
+        If they are farther off than is usual, each link may be another one, as causes
+        may be of one kind.
         """
         usual = self.prior.file[1]
         far = np.log(off / usual) / np.log(self.prior.file_factor)
-        links = self.prior.cause * self.gap.robot.size if off > usual else 0.0
-        return float(0.5 * far**2 + links)
+        return float(0.5 * far**2 + (self._at_many if off > usual else 0.0))
 
     def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
         """See :func:`.refine.refine`; kept, for the same is asked again and again."""
