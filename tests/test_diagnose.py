@@ -14,7 +14,7 @@ from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.contacts import Contacts
-from hybrid.diagnosis.evidence.shapes import nudges, shape_units
+from hybrid.diagnosis.evidence.shapes import shape_derivatives, shape_units
 from hybrid.diagnosis.gap.background import rest, soft_friction
 from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap
@@ -67,7 +67,7 @@ class TestShapes:
             gap.columns(ripple.at({"periods": periods + x}))[1] @ ripple.gain_values
             for x in (-1e-3, 1e-3)
         ]
-        (unit,), (nudge,) = shape_units(gap, ripple), nudges(gap, ripple)
+        (unit,), (nudge,) = shape_units(gap, ripple), shape_derivatives(gap, ripple)
         expected = (near[1] - near[0]) / 2e-3 * unit
         error = nudge[1][:, 0] - expected
         assert np.linalg.norm(error) < 0.05 * np.linalg.norm(expected)

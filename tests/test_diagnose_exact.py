@@ -405,7 +405,7 @@ def test_a_fall_is_of_root_mean_squares():
 def test_columns_of_a_changed_signal_make_up_the_whole_change(effect):
     """They are linear near its gains only, and at these they are exact."""
     gap = measure_gap(pendulum(2), swings(2), cutoff=CUTOFF)
-    columns, reached = gap.columns(effect, calm=False), effect.reaches(2)
+    columns, reached = gap.columns(effect, lower_band=False), effect.reaches(2)
     assert set(columns) == set(reached)
     change = []
     for m, _, sampler in gap:

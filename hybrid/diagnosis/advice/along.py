@@ -11,7 +11,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import Candidate
 from hybrid.diagnosis.evidence.products import Index
-from hybrid.diagnosis.evidence.shapes import nudges
+from hybrid.diagnosis.evidence.shapes import shape_derivatives
 from hybrid.diagnosis.gap.background import background, clocks, rest
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.dynamics import RigidBody
@@ -49,7 +49,7 @@ class Along:
 
     def own(self, effect: Effect) -> list[Columns]:
         """Columns of an effect, and of small changes of its shapes."""
-        bends = [self._counted(x) for x in nudges(self.gap, effect)]
+        bends = [self._counted(x) for x in shape_derivatives(self.gap, effect)]
         return [self.columns(effect), *bends]
 
     @cached_property

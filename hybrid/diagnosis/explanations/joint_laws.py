@@ -1,4 +1,4 @@
-"""Laws that no library has: smooth functions of what a joint's torque may depend on."""
+"""Unknown laws of a joint's torque: smooth functions of signals."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.signals.filters import butterworth
 
-_KNOTS = 14
-_COARSE = 6
-_LENGTHS = 0.5, 0.1  # of the range, in which a law changes
-_LEAST = 1e-3  # of the power of its slowest change
+_KNOTS = 14  # of a function of one signal
+_COARSE = 6  # of a function of two signals, for each
+_LENGTHS = 0.5, 0.1  # of the range, length scales of a law
+_LEAST = 1e-3  # power of a mode over that of the strongest one
 _SLOW = 0.3  # of the cut-off
-WAVES = 3
-_SLOWEST = 0.5  # Hz, of a wave in time
+WAVES = 3  # sinusoids in a law
+_SLOWEST = 0.5  # Hz, of a sinusoid in time
 
 
-def unknown_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
-    """What a law is of, and features at every sample, shape (M, d)."""
-    # Derivatives of positions hold their noise, and so does the residual.
+def joint_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
+    """Yield the name of each law, and its features at every sample, shape (M, d)."""
+    # Derivatives of positions and the residual contain the same noise.
     m = replace(gap.sampled, a=_slow(gap, gap.sampled.a))
     load = _slow(gap, gap.load[:, joint])
     q, v, a = m.q[:, joint], m.v[:, joint], m.a[:, joint]
@@ -58,13 +58,10 @@ def unknown_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
 def waves(
     gap: Gap, joint: int, left: Array, rows: NDArray[np.intp]
 ) -> Iterator[tuple[str, Array]]:
-    """Strongest waves of a residual over position and over time, shape (M, d).
+    """Yield the strongest sinusoids of a joint's residual, over position and time.
 
-    Args:
-        gap: The gap.
-        joint: The joint.
-        left: Its residual, shape (R,), [N·m].
-        rows: Samples of the gap that these are, shape (R,).
+    ``left`` is the residual, [N·m], and ``rows`` are its samples of the gap, shape (R,)
+    each. The sines and cosines are at every sample, shape (M, d).
     """
     m = gap.sampled
     q, v = m.q[:, joint], m.v[:, joint]
@@ -84,26 +81,23 @@ def _pairs(angles: list[Array]) -> Array:
 
 
 def _slow(gap: Gap, x: Array) -> Array:
-    """Signals without the upper part of the band, shape (M, ...)."""
+    """Signals in the lower part of the band, shape (M, ...)."""
     return filtered(gap, x, _SLOW * gap.cutoff)
 
 
 def filtered(gap: Gap, x: Array, cutoff: float) -> Array:
-    """Signals below a cut-off, shape (M, ...); at the gap's, what jumps does as there.
-
-    Each recording for itself.
-    """
+    """Low-pass filtered signals of each recording, shape (M, ...)."""
     parts = [x[gap.trajectory == k] for k in range(len(gap.motions))]
     return np.concatenate([butterworth(p, rate=gap.rate, cutoff=cutoff) for p in parts])
 
 
 def turning(x: Array) -> Array:
-    """Which way a signal points, shape (M,), from -1 to 1."""
+    """Smooth sign of a signal, from −1 to 1, shape (M,)."""
     return np.asarray(np.tanh(x / (0.02 * np.abs(x).max() + 1e-12)))
 
 
 def past(gap: Gap, x: Array) -> Array:
-    """What a signal was some steps before, less what it is, shape (M, d)."""
+    """Differences of earlier samples from the present one, shape (M, d)."""
     first = np.flatnonzero(np.diff(gap.trajectory, prepend=-1))[gap.trajectory]
     now = np.arange(len(x))
     steps = [x[np.maximum(now - s, first)] - x for s in (1, 2, 4, 8, 16, 32)]
@@ -113,15 +107,19 @@ def past(gap: Gap, x: Array) -> Array:
 def smooth(x: Array, count: int) -> Array:
     """Features of a smooth function over the range of x, shape (M, d).
 
-    With independent gains of deviation one they are a Gaussian process, of one long and
-    one short length, that is linear between some knots.
+    With independent gains of unit variance the function is a Gaussian process with a
+    long and a short length scale, linear between some knots.
+
+    Args:
+        x: A signal, shape (M,).
+        count: Number of knots.
     """
     low, high = np.quantile(x, [0.002, 0.998])
     place = np.clip((x - low) / max(high - low, 1e-12), 0.0, 1.0) * (count - 1)
     hats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(count)), 0.0)
     apart = np.subtract.outer(np.arange(count), np.arange(count)) / (count - 1)
-    alike = np.mean([np.exp(-0.5 * (apart / scale) ** 2) for scale in _LENGTHS], axis=0)
-    power, modes = np.linalg.eigh(alike)
+    kernel = np.mean([np.exp(-0.5 * (apart / x) ** 2) for x in _LENGTHS], axis=0)
+    power, modes = np.linalg.eigh(kernel)
     kept = power > _LEAST * power.max()
     return np.asarray(hats @ (modes[:, kept] * np.sqrt(power[kept])))
 
