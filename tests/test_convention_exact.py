@@ -53,7 +53,7 @@ def test_torque_of_the_step_before_is_late_by_a_step():
     found = told(late=STEP)
     assert found == Convention(STEP) and found and not found.clocks
     (note,) = found.notes
-    assert "10 ms late" in note and "taken back" in note
+    assert "10 ms late" in note and "corrected" in note
 
 
 def test_an_implicit_step_leaves_out_its_damping():

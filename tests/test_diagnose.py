@@ -261,7 +261,7 @@ class TestGap:
         diagnosis = examine(robot, [*recordings[:3], replace(recordings[3], tau=tau)])
         (finding,) = diagnosis.diagnosis.findings
         assert finding.effect == "contact"
-        assert any("no step has seen" in x for x in diagnosis.diagnosis.warnings)
+        assert any("not on unseen motions" in x for x in diagnosis.diagnosis.warnings)
 
     def test_fit_and_score_share_nothing(self):
         gap = planar().gap
@@ -638,7 +638,7 @@ class TestEvents:
         robot, recordings = logs([Contact((0, 1), push)], count=1, duration=12.0)
         diagnosis = examine(robot, recordings).diagnosis
         assert [f.effect for f in diagnosis.findings] == ["contact"]
-        assert any("only in what was learnt from" in w for w in diagnosis.warnings)
+        assert any("only on the training samples" in w for w in diagnosis.warnings)
 
     @pytest.mark.study
     @pytest.mark.parametrize("number", [0, 1])

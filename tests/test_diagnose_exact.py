@@ -156,7 +156,7 @@ def test_numbers_of_a_file_that_are_far_off_are_said_and_no_silence():
             assert found.verdict == "unexplained"
             (said,) = found.warnings
             assert "numbers of the file at hinge_2" in said
-            assert "farther off than files usually are" in said
+            assert "larger errors than files usually have" in said
 
 
 def test_torque_of_another_clock_is_taken_back_and_named():

@@ -194,7 +194,7 @@ def test_a_leap_of_torque_on_the_way_is_left_out():
     tau = np.where(t < 1.0, 0.0, 5.0)[:, None] + 0.01 * np.sin(3 * t)[:, None]
     found = find_faults(Recording(t, q, tau=tau, joints=m.joints, source="log"))
     (note,) = found.notes
-    assert "torque of hinge_0 jumps on the way, at 0.99 s first" in note
+    assert "torque of hinge_0 jumps while the joint moves, first at 0.99 s" in note
     assert np.flatnonzero(found.posture).tolist() == [99, 100]
 
 

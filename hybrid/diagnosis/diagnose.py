@@ -48,22 +48,22 @@ _EXPLAINED = 0.9  # share of the squares above noise, of a gap that is explained
 _PROBABLE = 0.5  # probability of a cause that is named
 _MISSED = 0.05  # share of all squares above noise, of a joint without a cause
 _ONCE = (
-    "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
-    "on motions that no step has seen"
+    "{} acts only on the training samples: its shrinkage is measured on them, and not "
+    "on unseen motions"
 )
 _FAR = (
-    "the numbers of the file are off by some {:.0%}: that is a gap of its own, and "
-    "small errors of single links are not told from it"
+    "the numbers of the file have errors of about {:.0%}, which are a gap themselves: "
+    "smaller errors of single links cannot be found"
 )
 _PLACEHOLDERS = (
-    "the numbers of the file look like placeholders: the logs ask for quite others, "
-    "and errors of single links are not told from that"
+    "the numbers of the file look like placeholders, far from those of the logs: "
+    "errors of single links cannot be found"
 )
-_STRAINED = (
-    "numbers of the file at {} take up the gap there, and are farther off than files "
-    "usually are"
+_DOUBTFUL = (
+    "numbers of the file at {} would explain the gap there, but with larger errors "
+    "than files usually have"
 )
-_WHERE = "{} at {} may as well be {} at {}: these motions do not tell"
+_WHERE = "{} at {} may as well be {} at {}: these motions cannot tell them apart"
 
 
 def diagnose(
@@ -199,10 +199,10 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     named, alike = _believed(search, doubts)
     found, far = account(search, reached), search.doubtful_joints(search.causes)
     if far:
-        doubts.append(_STRAINED.format(", ".join(gap.robot.joints[j] for j in far)))
+        doubts.append(_DOUBTFUL.format(", ".join(gap.robot.joints[j] for j in far)))
     search.substitute_unknown_laws()
     kinds = [named.get(c, ()) for c in search.known]
-    tell("scoring on motions that no step has seen")
+    tell("scoring on unseen motions")
     scored, effects = explain(search), refit(gap, search)
     shown, left = unseen(search, found), left_unseen(scored, found, search)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)

@@ -103,18 +103,18 @@ class Convention:
         found = []
         if self.clocks:
             found.append(
-                f"torque is logged {1e3 * self.late:.3g} ms late at every joint: what "
-                "else is said is of the log without that"
+                f"torque is logged {1e3 * self.late:.3g} ms late at every joint: all "
+                "other results are for the log without this delay"
             )
         elif self.late:
             found.append(
                 f"torque is logged {1e3 * self.late:.3g} ms late at every joint, as by "
-                "a simulation that steps before it logs: taken back"
+                "a simulation that steps before it logs: corrected"
             )
         if self.step:
             found.append(
                 "torque is logged with the servo's damping at the start of an implicit "
-                f"step of {1e3 * self.step:.3g} ms: taken back"
+                f"step of {1e3 * self.step:.3g} ms: corrected"
             )
         return tuple(found)
 

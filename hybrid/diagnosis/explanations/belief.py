@@ -126,8 +126,6 @@ def unknown_worth(search: Search, cause: Cause) -> float:
     """Gain in score by unknown laws, at the joint with most of a cause's torque."""
     evidence, causes = search.evidence, search.causes
     gains = evidence.solve(search.columns(causes)).of(cause.index)
-    order = np.argsort(cause.index)
-    squares = evidence.fitted_squares(cause.index[order], gains[order])
-    joint = int(np.argmax(squares))
+    joint = int(np.argmax(evidence.fitted_squares(cause.index, gains)))
     rest = [c for c in causes if c.candidate is not None or c.place[1] != (joint,)]
     return search.score(causes) - search.score(rest)

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,8 +95,7 @@ class Posterior:
         rigid = self.evidence.solve(self.rigid)
         squares = self.evidence.weighted_squares(rigid.index, rigid.gains)
         self._explainable = squares / 2
-        self._refined: dict[tuple[object, ...], tuple[Candidate, float]] = {}
-        self._cache: dict[tuple[object, ...], Array] = {}
+        self._cache: dict[tuple[object, ...], Any] = {}
         self.__dict__.pop("test", None)
 
     def model_error_odds(self, c: Cause | Candidate) -> float:
@@ -133,19 +133,18 @@ class Posterior:
     def score(self, causes: Sequence[Cause]) -> float:
         """Log posterior of an explanation, up to a constant, [nat]."""
 
-        def score() -> Array:
+        def score() -> float:
             known = self.evidence.solve(self.columns(causes)).evidence
-            return np.asarray(known - sum(map(self.odds, causes)))
+            return known - sum(map(self.odds, causes))
 
-        return float(self._cached("score", causes, score)) + self.kind_discount(causes)
+        found: float = self._cached(score, "score", frozenset(causes))
+        return found + self.kind_discount(causes)
 
-    def _cached(
-        self, what: str, causes: Sequence[Cause], found: Callable[[], Array]
-    ) -> Array:
-        precision = float(self.evidence.precision[self.numbers[0]])
-        key = what, frozenset(causes), precision
+    def _cached(self, function: Callable[[], Any], *arguments: object) -> Any:
+        """Value of a function of some arguments, and of the error of the file."""
+        key = *arguments, float(self.evidence.precision[self.numbers[0]])
         if key not in self._cache:
-            self._cache[key] = found()
+            self._cache[key] = function()
         return self._cache[key]
 
     def kind_discount(self, causes: Sequence[Cause], more: str = "") -> float:
@@ -172,11 +171,10 @@ class Posterior:
 
     def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
         """See :func:`.refine.refine`; results are cached."""
-        shapes = tuple(c.effect.values.items())
-        key = base.tobytes(), self.file_error, c.place, shapes
-        if key not in self._refined:
-            self._refined[key] = refine(self.evidence, base, c)
-        return self._refined[key]
+        fit = partial(refine, self.evidence, base, c)
+        key = base.tobytes(), c.place, tuple(c.effect.values.items())
+        found: tuple[Candidate, float] = self._cached(fit, *key)
+        return found
 
     def held_out_loss(self, causes: Sequence[Cause]) -> Array:
         """Cross-validated loss of some causes, shape (2,), [nat].
@@ -189,7 +187,7 @@ class Posterior:
             prior = evidence.prior_squares(evidence.solve(columns), self.rigid)
             return np.asarray((evidence.held_out_loss(columns) + prior) / 2)
 
-        return self._cached("held-out loss", causes, loss)
+        return np.asarray(self._cached(loss, "held-out loss", frozenset(causes)))
 
     def unseen_loss(self, causes: Sequence[Cause]) -> Array:
         """Loss of some causes on the test samples, shape (2,), [nat].

@@ -65,8 +65,9 @@ def find_faults(recording: Recording) -> Faults:
         where = [recording.joints[j] for j in np.flatnonzero(leaps.any(axis=0))]
         first = t[leaps.any(axis=1)][0]
         notes.append(
-            f"torque of {', '.join(where)} jumps on the way, at {first:.3g} s first, "
-            "by more than samples so far apart resolve: what is near is left out"
+            f"torque of {', '.join(where)} jumps while the joint moves, first at "
+            f"{first:.3g} s, faster than the samples resolve: samples near it are left "
+            "out"
         )
     place = f"{recording.source}: " if recording.source else ""
     return Faults(posture, torque, tuple(place + note for note in notes))
