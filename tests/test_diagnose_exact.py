@@ -18,7 +18,7 @@ from hybrid.diagnosis.answer.replayed import motion_shrink, replayed, rollout_ag
 from hybrid.diagnosis.diagnose import diagnose, examine
 from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.diagnosis.gap.split import between, split
+from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
 from hybrid.effects.command_latency import CommandLatency
@@ -282,7 +282,7 @@ class TestMotion:
         replay, gap = run, run.scored.gap
         learn = split(gap)
         assert [m.source for m in replay.motions] == ["swing 3"]
-        assert (~learn & between(gap, learn)).sum() == len(replay.motions[0].t)
+        assert unseen_samples(gap, learn).sum() == len(replay.motions[0].t)
         assert replay.windows.samples == round(0.5 * gap.rate)
         starts = replay.windows.sample
         assert (np.diff(starts) >= replay.windows.samples).all() and starts[0] == 0

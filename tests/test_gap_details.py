@@ -24,7 +24,7 @@ from hybrid.diagnosis.gap.coverage import not_excited, reversals
 from hybrid.diagnosis.gap.faults import _usual_run, find_faults, stretches
 from hybrid.diagnosis.gap.measure import _around, block_seconds, measure_gap
 from hybrid.diagnosis.gap.servo import LATENCIES, ServoLog, laws
-from hybrid.diagnosis.gap.split import between, split
+from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.viscous import Viscous
@@ -131,11 +131,11 @@ def test_recordings_are_folds_or_blocks_of_at_most_three_seconds(count, seconds)
         assert (np.diff(own)[np.diff(block) == 1] != 0).all()
     assert gap.fold.max() <= 7
     learn = split(gap)
-    apart = between(gap, learn)
+    unseen = unseen_samples(gap, learn)
     reach = round(length / 6 * gap.rate)
-    for k in np.flatnonzero(~learn & apart):
+    for k in np.flatnonzero(unseen):
         assert not learn[max(0, k - reach) : k + reach + 1].any()
-    assert (~learn & apart).any()
+    assert unseen.any()
 
 
 def test_first_order_columns_are_slopes_of_the_simulated_torque():

@@ -12,7 +12,11 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import Candidate
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.shapes import shape_derivatives
-from hybrid.diagnosis.gap.background import background, clocks, rest
+from hybrid.diagnosis.gap.background import (
+    background,
+    friction_near_rest,
+    sampling_delays,
+)
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
@@ -55,7 +59,9 @@ class Along:
     @cached_property
     def background(self) -> list[Columns]:
         """Columns of the simulator's own numbers."""
-        parts = (x(self.gap)[0] for x in (background, rest, clocks))
+        parts = (
+            x(self.gap)[0] for x in (background, friction_near_rest, sampling_delays)
+        )
         return [self._counted(x) for blocks in parts for x in blocks]
 
     @cached_property

@@ -26,7 +26,7 @@ from hybrid.diagnosis.explanations.servo_fit import (
 )
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.servo import FEWEST, Law, ServoLog, laws, servo_logs
-from hybrid.diagnosis.gap.split import between, split
+from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.diagnosis.gap.units import units
 from hybrid.effects import Effect
 from hybrid.effects.command_latency import CommandLatency
@@ -124,7 +124,7 @@ def command_link(
             it would be of something else.
     """
     learn = split(gap)
-    test = ~learn & between(gap, learn)
+    test = unseen_samples(gap, learn)
     kinds = [k for k in (CommandLatency, ControllerGain) if k.id not in without]
     servos = []
     for i, log in enumerate(servo_logs(gap, recordings)):

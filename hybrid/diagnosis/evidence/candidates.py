@@ -22,7 +22,7 @@ Place = tuple[str, tuple[int, ...]]  # id of an effect, and its joints
 
 _GRID, _COARSE = 7, 4  # values of the first shape, and of each other one
 _GAINS, _FINE = 14, 40  # gains of an effect that is scanned over its gain
-_EFFORT = 8e5  # samples times gains: a long log is scanned over fewer gains
+_MOST_SCANNED = 8e5  # samples times gains: a long log is scanned over fewer gains
 _LEAST_GAIN = 30.0  # typical gain over the smallest one of the scan
 
 
@@ -103,7 +103,7 @@ def fine_candidates(
 ) -> list[Candidate]:
     """A steep effect at one place, on a fine grid of its gain."""
     samples = sum(len(motion.t) for motion in gap.motions)
-    count = int(np.clip(_EFFORT / samples, _FINE / 2, _FINE))
+    count = int(np.clip(_MOST_SCANNED / samples, _FINE / 2, _FINE))
     return [candidate(gap, e) for e in _grid(cls, joints, gap, gains=count)]
 
 

@@ -22,7 +22,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.estimate import estimate_noise
 from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.diagnosis.gap.background import background, rest
+from hybrid.diagnosis.gap.background import background, friction_near_rest
 from hybrid.diagnosis.gap.gap import LOWER_BAND, Columns, Gap
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.prior import Prior
@@ -38,9 +38,9 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
-_BESIDE = (Viscous, Coulomb, TorqueOffset, TorqueGain)
+_NUISANCE = (Viscous, Coulomb, TorqueOffset, TorqueGain)
 _OPEN = 0.1  # s, prior standard deviation of a joint's own delay or step
-_ALIKE = 0.1  # of a common time: error of columns that are linear in it
+_LINEARITY = 0.1  # of a common time: error of columns that are linear in it
 _LATEST = Delay.gains[0].upper  # s
 
 
@@ -186,8 +186,8 @@ class _TimeEvidence:
         evidence, self._cause = Evidence(gap), prior.cause
         numbers = np.concatenate(evidence.add(*background(gap)))
         evidence.scale_prior(numbers, prior.file_errors[0])
-        evidence.add(*rest(gap))
-        beside = [candidate(gap, kind((j,))) for kind in _BESIDE for j in joints]
+        evidence.add(*friction_near_rest(gap))
+        beside = [candidate(gap, kind((j,))) for kind in _NUISANCE for j in joints]
         # A rotor that the file lacks would look like a delay.
         rotors = set(joints) - set(servo)
         beside += [candidate(gap, Armature((j,))) for j in rotors]
@@ -222,7 +222,7 @@ class _TimeEvidence:
         """No time, a step, the time of one joint alone, or one of each joint."""
         unit, cause = np.eye(size), self._cause
         found = [_TimePrior(0.0, unit[:, :0]), _TimePrior(size * cause, _OPEN * unit)]
-        found += [_TimePrior(cause, _ALIKE * x * unit, x) for x in steps]
+        found += [_TimePrior(cause, _LINEARITY * x * unit, x) for x in steps]
         alone = (unit[:, [j]] for j in range(size))
         return found + [_TimePrior(cause, _OPEN * x) for x in alone]
 
@@ -240,7 +240,7 @@ class _TimeEvidence:
         for y in damped:
             time, _ = self.common_delay(y.common)
             if least < time < _LATEST:
-                own = _ALIKE * time * np.eye(self._sizes[0])
+                own = _LINEARITY * time * np.eye(self._sizes[0])
                 root = np.column_stack([np.full(len(own), _OPEN), own])
                 pairs.append((_TimePrior(self._cause, root, time), y))
         return max(pairs, key=lambda x: self._score(*x))

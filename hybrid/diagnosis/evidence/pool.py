@@ -28,7 +28,7 @@ from hybrid.effects.torque_ripple import TorqueRipple
 
 _RIPPLES, _MOST_RIPPLES = 3, 24  # orders added at each joint at a time, and in all
 _CONTACTS = 2  # contacts added at a time
-_ODD = 10.0  # nat, evidence for any effect at a joint that has a gap
+_GAP = 10.0  # nat, evidence for any effect at a joint that has a gap
 
 
 class Pool:
@@ -107,7 +107,7 @@ class Pool:
     def add_steep(self, base: Index) -> None:
         """Add steep effects at their best gain beside a base, at joints with a gap."""
         worth = {c.place: x for c, x in reversed(self.ranked(base))}
-        odd = {joints[-1] for (_, joints), x in worth.items() if x > _ODD}
+        odd = {joints[-1] for (_, joints), x in worth.items() if x > _GAP}
         for effect_id, joints in worth:
             cls = effect_classes()[effect_id]
             if cls.steep and joints[-1] in odd:

@@ -28,31 +28,37 @@ def joint_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
     m = replace(gap.sampled, a=_slow(gap, gap.sampled.a))
     load = _slow(gap, gap.load[:, joint])
     q, v, a = m.q[:, joint], m.v[:, joint], m.a[:, joint]
-    sign = turning(v)
-    yield "position", smooth(q, 2 * _KNOTS)
-    yield "speed", smooth(np.sign(v) * np.sqrt(np.abs(v)), 2 * _KNOTS)
-    yield "acceleration", smooth(a, _KNOTS)
-    yield "load", smooth(load, _KNOTS)
-    yield "time", smooth(m.t, 2 * _KNOTS)
+    sign = smooth_sign(v)
+    yield "position", smooth_features(q, 2 * _KNOTS)
+    yield "speed", smooth_features(np.sign(v) * np.sqrt(np.abs(v)), 2 * _KNOTS)
+    yield "acceleration", smooth_features(a, _KNOTS)
+    yield "load", smooth_features(load, _KNOTS)
+    yield "time", smooth_features(m.t, 2 * _KNOTS)
     for name, x in (("position", q), ("load", load), ("acceleration", a)):
-        law = sign[:, None] * smooth(x, _KNOTS)
-        yield f"direction and {name}", filtered(gap, law, gap.cutoff)
-    yield "speed and time", v[:, None] * smooth(m.t, _KNOTS)
-    yield "speed and position", _products(smooth(q, _COARSE), smooth(v, _COARSE))
-    yield "load and position", _products(smooth(q, _COARSE), smooth(load, _COARSE))
+        law = sign[:, None] * smooth_features(x, _KNOTS)
+        yield f"direction and {name}", low_passed(gap, law, gap.cutoff)
+    yield "speed and time", v[:, None] * smooth_features(m.t, _KNOTS)
+    yield (
+        "speed and position",
+        _products(smooth_features(q, _COARSE), smooth_features(v, _COARSE)),
+    )
+    yield (
+        "load and position",
+        _products(smooth_features(q, _COARSE), smooth_features(load, _COARSE)),
+    )
     for k in range(gap.robot.size):
         if k != joint:
             other = gap.robot.joints[k]
-            yield f"speed of {other}", smooth(m.v[:, k], _KNOTS)
-            yield f"acceleration of {other}", smooth(m.a[:, k], _KNOTS)
+            yield f"speed of {other}", smooth_features(m.v[:, k], _KNOTS)
+            yield f"acceleration of {other}", smooth_features(m.a[:, k], _KNOTS)
             yield (
                 f"position of {other}",
-                _products(smooth(q, 4), smooth(m.q[:, k], 4)),
+                _products(smooth_features(q, 4), smooth_features(m.q[:, k], 4)),
             )
-    side = turning(gap.load[:, joint])
+    side = smooth_sign(gap.load[:, joint])
     signals = {"speed": _slow(gap, v), "load": load, "direction": sign, "side": side}
     for name, x in signals.items():
-        yield f"past of {name}", filtered(gap, past(gap, x), gap.cutoff)
+        yield f"past of {name}", low_passed(gap, lagged_differences(gap, x), gap.cutoff)
 
 
 def waves(
@@ -82,21 +88,21 @@ def _pairs(angles: list[Array]) -> Array:
 
 def _slow(gap: Gap, x: Array) -> Array:
     """Signals in the lower part of the band, shape (M, ...)."""
-    return filtered(gap, x, _SLOW * gap.cutoff)
+    return low_passed(gap, x, _SLOW * gap.cutoff)
 
 
-def filtered(gap: Gap, x: Array, cutoff: float) -> Array:
+def low_passed(gap: Gap, x: Array, cutoff: float) -> Array:
     """Low-pass filtered signals of each recording, shape (M, ...)."""
     parts = [x[gap.trajectory == k] for k in range(len(gap.motions))]
     return np.concatenate([butterworth(p, rate=gap.rate, cutoff=cutoff) for p in parts])
 
 
-def turning(x: Array) -> Array:
+def smooth_sign(x: Array) -> Array:
     """Smooth sign of a signal, from −1 to 1, shape (M,)."""
     return np.asarray(np.tanh(x / (0.02 * np.abs(x).max() + 1e-12)))
 
 
-def past(gap: Gap, x: Array) -> Array:
+def lagged_differences(gap: Gap, x: Array) -> Array:
     """Differences of earlier samples from the present one, shape (M, d)."""
     first = np.flatnonzero(np.diff(gap.trajectory, prepend=-1))[gap.trajectory]
     now = np.arange(len(x))
@@ -104,7 +110,7 @@ def past(gap: Gap, x: Array) -> Array:
     return np.stack(steps, axis=1)
 
 
-def smooth(x: Array, count: int) -> Array:
+def smooth_features(x: Array, count: int) -> Array:
     """Features of a smooth function over the range of x, shape (M, d).
 
     With independent gains of unit variance the function is a Gaussian process with a

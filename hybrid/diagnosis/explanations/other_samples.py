@@ -14,7 +14,11 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.gap.background import background, clocks, rest
+from hybrid.diagnosis.gap.background import (
+    background,
+    friction_near_rest,
+    sampling_delays,
+)
 
 if TYPE_CHECKING:
     from hybrid.diagnosis.explanations.posterior import Posterior
@@ -40,7 +44,9 @@ class OtherSamples:
         self.evidence.noise = search.evidence.noise
         self.evidence.set_covariances(search.covariances)
         numbers = self.evidence.add(*background(gap))
-        others = self.evidence.add(*rest(gap)) + self.evidence.add(*clocks(gap))
+        others = self.evidence.add(*friction_near_rest(gap)) + self.evidence.add(
+            *sampling_delays(gap)
+        )
         self.numbers = np.concatenate(numbers)
         self.evidence.scale_prior(self.numbers, search.file_error)
         self.rigid = np.concatenate([self.numbers, *others])

@@ -34,9 +34,13 @@ from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.noise_model import set_noise_model
 from hybrid.diagnosis.explanations.other_samples import OtherSamples
 from hybrid.diagnosis.explanations.unknown_laws import UnknownLaws
-from hybrid.diagnosis.gap.background import background, clocks, rest
+from hybrid.diagnosis.gap.background import (
+    background,
+    friction_near_rest,
+    sampling_delays,
+)
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.diagnosis.gap.split import between
+from hybrid.diagnosis.gap.split import unseen_samples
 from hybrid.diagnosis.prior import Prior
 
 _RIPPLES = 9  # orders at each joint, in the regression that estimates the noise
@@ -76,7 +80,9 @@ class Posterior:
         self._numbers_of = list(zip(map(max, columns), blocks, strict=True))
         self.file_error = self.prior.file_errors[1]
         self.evidence.scale_prior(self.numbers, self.file_error)
-        own = self.evidence.add(*rest(gap)) + self.evidence.add(*clocks(gap))
+        own = self.evidence.add(*friction_near_rest(gap)) + self.evidence.add(
+            *sampling_delays(gap)
+        )
         self.rigid = np.concatenate([self.numbers, *own])
         self.pool = Pool(self.evidence, without)
         self.pool.add_ripples(self.rigid, _RIPPLES)
@@ -218,7 +224,7 @@ class Posterior:
     @cached_property
     def test(self) -> OtherSamples:
         """The test samples."""
-        return OtherSamples(self, ~self.learn & between(self.gap, self.learn))
+        return OtherSamples(self, unseen_samples(self.gap, self.learn))
 
     def update_noise(self, causes: Sequence[Cause]) -> bool:
         """Lower the noise where some causes leave less; return whether they do."""

@@ -13,7 +13,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.explanations.joint_laws import filtered, past, smooth
+from hybrid.diagnosis.explanations.joint_laws import (
+    lagged_differences,
+    low_passed,
+    smooth_features,
+)
 from hybrid.diagnosis.gap.gap import LOWER_BAND, Columns, Gap
 
 _KNOTS = 8
@@ -23,7 +27,7 @@ def transmission_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
     """Yield the name of each law, and its columns at all joints that φ reaches."""
     low = LOWER_BAND * gap.cutoff
     # The load and the residual contain the same noise of positions.
-    load = filtered(gap, gap.load[:, joint], low)
+    load = low_passed(gap, gap.load[:, joint], low)
     q = gap.sampled.q[:, joint]
     slopes = [
         np.stack(body.slopes(joint))[:, :: sampler.factor] for _, body, sampler in gap
@@ -32,10 +36,10 @@ def transmission_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
     side = np.tanh(load / (np.sqrt(np.mean(load**2)) + 1e-12))
     features = {
         "load": np.hstack([
-            filtered(gap, _and_past(gap, side), gap.cutoff),
+            low_passed(gap, _and_past(gap, side), gap.cutoff),
             _and_past(gap, load),
         ]),
-        "position": filtered(gap, smooth(q, _KNOTS), low),
+        "position": low_passed(gap, smooth_features(q, _KNOTS), low),
     }  # fmt: skip
     for name, x in features.items():
         speed = _derivative(gap, x)
@@ -50,7 +54,7 @@ def transmission_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
 
 
 def _and_past(gap: Gap, x: Array) -> Array:
-    return np.column_stack([x, past(gap, x)])
+    return np.column_stack([x, lagged_differences(gap, x)])
 
 
 def _derivative(gap: Gap, x: Array) -> Array:

@@ -62,7 +62,7 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
 
 
 @lru_cache(maxsize=1)  # the training and the test samples share them
-def rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
+def friction_near_rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
     """Columns of soft dry friction near rest, and the size of each gain.
 
     Arms and solvers differ in the speed at which dry friction is full.
@@ -74,7 +74,7 @@ def rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
 
 
 @lru_cache(maxsize=1)  # the training and the test samples share them
-def clocks(gap: Gap) -> tuple[list[Columns], list[Array]]:
+def sampling_delays(gap: Gap) -> tuple[list[Columns], list[Array]]:
     """Columns of torque that was read between two samples, and the size of the delay.
 
     No log says when torque was read within a sample: its time is uniform over one.

@@ -16,7 +16,7 @@ def split(gap: Gap) -> NDArray[np.bool_]:
     """Training samples, shape (M,); the others are the test set.
 
     Every fourth trajectory is for testing. Where there are fewer than four, it is every
-    fourth block of time, without a sixth at both ends (see :func:`between`). Another
+    fourth block of time, less a part at both ends; see :func:`unseen_samples`. Another
     split is taken where the test set alone holds squares that are far larger than all
     of the training set.
     """
@@ -51,12 +51,13 @@ def _unusual(gap: Gap, part: NDArray[np.intp]) -> Array:
     return np.asarray((mean / usual).max(axis=1)[own])
 
 
-def between(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples that are far enough from the training samples to be tested, shape (M,).
+def unseen_samples(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Test samples beside given training samples, shape (M,).
 
-    Whole trajectories are; blocks of a trajectory lose a sixth at both ends.
+    Whole trajectories are tested; blocks of one lose a sixth at both ends.
     """
     if gap.trajectory.max() >= 3:
-        return np.ones(len(learn), dtype=bool)
+        return ~learn
     reach = round(block_seconds(gap.motions) / 6 * gap.rate)
-    return np.asarray(np.convolve(learn, np.ones(2 * reach + 1), mode="same") <= 0)
+    near = np.convolve(learn, np.ones(2 * reach + 1), mode="same") > 0
+    return ~learn & ~near
