@@ -326,7 +326,7 @@ def test_nothing_is_counted_of_a_joint_without_samples():
 def test_values_are_those_of_the_arm_within_their_intervals():
     at = search(RUBS, ASKEW)
     at.run()
-    for effect in refit(at.gap, at):
+    for effect in refit(at):
         truth = {"coulomb": RUBS, "torque_offset": ASKEW}[effect.id]
         for name, value in effect.values.items():
             off = abs(value - truth.values[name])
@@ -336,10 +336,10 @@ def test_values_are_those_of_the_arm_within_their_intervals():
 def test_the_interval_of_a_shape_is_that_of_all_that_fit_nearly_as_well():
     at = search(BRISTLES, library=("presliding",))
     at.run()
-    (found,) = refit(at.gap, at)
+    (found,) = refit(at)
     assert abs(found.values["distance"] - 0.05) < 3 * found.std["distance"] < 0.01
     assert abs(found.values["level"] - 1.0) < 3 * found.std["level"] < 0.1
-    evidence, solution, (own,) = solve_all(at.gap, at)
+    evidence, solution, (own,) = solve_all(at)
     base = np.setdiff1d(solution.index, own)
     candidate_, steps = at.known[0].candidate, [-1.96, 0.0, 1.96]
     worth = []
@@ -374,7 +374,7 @@ def test_a_shape_is_as_far_off_as_fits_nearly_as_well():
     """Within 1.92 nat of the best: its region of 95 %."""
     at = search(BRISTLES, library=("presliding",))
     (cause,) = at.run()
-    evidence, solution, (own,) = solve_all(at.gap, at)
+    evidence, solution, (own,) = solve_all(at)
     base, found = np.setdiff1d(solution.index, own), cause.candidate
     bends, best = found.effect.shapes[0], found.effect.values["distance"]
     width = np.log(bends.upper / bends.lower)
@@ -410,7 +410,7 @@ def test_a_spring_is_stiffer_than_its_file_says_by_so_much():
     springy = Spring((0,), {"stiffness": 3.0})
     at = search(springy, library=("spring", *FEW))
     at.run()
-    (found,) = refit(at.gap, at)
+    (found,) = refit(at)
     assert found.id == "spring"
     assert abs(found.values["stiffness"] - 3.0) < 3 * found.std["stiffness"] < 0.5
 

@@ -203,7 +203,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     search.substitute_unknown_laws()
     kinds = [named.get(c, ()) for c in search.known]
     tell("scoring on unseen motions")
-    scored, effects = explain(search), refit(gap, search)
+    scored, effects = explain(search), refit(search)
     shown, left = unseen(search, found), left_unseen(scored, found, search)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
     doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]

@@ -48,8 +48,8 @@ class _Clock:
         """Sum of some samples' values, shape (R, ...), over each chunk, (C, ...)."""
         chunk, size = self.chunk[rows], len(self.number)
         flat = x.reshape(-1, int(np.prod(x.shape[1:])))
-        sums = [np.bincount(chunk, y, size) for y in flat.T]
-        return np.stack(sums, axis=1).reshape(size, *x.shape[1:])
+        sums = np.array([np.bincount(chunk, y, size) for y in flat.T], dtype=float)
+        return sums.T.reshape(size, *x.shape[1:])
 
     def unbroken(self, length: int) -> NDArray[np.bool_]:
         """Whether a number of chunks from each on is contiguous, (C − length + 1,)."""

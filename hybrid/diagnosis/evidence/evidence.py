@@ -131,9 +131,9 @@ class Evidence(Products):
         occam = np.log(np.diag(factor[0])).sum()
         return Solution(index, gains, float(0.5 * b @ gains - occam), unit, factor)
 
-    def residuals(self, index: Index) -> list[Array]:
-        """Residual of each joint at the most probable gains, [N·m]."""
-        gains = self.solve(index).gains
+    def residuals(self, index: Index, gains: Array | None = None) -> list[Array]:
+        """Residual of each joint, [N·m]; at the most probable gains by default."""
+        gains = self.solve(index).gains if gains is None else gains
         return [self.residual(i, index, gains) for i in range(len(self.rows))]
 
     def prior_squares(self, solution: Solution, columns: Index) -> float:

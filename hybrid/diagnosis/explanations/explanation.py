@@ -59,8 +59,7 @@ class Explanation:
 
     def left(self, gains: Array) -> list[Array]:
         """Residual of each joint, in the order of ``evidence.rows``, [N·m]."""
-        n = self.gap.robot.size
-        return [self.evidence.residual(i, self.index, gains) for i in range(n)]
+        return self.evidence.residuals(self.index, gains)
 
     @cached_property
     def after(self) -> list[Array]:

@@ -28,25 +28,25 @@ _DRAWS = 64  # shapes from the whole range, and as many from near the best
 _WIDER = 2.0  # factor on the standard deviation of the draws near the best
 
 
-def solve_all(gap: Gap, search: Search) -> tuple[Evidence, Solution, tuple[Index, ...]]:
+def solve_all(search: Search) -> tuple[Evidence, Solution, tuple[Index, ...]]:
     """Fit background and terms of a search, with their shapes, to all samples.
 
     Returns:
         The evidence, the gains of all columns, and the columns of each term.
     """
-    every = OtherSamples(search, np.ones(len(gap.fold), dtype=bool))
+    every = OtherSamples(search, np.ones(len(search.gap.fold), dtype=bool))
     solution = every.evidence.solve(every.columns(search.causes))
     return every.evidence, solution, tuple(map(every.own, search.known))
 
 
-def refit(gap: Gap, search: Search) -> tuple[Effect, ...]:
+def refit(search: Search) -> tuple[Effect, ...]:
     """Effects of a search's terms, fitted to all samples.
 
     Their standard deviations include the uncertainty of all other terms, and of the
     file's numbers.
     """
-    evidence, solution, own = solve_all(gap, search)
-    index = solution.index
+    evidence, solution, own = solve_all(search)
+    gap, index = search.gap, solution.index
     effects = [
         with_gains(t.candidate.effect, solution.of(i))
         for t, i in zip(search.terms, own, strict=True)
@@ -96,8 +96,7 @@ def _profile_range(
     Source: Venzon and Moolgavkar 1988, doi 10.2307/2347496 (profile likelihood).
     """
     gap, middle = evidence.gap, normalised_shapes(evidence.gap, c.effect)
-    names = [x.name for x in (*c.effect.gains, *c.effect.shapes) if not x.whole]
-    size = len(middle)
+    names, size = _names(c.effect), len(middle)
     wide = _WIDER**2 * covariance
     near = qmc.MultivariateNormalQMC(middle, wide, rng=0).random(_DRAWS)
     points = np.concatenate([[middle], near, qmc.Sobol(size, rng=0).random(_DRAWS)])
@@ -114,19 +113,21 @@ def _profile_range(
 
 def _model_variance(gap: Gap, effect: Effect) -> Array:
     """Variance of values by errors of the law, and of times by sampling, shape (p,)."""
-    gains = list(effect.gains)
-    shapes = [x for x in effect.shapes if not x.whole]
-    law = [effect.inexact.get(x.name, 0.0) for x in (*gains, *shapes)]
-    size = [effect.values[x.name] for x in (*gains, *shapes)]
+    law = [effect.inexact.get(x, 0.0) * effect.values[x] for x in _names(effect)]
     step = 1.0 / gap.motions[0].rate
+    shapes = [x for x in effect.shapes if not x.whole]
     times = [step**2 / 12.0 if x.unit == "s" else 0.0 for x in shapes]
-    return np.asarray(np.square(law) * np.square(size) + np.pad(times, (len(gains), 0)))
+    return np.asarray(np.square(law) + np.pad(times, (len(effect.gains), 0)))
+
+
+def _names(effect: Effect) -> list[str]:
+    """Names of the gains, and of the shapes that are no whole numbers."""
+    return [x.name for x in (*effect.gains, *effect.shapes) if not x.whole]
 
 
 def _reported(effect: Effect, covariance: Array) -> Effect:
     """The effect as it is reported, with standard deviations (delta method)."""
-    names = [x.name for x in (*effect.gains, *effect.shapes) if not x.whole]
-    law = effect.as_reported()
+    names, law = _names(effect), effect.as_reported()
     if law is effect:
         std = np.sqrt(np.diag(covariance))
         return law.at({}, dict(zip(names, map(float, std), strict=True)))

@@ -68,6 +68,7 @@ def friction_near_rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
     Arms and solvers differ in the speed at which dry friction is full.
     """
     level, joints = dry_friction(gap), range(gap.robot.size)
+    blocks: list[Columns]
     blocks = [{j: soft_friction(gap, j, _KNEES, _LEADS)} for j in joints]
     sizes = [np.full(blocks[j][j].shape[1], level[j]) for j in joints]
     return blocks, sizes
