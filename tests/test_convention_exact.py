@@ -69,7 +69,7 @@ def test_another_clock_is_told_with_its_time():
     assert found.late == pytest.approx(0.034, abs=5e-4)
     assert 0.0 < found.std < 5e-4
     (note,) = found.notes
-    assert "34.1 ms late" in note and "the log without that" in note
+    assert "34.1 ms late" in note and "without this delay" in note
 
 
 @pytest.mark.parametrize("options", [{"late": 0.034}, {"step": STEP}])

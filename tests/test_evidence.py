@@ -341,13 +341,10 @@ def test_contacts_meet_in_the_same_recording_at_the_same_time(of, first, meets):
 )
 def test_what_is_left_unseen_counts_beyond_noise_only(before, after, part):
     """Mean squares of a joint's gap on motions kept apart, in units of noise."""
-    size = 1000
-    gap = [[np.sqrt(x) * np.ones(size)] for x in (before, after)]
-    count = SimpleNamespace(count=np.array([size]))
+    gap = [[np.sqrt(x) * np.ones(1000)] for x in (before, after)]
     left = left_unseen(
         SimpleNamespace(before=gap[0], after=gap[1]),
-        SimpleNamespace(ceiling=np.array([float(size)])),
-        SimpleNamespace(evidence=count, noise=np.array([1.0])),
+        SimpleNamespace(noise=np.ones(1)),
     )
     assert left == pytest.approx(part, abs=0.01)
 

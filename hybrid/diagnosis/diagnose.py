@@ -47,11 +47,11 @@ Progress = Callable[[str], None]
 _EXPLAINED = 0.9  # share of the squares above noise, of a gap that is explained
 _PROBABLE = 0.5  # probability of a cause that is named
 _MISSED = 0.05  # share of all squares above noise, of a joint without a cause
-_ONCE = (
+_UNTESTED = (
     "{} acts only on the training samples: its shrinkage is measured on them, and not "
     "on unseen motions"
 )
-_FAR = (
+_FILE_ERRORS = (
     "the numbers of the file have errors of about {:.0%}, which are a gap themselves: "
     "smaller errors of single links cannot be found"
 )
@@ -63,7 +63,7 @@ _DOUBTFUL = (
     "numbers of the file at {} would explain the gap there, but with larger errors "
     "than files usually have"
 )
-_WHERE = "{} at {} may as well be {} at {}: these motions cannot tell them apart"
+_OTHER_JOINT = "{} at {} may as well be {} at {}: these motions cannot tell them apart"
 
 
 def diagnose(
@@ -196,7 +196,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         tell("looking for the most probable explanation")
         search.run()
     reached = account(search).ceiling
-    named, alike = _believed(search, doubts)
+    named, alike = _drop_improbable(search, doubts)
     found, far = account(search, reached), search.doubtful_joints(search.causes)
     if far:
         doubts.append(_DOUBTFUL.format(", ".join(gap.robot.joints[j] for j in far)))
@@ -204,12 +204,12 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     kinds = [named.get(c, ()) for c in search.known]
     tell("scoring on unseen motions")
     scored, effects = explain(search), refit(search)
-    shown, left = unseen(search, found), left_unseen(scored, found, search)
+    shown, left = unseen(search, found), left_unseen(scored, found)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
-    doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
+    doubts += [_UNTESTED.format(f.effect) for f in causes if _is_untested(f, scored)]
     error, typical = search.file_error, search.prior.file_errors[1]
     if error > typical:
-        doubts.append(_FAR.format(error) if error < 1 else _PLACEHOLDERS)
+        doubts.append(_FILE_ERRORS.format(error) if error < 1 else _PLACEHOLDERS)
     if logged.clocks and not case.doubts:
         apart, others = clocks_apart(case.as_logged, scored, logged, rng)
         causes, effects = apart.joined(causes, others), (*effects, *apart.effects)
@@ -227,7 +227,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
                   alike=alike, healthy=healthy)  # fmt: skip
 
 
-def _believed(
+def _drop_improbable(
     search: Search, doubts: list[str]
 ) -> tuple[dict[Cause, tuple[str, ...]], dict[Term, tuple[Candidate, ...]]]:
     """Remove causes from a search that are less probable than an unknown law.
@@ -254,11 +254,11 @@ def _believed(
         for c in there:
             both = (term.place, c.place)
             said = (w for e, at in both for w in (e, names[at[-1]]))
-            doubts.append(_WHERE.format(*said))
+            doubts.append(_OTHER_JOINT.format(*said))
     return kinds, alike
 
 
-def _once(finding: Finding, scored: Explanation) -> bool:
+def _is_untested(finding: Finding, scored: Explanation) -> bool:
     return scored.where_seen(scored.members(finding.effect)) is not scored
 
 
@@ -301,19 +301,17 @@ def _diagnosis(
     verdict: Verdict,
     unexplained: float,
 ) -> Diagnosis:
-    rows = search.evidence.rows
-    count = np.array([max(len(r), 1) for r in rows])
-    squares = np.where(gap.moving, gap.left, 0.0) ** 2
-    moving = np.maximum(gap.moving.sum(axis=0), 1)
-    rms = np.sqrt(squares.sum(axis=0) / moving)
-    size = np.sqrt((np.where(gap.moving, gap.measured, 0.0) ** 2).sum(axis=0) / moving)
-    floor = np.sqrt(np.maximum(found.ceiling, 0.0) * search.noise / count)
+    count = np.maximum(gap.moving.sum(axis=0), 1)
+    rms, size = (
+        np.sqrt((np.where(gap.moving, x, 0.0) ** 2).sum(axis=0) / count)
+        for x in (gap.left, gap.measured)
+    )
     return Diagnosis(
         robot=gap.robot.name,
         joints=gap.robot.joints,
         rms=tuple(map(float, rms)),
         relative=tuple(map(float, rms / np.where(size > 0, size, np.inf))),
-        noise_floor=tuple(map(float, floor)),
+        noise_floor=tuple(map(float, np.sqrt(found.noise))),
         where=(),
         findings=tuple(effects),
         verdict=verdict,

@@ -36,7 +36,7 @@ def unseen(search: Search, found: Account) -> Unseen:
         after=rms(test.squares(search.causes)),
         least_squares=rms(_least_squares(search)),
         ceiling=rms(test.squares(search.whole)),
-        noise=tuple(map(float, np.sqrt(_noise(search, found)))),
+        noise=tuple(map(float, np.sqrt(found.noise))),
     )
 
 
@@ -57,18 +57,12 @@ def _least_squares(search: Search) -> Array:
     return other.squares(there, gains)
 
 
-def _noise(search: Search, found: Account) -> Array:
-    """Variance of each joint's noise, shape (n,), [N²·m²]."""
-    learnt = np.maximum(search.evidence.count, 1)
-    return np.asarray(found.ceiling * search.noise / learnt)
-
-
-def left_unseen(scored: Explanation, found: Account, search: Search) -> float:
+def left_unseen(scored: Explanation, found: Account) -> float:
     """Part of the gap that is left on unseen motions, where that is not noise.
 
     What is explained where it was learnt may not be explained elsewhere.
     """
-    variance = np.maximum(_noise(search, found), 1e-300)
+    variance = np.maximum(found.noise, 1e-300)
     left = whole = 0.0
     for before, after, noise in zip(scored.before, scored.after, variance, strict=True):
         usual = _BEYOND * len(after)

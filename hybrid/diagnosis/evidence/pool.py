@@ -22,13 +22,13 @@ from hybrid.diagnosis.evidence.refine import gain
 from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.gap.gap import Columns, Gap
+from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
 
 _RIPPLES, _MOST_RIPPLES = 3, 24  # orders added at each joint at a time, and in all
 _CONTACTS = 2  # contacts added at a time
-_GAP = 10.0  # nat, evidence for any effect at a joint that has a gap
 
 
 class Pool:
@@ -107,10 +107,10 @@ class Pool:
     def add_steep(self, base: Index) -> None:
         """Add steep effects at their best gain beside a base, at joints with a gap."""
         worth = {c.place: x for c, x in reversed(self.ranked(base))}
-        odd = {joints[-1] for (_, joints), x in worth.items() if x > _GAP}
+        with_gap = {at[-1] for (_, at), x in worth.items() if x > Prior.cause}
         for effect_id, joints in worth:
             cls = effect_classes()[effect_id]
-            if cls.steep and joints[-1] in odd:
+            if cls.steep and joints[-1] in with_gap:
                 fine = fine_candidates(self.gap, cls, joints)
                 self._add([max(fine, key=lambda c: gain(self.evidence, base, c))])
 

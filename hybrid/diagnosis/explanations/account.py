@@ -21,13 +21,15 @@ class Account:
         before: With the background alone, shape (n,).
         after: With all known causes, shape (n,).
         ceiling: With the unknown laws as well, shape (n,), and without the excess at
-            low frequencies that no law explains. It is the noise.
+            low frequencies that no law explains.
+        noise: The same as a variance, shape (n,), [N²·m²].
         depends: Signals on which the unknown laws of each joint depend.
     """
 
     before: Array
     after: Array
     ceiling: Array
+    noise: Array
     depends: tuple[str, ...]
 
     @property
@@ -62,10 +64,11 @@ def account(search: Search, reached: Array | None = None) -> Account:
     slow = _slow_share(search)
     for i in np.flatnonzero(slow):
         depends[i] = depends[i] or "what does not recur"
-    ceiling = ceiling * (1.0 - slow)
+    ceiling = ceiling * np.maximum(1.0 - slow, 0.0)
     if reached is not None:
         ceiling = np.minimum(ceiling, reached)
-    return Account(before, after, ceiling, tuple(depends))
+    variance = ceiling * search.noise / np.maximum(search.evidence.count, 1)
+    return Account(before, after, ceiling, variance, tuple(depends))
 
 
 def _slow_share(search: Search) -> Array:

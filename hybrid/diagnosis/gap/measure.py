@@ -51,12 +51,7 @@ def measure_gap(
     """
     motions, cutoff = motions_of(recordings, cutoff)
     motions = [correct(m) for m in motions] if correct else motions
-    for motion in motions:
-        if not np.isfinite(motion.tau).all():
-            raise RecordingError(
-                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
-                "positions and torques"
-            )
+    _check_torque(motions)
     faults = [_faults(x, m, cutoff) for x, m in zip(recordings, motions, strict=True)]
     motions = [
         replace(m, mask=m.mask & ~f.posture)
@@ -84,6 +79,15 @@ def measure_gap(
         np.concatenate(left), used, fold, trajectory,
         tuple(note for f in faults for note in f.notes),
     )  # fmt: skip
+
+
+def _check_torque(motions: Sequence[Motion]) -> None:
+    for motion in motions:
+        if not np.isfinite(motion.tau).all():
+            raise RecordingError(
+                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
+                "positions and torques"
+            )
 
 
 def _standing(
