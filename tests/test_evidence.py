@@ -12,11 +12,14 @@ from scipy.stats import multivariate_normal
 from hybrid.diagnosis.answer.unseen import left_unseen
 from hybrid.diagnosis.evidence.bayes import log_bayes
 from hybrid.diagnosis.evidence.contacts import _OF_ALL, _Stretch
-from hybrid.diagnosis.evidence.estimate import estimate_noise, lower_noise
+from hybrid.diagnosis.evidence.estimate import (
+    estimate_noise,
+    lower_noise,
+    set_noise_model,
+)
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise import low_frequency_excess, without_events
 from hybrid.diagnosis.evidence.ripples import ripple_orders
-from hybrid.diagnosis.explanations.noise_model import set_noise_model
 from hybrid.diagnosis.prior import Prior
 from hybrid.signals import butterworth, memory
 

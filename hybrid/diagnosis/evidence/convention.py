@@ -173,11 +173,7 @@ class _TimePrior:
 
 
 class _TimeEvidence:
-    """Evidence for the delay of each joint's torque, and for each servo's step.
-
-    Args:
-        gap: The gap, in the lower band.
-    """
+    """Evidence for the delay of each joint's torque, and for each servo's step."""
 
     def __init__(self, gap: Gap) -> None:
         robot, prior = gap.robot, Prior()
@@ -231,9 +227,7 @@ class _TimeEvidence:
     ) -> tuple[_TimePrior, _TimePrior]:
         """The most probable priors of delays and of steps.
 
-        Args:
-            steps: Time steps of the simulation, [s].
-            least: Shortest common delay that is no step, [s].
+        A common delay is a step of the simulation, or longer than the least, [s].
         """
         delays, damped = (self._priors(x, steps) for x in self._sizes)
         pairs = [(x, y) for x in delays for y in damped]

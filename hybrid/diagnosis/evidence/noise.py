@@ -3,6 +3,9 @@
 Sensor noise is as strong at all frequencies, and that of derivatives is stronger at
 high ones. So the upper half of a residual's band shows its noise; what exceeds that in
 the lower half is not noise.
+
+A residual with holes is given by its values ``x`` and their positions in time ``row``,
+shape (R,) each, its ``rate``, and the ``cutoff`` of its band, both in [Hz].
 """
 
 from __future__ import annotations
@@ -75,15 +78,9 @@ def _predictors(covariance: Array) -> Array:
 
 
 def autocovariance(x: Array, row: NDArray[np.intp], lags: int) -> Array:
-    """Autocovariance of a signal with holes at lags 0 to p, shape (p + 1,).
-
-    Args:
-        x: The signal, shape (R,).
-        row: Position of each sample in time, shape (R,), ascending.
-        lags: Largest lag p.
-    """
-    full = np.zeros(row[-1] - row[0] + 1 + lags)
-    full[row - row[0]] = x
+    """Autocovariance of a residual at lags from 0 to the largest, (lags + 1,)."""
+    full = np.zeros(np.ptp(row) + 1 + lags)
+    full[row - row.min()] = x
     end = len(full) - lags
     return np.array([full[:end] @ full[k : end + k] for k in range(lags + 1)]) / len(x)
 
@@ -114,11 +111,6 @@ def without_events(x: Array, row: NDArray[np.intp], rate: float) -> NDArray[np.b
 
     The power of noise is the same at all times. A stretch with many times the median
     power holds an event.
-
-    Args:
-        x: The residual, shape (R,).
-        row: Position of each sample in time, shape (R,).
-        rate: Samples per second, [Hz].
     """
     stretch = row // round(_STRETCH * rate)
     count = np.bincount(stretch)
@@ -130,14 +122,7 @@ def without_events(x: Array, row: NDArray[np.intp], rate: float) -> NDArray[np.b
 def relative_noise_power(
     x: Array, row: NDArray[np.intp], rate: float, cutoff: float
 ) -> Array:
-    """Noise power around each sample over the median one, at least 1, shape (R,).
-
-    Args:
-        x: The residual, shape (R,).
-        row: Position of each sample in time, shape (R,).
-        rate: Samples per second, [Hz].
-        cutoff: End of its band, [Hz].
-    """
+    """Noise power around each sample over the median one, at least 1, shape (R,)."""
     if not len(row):
         return np.ones(0)
     first = row.min()
@@ -156,28 +141,14 @@ def relative_noise_power(
 def low_frequency_excess(
     x: Array, row: NDArray[np.intp], rate: float, cutoff: float
 ) -> float:
-    """Squares in the lower half of a residual's band beyond those of its noise.
-
-    Args:
-        x: The residual, shape (R,).
-        row: Position of each sample in time, shape (R,).
-        rate: Samples per second, [Hz].
-        cutoff: End of its band, [Hz].
-    """
+    """Squares in the lower half of a residual's band beyond those of its noise."""
     power, f = _spectrum(x, row, rate)
     lower, upper = power[f < LOWER_BAND * cutoff], _upper(power, f / cutoff)
     return float(lower.sum() - len(lower) * upper.mean()) if len(upper) else 0.0
 
 
 def noise_bound(x: Array, row: NDArray[np.intp], rate: float, cutoff: float) -> float:
-    """Upper bound of the mean square of a signal's noise, from its upper half band.
-
-    Args:
-        x: The signal, shape (R,).
-        row: Position of each sample in time, shape (R,).
-        rate: Samples per second, [Hz].
-        cutoff: End of its band, [Hz].
-    """
+    """Upper bound of the mean square of a signal's noise, from its upper half band."""
     power, f = _spectrum(x, row, rate)
     upper = _upper(power, f / cutoff)
     return float(np.sum(f < cutoff) * upper.mean() / len(x)) if len(upper) else 0.0

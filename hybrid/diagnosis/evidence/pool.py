@@ -39,9 +39,6 @@ class Pool:
         without: Ids of effects to leave out of the library.
 
     Attributes:
-        gap: The gap.
-        evidence: The cross-products.
-        without: Ids of effects that are left out.
         tried: The candidates with their columns.
     """
 

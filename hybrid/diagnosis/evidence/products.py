@@ -67,15 +67,7 @@ class Products:
     def add_columns(
         self, blocks: Sequence[Columns], sizes: Sequence[int]
     ) -> list[Index]:
-        """Add columns.
-
-        Args:
-            blocks: Columns by joint, shape (M, p) each.
-            sizes: Number of columns p of each block.
-
-        Returns:
-            Numbers of the columns of each block.
-        """
+        """Add blocks of columns of some sizes; see :meth:`.Evidence.add`."""
         index = []
         fresh: list[list[Array]] = [[] for _ in self.rows]
         names: list[list[int]] = [[] for _ in self.rows]

@@ -125,15 +125,7 @@ def _scan_gain(
 
 
 def add_shape_derivatives(evidence: Evidence, effect: Effect) -> Index:
-    """Add the derivative of an effect's torque to each of its normalised shapes.
-
-    Args:
-        evidence: Cross-products to which the columns are added.
-        effect: The effect with its gains.
-
-    Returns:
-        The columns, one for each shape, shape (s,).
-    """
+    """Add the derivative of an effect's torque to each normalised shape, (s,)."""
     blocks = shape_derivatives(evidence.gap, effect)
     if not blocks:
         return np.zeros(0, dtype=np.intp)

@@ -84,11 +84,9 @@ class Screening:
     ) -> Array:
         """Gain in log evidence by each block, shape (B,), [nat].
 
-        Args:
-            less: Columns of the base that are left out.
-            precision: Inverse prior variance of each column's gain, shape (K,).
-            lower: Lower bound of each gain, shape (K,).
-            fixed_gains: See :func:`.log_bayes`; of each block.
+        The columns ``less`` of the base are left out. ``precision`` and ``lower`` are
+        of each column, shape (K,), and ``fixed_gains`` of each block; see
+        :func:`.log_bayes`.
         """
         squares, moment = self._without(less)
         starts = np.sort(np.concatenate([x[:, 0] for x in self.places.values()]))

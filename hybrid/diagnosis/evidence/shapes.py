@@ -71,12 +71,7 @@ def part_of_range(shape: Quantity, low: float, high: float) -> float:
 def fit_shapes(
     effect: Effect, gain: Callable[[Effect], float], gap: Gap
 ) -> tuple[Effect, float]:
-    """Maximise a function of an effect over its shapes, near the given ones.
-
-    Args:
-        effect: The effect with its initial shapes.
-        gain: The function.
-        gap: The gap, for the bounds of the shapes.
+    """Maximise a function of an effect over its shapes, near its own.
 
     Returns:
         The effect with the best shapes, and the function's value.

@@ -68,10 +68,8 @@ class Belief:
     def simplest(self, slack: float) -> Proposal | None:
         """A simpler effect that is as probable; ``None`` if there is none.
 
-        For a law at its limit it is the law that it has become.
-
-        Args:
-            slack: Difference of log probability that is ignored, [nat].
+        For a law at its limit it is the law that it has become. A difference of log
+        probability up to the slack, [nat], is ignored.
         """
         (own, best), *rest = self.alternatives
         known = [(x, p) for x, p in rest if x.candidate is not None]

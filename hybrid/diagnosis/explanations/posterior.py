@@ -24,14 +24,17 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import Candidate
-from hybrid.diagnosis.evidence.estimate import estimate_noise, lower_noise
+from hybrid.diagnosis.evidence.estimate import (
+    estimate_noise,
+    lower_noise,
+    set_noise_model,
+)
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.pool import Pool
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.refine import refine
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.noise_model import set_noise_model
 from hybrid.diagnosis.explanations.other_samples import OtherSamples
 from hybrid.diagnosis.explanations.unknown_laws import UnknownLaws
 from hybrid.diagnosis.gap.background import (

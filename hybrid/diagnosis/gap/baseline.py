@@ -48,11 +48,7 @@ class Baseline:
     def subtract_from(
         self, logs: Sequence[Recording | Motion]
     ) -> list[Recording | Motion]:
-        """Logs without the torque of the model's effects and remainder.
-
-        Args:
-            logs: Checked logs of the arm, or motions made from them.
-        """
+        """Checked logs, or motions, without the model's effects and remainder."""
         motions, _ = motions_of(logs, self.model.cutoff)
         return [
             replace(x, tau=x.tau - self._torque(m))
