@@ -36,8 +36,8 @@ def transmission_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
     side = np.tanh(load / (np.sqrt(np.mean(load**2)) + 1e-12))
     features = {
         "load": np.hstack([
-            low_passed(gap, _and_past(gap, side), gap.cutoff),
-            _and_past(gap, load),
+            low_passed(gap, _with_lags(gap, side), gap.cutoff),
+            _with_lags(gap, load),
         ]),
         "position": low_passed(gap, smooth_features(q, _KNOTS), low),
     }  # fmt: skip
@@ -53,7 +53,7 @@ def transmission_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
         )
 
 
-def _and_past(gap: Gap, x: Array) -> Array:
+def _with_lags(gap: Gap, x: Array) -> Array:
     return np.column_stack([x, lagged_differences(gap, x)])
 
 

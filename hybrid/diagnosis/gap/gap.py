@@ -85,10 +85,9 @@ class Gap:
     @cached_property
     def sampled(self) -> Motion:
         """The motions at the decimated samples, stacked."""
-        parts = list(zip(self.motions, self.samplers, strict=True))
 
         def stack(name: str) -> Array:
-            return np.concatenate([getattr(m, name)[:: s.factor] for m, s in parts])
+            return np.concatenate([getattr(m, name)[:: s.factor] for m, _, s in self])
 
         t, q, v, a, tau, mask = map(stack, ("t", "q", "v", "a", "tau", "mask"))
         warm = None
@@ -99,14 +98,12 @@ class Gap:
     @cached_property
     def measured(self) -> Array:
         """Measured torque, filtered as the gap is, shape (M, n), [N·m]."""
-        parts = zip(self.motions, self.samplers, strict=True)
-        return np.concatenate([sampler(m.tau) for m, sampler in parts]) + self.left
+        return np.concatenate([sampler(m.tau) for m, _, sampler in self]) + self.left
 
     @cached_property
     def load(self) -> Array:
         """Simulated torque on the links, without rotor and friction, (M, n), [N·m]."""
-        parts = zip(self.bodies, self.samplers, strict=True)
-        return np.concatenate([body.load[:: s.factor] for body, s in parts])
+        return np.concatenate([body.load[:: s.factor] for _, body, s in self])
 
     @property
     def rate(self) -> float:
@@ -191,7 +188,7 @@ class Gap:
         column would come out too small.
         """
         parts = []
-        for m, sampler in zip(self.motions, self.samplers, strict=True):
+        for m, _, sampler in self:
             low = partial(butterworth, rate=m.rate, cutoff=LOWER_BAND * self.cutoff)
             # The torque is filtered: simulated again, its dry friction would reverse
             # at other times.
