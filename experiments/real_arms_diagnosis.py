@@ -35,7 +35,7 @@ from hybrid import Robot, read_recordings
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.gap.split import between, split
+from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.report import numbers_table, provenance, save_figure, write_results
@@ -54,7 +54,7 @@ def measure(arm: Arm, data: Path) -> Score:
     diagnosis = replace(result.diagnosis, advice=advise(result, rng))
     seconds = middle - start, process_time() - middle
     learnt, gap = split(result.gap), result.gap
-    unseen = np.sum(~learnt & between(gap, learnt) & gap.sampled.mask) / gap.rate
+    unseen = np.sum(unseen_samples(gap, learnt) & gap.sampled.mask) / gap.rate
     return Score(arm.name, diagnosis, held_out(result), float(unseen), seconds)
 
 

@@ -131,9 +131,9 @@ def test_separation_is_in_units_of_noise_and_grows_with_time():
 def white():
     """The search's noise white, as strong as it is slow: as an outlook takes it."""
     search = poorly_recorded("load_friction", 0, 0.3)[0].search
-    search.evidence.weigh(search.evidence.noise[:, None])
+    search.evidence.set_covariances(search.evidence.noise[:, None])
     yield
-    search.evidence.weigh(search.covariances)
+    search.evidence.set_covariances(search.covariances)
 
 
 def test_what_is_told_is_what_a_search_on_all_data_would_find(white):
@@ -156,7 +156,7 @@ def test_what_is_told_is_what_a_search_on_all_data_would_find(white):
         np.concatenate([gap.trajectory, ahead.trajectory + gap.trajectory.max() + 1]),
     )  # fmt: skip
     fresh = Search(both, np.append(old, np.ones(len(new), dtype=bool)))
-    fresh.evidence.weigh(search.evidence.noise[:, None])
+    fresh.evidence.set_covariances(search.evidence.noise[:, None])
     fresh.evidence.precision[fresh.rigid] = search.evidence.precision[search.rigid]
     best = gain(fresh.evidence, fresh.base(), first.candidate)
     _, other = fresh.refine(fresh.base(), second.candidate)

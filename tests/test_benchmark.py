@@ -11,7 +11,7 @@ from blind.draw import command_effects, draw, torque_effects
 from blind.generate import generate
 from blind.independent import INDEPENDENT
 from blind.measures import MEASURES, Ratio, confusion, size
-from blind.motions import motion_error
+from blind.motions import having, motion_error
 from blind.robots import complete, load_arm, off_by
 from blind.run import code_digest, read_open, read_rows, run_cases
 from blind.score import Named, covered, score
@@ -376,7 +376,7 @@ def test_the_motion_error_falls_as_far_as_with_the_truth():
     error = motion_error(planar(), [RIPPLE, STRIBECK])
     assert error.oracle < 0.5 * error.before
     assert error.share == pytest.approx(1.0, abs=0.1)
-    nothing = replace(planar(), search=planar().search.having([]))
+    nothing = replace(planar(), search=having(planar().search, []))
     assert motion_error(nothing, [RIPPLE, STRIBECK]).share == 0.0
 
 

@@ -93,7 +93,7 @@ def test_a_faultless_simulation_has_no_gap(integrator, after, seed):
     robot, logs = raw_logs("coman_like", integrator, after, seed=seed)
     diagnosis = examine(robot, logs).diagnosis
     assert diagnosis.verdict == "no_gap"
-    said = [w for w in diagnosis.warnings if "taken back" in w]
+    said = [w for w in diagnosis.warnings if "corrected" in w]
     assert len(said) == after + (integrator == IMPLICIT_FAST)
 
 

@@ -14,11 +14,11 @@ from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.contacts import Contacts
-from hybrid.diagnosis.evidence.shapes import nudges, shape_units
-from hybrid.diagnosis.gap.background import rest, soft_friction
+from hybrid.diagnosis.evidence.shapes import shape_derivatives, shape_units
+from hybrid.diagnosis.gap.background import friction_near_rest, soft_friction
 from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.diagnosis.gap.split import between, split
+from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.dynamics import RigidBody
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash
@@ -67,7 +67,7 @@ class TestShapes:
             gap.columns(ripple.at({"periods": periods + x}))[1] @ ripple.gain_values
             for x in (-1e-3, 1e-3)
         ]
-        (unit,), (nudge,) = shape_units(gap, ripple), nudges(gap, ripple)
+        (unit,), (nudge,) = shape_units(gap, ripple), shape_derivatives(gap, ripple)
         expected = (near[1] - near[0]) / 2e-3 * unit
         error = nudge[1][:, 0] - expected
         assert np.linalg.norm(error) < 0.05 * np.linalg.norm(expected)
@@ -143,7 +143,7 @@ class TestGap:
         robot, recordings = logs([], count=count, duration=duration)
         gap = measure_gap(robot, recordings)
         learn = split(gap)
-        unseen = ~learn & between(gap, learn)
+        unseen = unseen_samples(gap, learn)
         assert learn.mean() > 0.5
         assert 0.05 < unseen.mean() < 0.35
 
@@ -233,7 +233,7 @@ class TestGap:
     @pytest.mark.parametrize("knee", [0.012, 0.014, 0.017, 0.02, 0.024])
     def test_dry_friction_that_is_full_from_any_low_speed_on_is_no_cause(self, knee):
         gap = faultless().gap
-        columns, _ = rest(gap)
+        columns, _ = friction_near_rest(gap)
         known = columns[0][0]  # of the shoulder's softened friction
         soft = soft_friction(gap, 0, [knee], [0.0])
         left = soft - known @ np.linalg.lstsq(known, soft)[0]
@@ -261,7 +261,7 @@ class TestGap:
         diagnosis = examine(robot, [*recordings[:3], replace(recordings[3], tau=tau)])
         (finding,) = diagnosis.diagnosis.findings
         assert finding.effect == "contact"
-        assert any("no step has seen" in x for x in diagnosis.diagnosis.warnings)
+        assert any("not on unseen motions" in x for x in diagnosis.diagnosis.warnings)
 
     def test_fit_and_score_share_nothing(self):
         gap = planar().gap
@@ -270,7 +270,7 @@ class TestGap:
         robot, recordings = logs([], count=1, duration=20.0)
         single = measure_gap(robot, recordings)
         learn = split(single)
-        scored = ~learn & between(single, learn)
+        scored = unseen_samples(single, learn)
         known, place = np.flatnonzero(learn), np.flatnonzero(scored)
         after = known[np.minimum(np.searchsorted(known, place), len(known) - 1)]
         before = known[np.searchsorted(known, place) - 1]
@@ -638,7 +638,7 @@ class TestEvents:
         robot, recordings = logs([Contact((0, 1), push)], count=1, duration=12.0)
         diagnosis = examine(robot, recordings).diagnosis
         assert [f.effect for f in diagnosis.findings] == ["contact"]
-        assert any("only in what was learnt from" in w for w in diagnosis.warnings)
+        assert any("only on the training samples" in w for w in diagnosis.warnings)
 
     @pytest.mark.study
     @pytest.mark.parametrize("number", [0, 1])

@@ -15,7 +15,7 @@ from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.intervals import shrink
 from hybrid.diagnosis.answer.simulator import corrected
 from hybrid.diagnosis.evidence.contacts import _Clock
-from hybrid.diagnosis.evidence.shapes import nudges, shape_units
+from hybrid.diagnosis.evidence.shapes import shape_derivatives, shape_units
 from hybrid.diagnosis.gap.background import background
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import RigidBody
@@ -57,7 +57,7 @@ def test_at_the_end_of_a_range_the_change_is_that_to_what_lies_within():
         for x in (3.999, 4.0)
     )
     expected = (now - before) / 1e-3 * shape_units(gap, end)[0]
-    error = nudges(gap, end)[0][1][:, 0] - expected
+    error = shape_derivatives(gap, end)[0][1][:, 0] - expected
     assert np.linalg.norm(error) < 0.2 * np.linalg.norm(expected)  # one-sided
 
 

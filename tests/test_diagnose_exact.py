@@ -18,7 +18,7 @@ from hybrid.diagnosis.answer.replayed import motion_shrink, replayed, rollout_ag
 from hybrid.diagnosis.diagnose import diagnose, examine
 from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.diagnosis.gap.split import between, split
+from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
 from hybrid.effects.command_latency import CommandLatency
@@ -281,7 +281,7 @@ class TestMotion:
         replay, gap = run, run.scored.gap
         learn = split(gap)
         assert [m.source for m in replay.motions] == ["swing 3"]
-        assert (~learn & between(gap, learn)).sum() == len(replay.motions[0].t)
+        assert unseen_samples(gap, learn).sum() == len(replay.motions[0].t)
         assert replay.windows.samples == round(0.5 * gap.rate)
         starts = replay.windows.sample
         assert (np.diff(starts) >= replay.windows.samples).all() and starts[0] == 0
@@ -404,7 +404,7 @@ def test_a_fall_is_of_root_mean_squares():
 def test_columns_of_a_changed_signal_make_up_the_whole_change(effect):
     """They are linear near its gains only, and at these they are exact."""
     gap = measure_gap(pendulum(2), swings(2), cutoff=CUTOFF)
-    columns, reached = gap.columns(effect, calm=False), effect.reaches(2)
+    columns, reached = gap.columns(effect, lower_band=False), effect.reaches(2)
     assert set(columns) == set(reached)
     change = []
     for m, _, sampler in gap:

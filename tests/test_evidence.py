@@ -10,12 +10,16 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from hybrid.diagnosis.answer.unseen import left_unseen
-from hybrid.diagnosis.evidence.bayes import coloured, log_bayes, quiet
+from hybrid.diagnosis.evidence.bayes import log_bayes
 from hybrid.diagnosis.evidence.contacts import _OF_ALL, _Stretch
-from hybrid.diagnosis.evidence.estimate import estimate_noise, lower_noise
+from hybrid.diagnosis.evidence.estimate import (
+    estimate_noise,
+    lower_noise,
+    set_noise_model,
+)
 from hybrid.diagnosis.evidence.evidence import Evidence
+from hybrid.diagnosis.evidence.noise import low_frequency_excess, without_events
 from hybrid.diagnosis.evidence.ripples import ripple_orders
-from hybrid.diagnosis.explanations.weight import weigh
 from hybrid.diagnosis.prior import Prior
 from hybrid.signals import butterworth, memory
 
@@ -105,7 +109,7 @@ def test_screening_and_trying_add_what_solving_both_says():
 def test_squares_are_those_of_the_residual():
     _, _, _, evidence, index = problem(2)
     found = evidence.solve(np.concatenate(index))
-    squares = evidence.squares(found.index, found.gains).sum(axis=1)
+    squares = evidence.squares(found.index, found.gains)
     for i in range(2):
         left = evidence.residual(i, found.index, found.gains)
         assert squares[i] == pytest.approx(left @ left)
@@ -121,11 +125,11 @@ def test_what_is_lost_on_a_fold_is_by_the_gains_of_all_others():
         A = X[fit].T / noise[fit] @ X[fit] + np.diag(1 / prior)
         gains = np.linalg.solve(A, X[fit].T @ (y[fit] / noise[fit]))
         expected += np.sum((y[test] - X[test] @ gains) ** 2 / noise[test])
-    lost = evidence.left_out(np.concatenate(index))
+    lost = evidence.held_out_loss(np.concatenate(index))
     np.testing.assert_allclose(lost, expected)  # of white noise both are the same
     gap.trajectory = np.zeros(M, dtype=int)
-    evidence.weigh([np.array([x]) for x in evidence.noise])
-    np.testing.assert_allclose(evidence.left_out(np.concatenate(index)), expected)
+    evidence.set_covariances([np.array([x]) for x in evidence.noise])
+    np.testing.assert_allclose(evidence.held_out_loss(np.concatenate(index)), expected)
 
 
 def test_noise_is_found_beside_many_columns():
@@ -215,11 +219,11 @@ def test_several_candidates_at_once_are_each_alone(seed, size, fixed):
         rng.uniform(0.1, 2.0, (5, size)),
         rng.choice([-np.inf, 0.0], (5, size)),
     )
-    made_at = rng.uniform(0.1, 2.0, (5, size)) if fixed else None
-    worth, gains = log_bayes(H, s, prior, lower, made_at)
+    fixed_gains = rng.uniform(0.1, 2.0, (5, size)) if fixed else None
+    worth, gains = log_bayes(H, s, prior, lower, fixed_gains)
     assert worth.shape == (5,)
     for k in range(5):
-        own = None if made_at is None else made_at[k]
+        own = None if fixed_gains is None else fixed_gains[k]
         alone, best = log_bayes(H[k], s[k], prior[k], lower[k], own)
         assert worth[k] == pytest.approx(float(alone))
         assert gains[k] == pytest.approx(best)
@@ -268,7 +272,7 @@ def test_a_stretch_in_which_something_happened_is_not_quiet():
     x = np.random.default_rng(2).standard_normal(1000)
     x[300:350] *= 10.0  # half a second
     np.testing.assert_array_equal(
-        quiet(x, np.arange(1000), 100.0), np.arange(1000) // 50 != 6
+        without_events(x, np.arange(1000), 100.0), np.arange(1000) // 50 != 6
     )
 
 
@@ -279,21 +283,21 @@ def test_what_is_stronger_at_low_frequencies_is_told_from_noise(size):
     wave, found = size * np.sin(2 * np.pi * 0.7 * t), []
     for _ in range(10):
         x = butterworth(rng.standard_normal(len(t)), rate=200.0, cutoff=40.0) + wave
-        found.append(coloured(x[rows], rows, 200.0, 40.0))
+        found.append(low_frequency_excess(x[rows], rows, 200.0, 40.0))
     expected = wave[rows] @ wave[rows]
     assert np.median(found) == pytest.approx(expected, rel=0.1, abs=150.0)
 
 
 @pytest.mark.parametrize(
-    ("made_at", "its_own"), [(1.0, True), (10.0, False), (0.1, False)]
+    ("fixed_gains", "its_own"), [(1.0, True), (10.0, False), (0.1, False)]
 )
-def test_columns_of_one_gain_do_not_explain_at_quite_another(made_at, its_own):
+def test_columns_of_one_gain_do_not_explain_at_quite_another(fixed_gains, its_own):
     H, s, one = np.array([[4.0]]), np.array([4.0]), np.ones(1)
     free, best = log_bayes(H, s, one, np.zeros(1))
-    worth, gains = log_bayes(H, s, one, np.zeros(1), np.array([made_at]))
-    pinned = made_at * 4.0 - 0.5 * made_at**2 * 4.0
+    worth, gains = log_bayes(H, s, one, np.zeros(1), np.array([fixed_gains]))
+    pinned = fixed_gains * 4.0 - 0.5 * fixed_gains**2 * 4.0
     assert worth == pytest.approx(free if its_own else pinned)
-    assert gains == pytest.approx(best if its_own else [made_at])
+    assert gains == pytest.approx(best if its_own else [fixed_gains])
 
 
 def test_the_gains_of_some_columns_are_in_their_order():
@@ -309,7 +313,7 @@ def test_what_is_too_slow_for_noise_is_never_more_than_all_of_it():
     """A constant, above all: it is at one frequency, not at two."""
     rng = np.random.default_rng(3)
     x = 5.0 + rng.standard_normal(400)
-    slow = coloured(x, np.arange(400), 100.0, 20.0)
+    slow = low_frequency_excess(x, np.arange(400), 100.0, 20.0)
     assert 0.9 < slow / (x @ x) < 1.0
 
 
@@ -340,13 +344,10 @@ def test_contacts_meet_in_the_same_recording_at_the_same_time(of, first, meets):
 )
 def test_what_is_left_unseen_counts_beyond_noise_only(before, after, part):
     """Mean squares of a joint's gap on motions kept apart, in units of noise."""
-    size = 1000
-    gap = [[np.sqrt(x) * np.ones(size)] for x in (before, after)]
-    count = SimpleNamespace(count=np.array([[size]]))
+    gap = [[np.sqrt(x) * np.ones(1000)] for x in (before, after)]
     left = left_unseen(
         SimpleNamespace(before=gap[0], after=gap[1]),
-        SimpleNamespace(noise=np.array([float(size)])),
-        SimpleNamespace(evidence=count, noise=np.array([1.0])),
+        SimpleNamespace(noise=np.ones(1)),
     )
     assert left == pytest.approx(part, abs=0.01)
 
@@ -354,13 +355,13 @@ def test_what_is_left_unseen_counts_beyond_noise_only(before, after, part):
 def test_no_two_simulators_agree_by_noise_that_has_no_memory():
     rng = np.random.default_rng(0)
     gap = one_joint(rng.standard_normal(400), cutoff=20.0)
-    gap.measured, gap.known = 30.0 * rng.standard_normal((400, 1)), None
+    gap.measured, gap.subtracted = 30.0 * rng.standard_normal((400, 1)), None
     gap.trajectory = np.zeros(400, dtype=int)
     evidence = Evidence(gap, None)
     (index,) = evidence.add([{0: rng.standard_normal((400, 2))}], [np.ones(2)])
     kept = evidence.covariances[0].copy()
-    prior = Prior(inexact=0.0, solver=0.1)
-    (found,) = weigh(evidence, np.ones(1), index, prior)
+    prior = Prior(law_error=0.0, solver_error=0.1)
+    (found,) = set_noise_model(evidence, np.ones(1), index, prior)
     np.testing.assert_array_equal(found[1:], kept[1:])
     added = 0.1**2 * gap.measured.var()
     assert found[0] > kept[0] + added
@@ -369,6 +370,6 @@ def test_no_two_simulators_agree_by_noise_that_has_no_memory():
 
 def test_gains_may_be_held_to_a_part_of_the_size_they_came_with():
     _, _, std, evidence, index = problem()
-    evidence.spread(index[1], 0.1)
+    evidence.scale_prior(index[1], 0.1)
     expected = np.concatenate([std[0], 0.1 * std[1], std[2]]) ** -2.0
     np.testing.assert_allclose(evidence.precision, expected)

@@ -10,10 +10,10 @@ from simulated import arm
 
 from hybrid.diagnosis.explanations.belief import Belief
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.proposal import Proposal
+from hybrid.diagnosis.explanations.joint_laws import joint_laws, waves
+from hybrid.diagnosis.explanations.proposals import Proposal
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.diagnosis.explanations.twist import twists
-from hybrid.diagnosis.explanations.unknown import unknown_laws, waves
+from hybrid.diagnosis.explanations.transmission_laws import transmission_laws
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.gap.split import split
 from hybrid.effects.coulomb import Coulomb
@@ -59,28 +59,28 @@ def test_what_is_as_probable_as_something_unknown_is_there_by_half():
 
 def test_what_is_e_times_less_probable_counts_by_that():
     found = belief(proposed(SHARP, 20.0), proposed(SOFT, 19.0))
-    (_, own), (_, other) = found.alike
+    (_, own), (_, other) = found.alternatives
     assert other / own == pytest.approx(np.exp(-1.0))
     assert found.probability == pytest.approx(1.0)
 
 
 def test_what_is_hardly_probable_is_not_alike_but_for_a_twin():
     far = proposed(SOFT, 12.0)
-    assert len(belief(proposed(SHARP, 20.0), far).alike) == 1
-    assert len(belief(proposed(SHARP, 20.0), far, twins={far.place}).alike) == 2
+    assert len(belief(proposed(SHARP, 20.0), far).alternatives) == 1
+    assert len(belief(proposed(SHARP, 20.0), far, twins={far.place}).alternatives) == 2
 
 
 def test_the_plainer_of_two_that_are_as_probable_is_named():
     cause = Cause(("presliding", (0,)), np.zeros(1, dtype=int), 10.0)
     for gain, plainer in ((19.8, True), (19.0, False)):
         both = {x.place: x for x in (proposed(SOFT, 20.0), proposed(SHARP, gain))}
-        found = Belief.of(cause, 5.0, both, (), 0.01).plainest(0.5)
+        found = Belief.of(cause, 5.0, both, (), 0.01).simplest(0.5)
         assert (found is not None) == plainer
 
 
 def test_unknown_laws_are_of_every_sample_and_finite():
     gap = gap_of("stribeck")
-    laws = dict(unknown_laws(gap, 1))
+    laws = dict(joint_laws(gap, 1))
     assert {"position", "speed", "load", "time", "past of speed"} <= set(laws)
     for x in laws.values():
         assert x.shape[0] == len(gap.left) and np.isfinite(x).all()
@@ -111,7 +111,7 @@ class TestTwists:
             tau.append(sampler(body.response(dq, dv, da)))
         tau = np.concatenate(tau)
         left = {}
-        for name, columns in twists(gap, 0):
+        for name, columns in transmission_laws(gap, 0):
             rows = np.vstack([columns[j] for j in range(gap.robot.size)])
             target = np.concatenate([tau[:, j] for j in range(gap.robot.size)])
             gains = np.linalg.lstsq(rows, target, rcond=1e-9)[0]
@@ -140,9 +140,9 @@ def test_numbers_of_the_file_that_fail_on_unseen_motion_stay_near_the_file():
         recordings = simulate(plant, trajectories=4, duration=5.0, seed=1)
     gap = measure_gap(plant.robot, recordings)
     search = Search(gap, split(gap), without=("saturation", "soft_saturation"))
-    usual, before = search.off, search.test.evidence.power.sum(axis=1)
-    search.spread(2.0)
+    usual, before = search.file_error, search.test.evidence.power
+    search.set_file_error(2.0)
     assert search.test.squares([])[1] > 4 * before[1]
-    search.stand_in()
-    assert search.off == usual
+    search.substitute_unknown_laws()
+    assert search.file_error == usual
     assert search.test.squares([])[1] < before[1]

@@ -12,13 +12,19 @@ from hybrid.diagnosis.answer import command
 from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.findings import Beside, found_at, listed
 from hybrid.diagnosis.answer.locate import _even, _upto, _visited, time_since_reversal
-from hybrid.diagnosis.evidence.bayes import heavy_tailed, log_bayes, most_noise
-from hybrid.diagnosis.explanations.servo_fit import at_once, blur, evidence, fit
+from hybrid.diagnosis.evidence.bayes import heavy_tailed, log_bayes
+from hybrid.diagnosis.evidence.noise import noise_bound
+from hybrid.diagnosis.explanations.servo_fit import (
+    fit,
+    fit_without_latency,
+    hidden_damping,
+    log_likelihood_ratio,
+)
+from hybrid.diagnosis.gap.coverage import not_excited, reversals
 from hybrid.diagnosis.gap.faults import _usual_run, find_faults, stretches
 from hybrid.diagnosis.gap.measure import _around, block_seconds, measure_gap
 from hybrid.diagnosis.gap.servo import LATENCIES, ServoLog, laws
-from hybrid.diagnosis.gap.split import between, split
-from hybrid.diagnosis.gap.visited import not_excited, reversals
+from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.viscous import Viscous
@@ -125,11 +131,11 @@ def test_recordings_are_folds_or_blocks_of_at_most_three_seconds(count, seconds)
         assert (np.diff(own)[np.diff(block) == 1] != 0).all()
     assert gap.fold.max() <= 7
     learn = split(gap)
-    apart = between(gap, learn)
+    unseen = unseen_samples(gap, learn)
     reach = round(length / 6 * gap.rate)
-    for k in np.flatnonzero(~learn & apart):
+    for k in np.flatnonzero(unseen):
         assert not learn[max(0, k - reach) : k + reach + 1].any()
-    assert (~learn & apart).any()
+    assert unseen.any()
 
 
 def test_first_order_columns_are_slopes_of_the_simulated_torque():
@@ -188,7 +194,7 @@ def test_a_leap_of_torque_on_the_way_is_left_out():
     tau = np.where(t < 1.0, 0.0, 5.0)[:, None] + 0.01 * np.sin(3 * t)[:, None]
     found = find_faults(Recording(t, q, tau=tau, joints=m.joints, source="log"))
     (note,) = found.notes
-    assert "torque of hinge_0 jumps on the way, at 0.99 s first" in note
+    assert "torque of hinge_0 jumps while the joint moves, first at 0.99 s" in note
     assert np.flatnonzero(found.posture).tolist() == [99, 100]
 
 
@@ -271,7 +277,7 @@ def served(*, kp=80.0, kd=5.0, feed=0.0, weight=0.0, age=0.0, late=0.0, shift=0.
     ],
 )
 def test_a_servos_law_is_found_with_its_gains_and_times(law, gains):
-    found = fit(served(**law), list(laws()), prompt=False)
+    found = fit(served(**law), list(laws()), immediate=False)
     np.testing.assert_allclose(found.gains, gains, rtol=0.01, atol=0.01)
     assert found.late == pytest.approx(law.get("late", 0.0), abs=2e-4)
     assert found.shift == pytest.approx(law.get("shift", 0.0), abs=2e-4)
@@ -288,30 +294,35 @@ def test_a_servos_law_is_found_with_its_gains_and_times(law, gains):
 def test_a_position_that_is_logged_late_is_no_latency():
     """Torque is early then, by as much as the command is late."""
     log = served(late=0.03, shift=-0.03)
-    found = fit(log, list(laws()), prompt=True)
+    found = fit(log, list(laws()), immediate=True)
     assert (found.late, found.shift) == pytest.approx((0.03, -0.03), abs=5e-4)
     assert found.latency == pytest.approx(0.0, abs=5e-4)
     assert found.latency_std < 1e-3
-    late = fit(served(shift=0.02), list(laws()), prompt=True)
+    late = fit(served(shift=0.02), list(laws()), immediate=True)
     assert (late.late, late.shift) == pytest.approx((0.0, 0.02), abs=5e-4)
-    prompt = fit(served(late=0.04), list(laws()), prompt=True)
+    prompt = fit(served(late=0.04), list(laws()), immediate=True)
     assert np.std(prompt.left) > 0.1  # the command is late, and that is not asked
 
 
 def test_without_its_latency_a_law_leaves_more_and_evidence_says_by_how_much():
     log = served(late=0.04)
-    found = fit(log, list(laws()), prompt=False)
-    less = at_once(log, list(laws()), found)
+    found = fit(log, list(laws()), immediate=False)
+    less = fit_without_latency(log, list(laws()), found)
     assert (less.late, less.shift) == (0.0, 0.0)
-    assert evidence(log, less, found) > 50.0 > evidence(log, found, found) == 0.0
-    assert evidence(log, found, less) < 0.0
+    assert (
+        log_likelihood_ratio(log, less, found)
+        > 50.0
+        > log_likelihood_ratio(log, found, found)
+        == 0.0
+    )
+    assert log_likelihood_ratio(log, found, less) < 0.0
 
 
 def test_stated_gains_are_taken_as_they_are():
     stated = list(laws(80.0, 5.0))
-    found = fit(served(feed=1.0), stated, prompt=False)
+    found = fit(served(feed=1.0), stated, immediate=False)
     np.testing.assert_allclose(found.gains, [0.0, 0.3], atol=0.01)
-    soft = fit(served(kp=60.0), stated, prompt=False)
+    soft = fit(served(kp=60.0), stated, immediate=False)
     assert np.std(soft.left) > 0.5
     assert LATENCIES[0] == 0.0 and len(stated) == 10 == len(list(laws()))
 
@@ -322,8 +333,8 @@ def test_noise_of_a_speed_hides_so_much_of_its_damping(noise):
     own = log.own.copy()
     own[:, 2] += noise * rng.standard_normal(len(own))
     log = replace(log, own=own)
-    found = fit(log, list(laws()), prompt=False)
-    part = blur(log, found, 100.0, 50.0)
+    found = fit(log, list(laws()), immediate=False)
+    part = hidden_damping(log, found, 100.0, 50.0)
     assert part == pytest.approx(1 - found.gains[1] / 5.0, abs=0.06)
     assert (part > 0.05) == (noise > 0)
 
@@ -332,9 +343,9 @@ def test_the_most_that_noise_can_be_is_that_of_the_upper_half_of_the_band():
     rng, row = np.random.default_rng(0), np.arange(4000)
     white = rng.standard_normal(4000)
     tone = 5.0 * np.sin(2 * np.pi * 3.0 * row / 100.0)
-    found = most_noise(white + tone, row, 100.0, 50.0)
+    found = noise_bound(white + tone, row, 100.0, 50.0)
     assert found == pytest.approx(1.0, rel=0.1)
-    slow = most_noise(tone, row, 100.0, 50.0)
+    slow = noise_bound(tone, row, 100.0, 50.0)
     assert slow < 1e-3
 
 
@@ -386,7 +397,7 @@ def test_a_damping_that_noise_hides_part_of_is_not_wrong_by_that(
         law=SimpleNamespace(scaled=False), gains=np.array(gains),
         covariance=np.diag([1.0, 1.0, 1e-4, 1e-6]),
     )  # fmt: skip
-    monkeypatch.setattr(command, "blur", lambda *_: hidden)
+    monkeypatch.setattr(command, "hidden_damping", lambda *_: hidden)
     assert command._wrong(found, gap, None, 0) == wrong
 
 

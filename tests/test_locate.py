@@ -8,8 +8,8 @@ import pytest
 from simulated import arm
 
 from hybrid.diagnosis.answer.locate import locate, time_since_reversal
+from hybrid.diagnosis.gap.coverage import not_excited, reversals
 from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.diagnosis.gap.visited import not_excited, reversals
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.spring import Spring
 from hybrid.plant import random_fourier

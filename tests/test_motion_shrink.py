@@ -67,7 +67,7 @@ def explained(effects, terms, noisy=False, trajectories=4, fundamental=None):
     gap = measure_gap(arm("planar"), recordings, cutoff=40.0)
     learn = split(gap)
     search = Search(gap, learn, without=list(effect_classes()))
-    search.evidence.spread(search.background, 0.003)
+    search.evidence.scale_prior(search.background, 0.003)
     search.causes = [search.cause(candidate(gap, effect_of(name))) for name in terms]
     return explain(search)
 

@@ -58,7 +58,7 @@ def test_the_evidence_of_coloured_noise_is_that_of_its_covariance():
     gap, blocks, std, evidence, index = problem(2)
     gap.trajectory = np.zeros(len(gap.fold), dtype=int)
     own = [covariance(0.6, 0.7), covariance(-0.3, 1.9)]
-    evidence.weigh(own)
+    evidence.set_covariances(own)
     X, y, _, prior = dense(gap, blocks, std, evidence.noise)
     C = np.zeros((len(y), len(y)))
     start = 0
@@ -78,7 +78,7 @@ def test_the_evidence_of_coloured_noise_is_that_of_its_covariance():
     expected -= multivariate_normal(zero, C).logpdf(y)
     found = evidence.solve(np.concatenate(index))
     assert found.evidence == pytest.approx(expected, abs=1e-6)
-    left = sum(evidence.lost(found.index, found.gains))
+    left = sum(evidence.weighted_squares(found.index, found.gains))
     fit = y - X @ found.gains
     assert left == pytest.approx(fit @ np.linalg.solve(C, fit))
     for i, rows in enumerate(evidence.rows):
@@ -100,9 +100,9 @@ def test_noise_may_be_weighed_anew():
         return evidence.solve(every).evidence, gain
 
     white = found()
-    evidence.weigh([covariance(0.6), covariance(-0.4)])
+    evidence.set_covariances([covariance(0.6), covariance(-0.4)])
     assert not np.any(np.isclose(found(), white))
-    evidence.weigh(evidence.noise[:, None])
+    evidence.set_covariances(evidence.noise[:, None])
     np.testing.assert_allclose(found(), white)
 
 

@@ -11,7 +11,7 @@ from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.explanation import explain, shares
 from hybrid.diagnosis.explanations.refit import (
-    _over_shapes,
+    _profile_range,
     _reported,
     refit,
     solve_all,
@@ -97,12 +97,12 @@ def test_an_effect_at_every_joint_is_as_probable_as_one_and_then_at_each_or_not(
     causes = [cause(at, e) for e in BOTH]
     cost = sum(at.prior.cause + price(e) for e in BOTH)
     saved = cost - (at.prior.cause + 2 * np.log(2.0))
-    assert at.alike(causes) == pytest.approx(saved)
-    assert at.alike(causes[:1]) == 0.0
-    assert at.alike(causes[:1], "coulomb") == pytest.approx(saved)
-    assert at.alike(causes, "coulomb") == pytest.approx(saved + at.prior.cause)
-    assert at.alike([causes[0], cause(at, DRAGS)]) == 0.0
-    assert at.alike([*causes, causes[0]]) == pytest.approx(saved)
+    assert at.kind_discount(causes) == pytest.approx(saved)
+    assert at.kind_discount(causes[:1]) == 0.0
+    assert at.kind_discount(causes[:1], "coulomb") == pytest.approx(saved)
+    assert at.kind_discount(causes, "coulomb") == pytest.approx(saved + at.prior.cause)
+    assert at.kind_discount([causes[0], cause(at, DRAGS)]) == 0.0
+    assert at.kind_discount([*causes, causes[0]]) == pytest.approx(saved)
 
 
 def test_what_a_term_is_worth_is_the_evidence_lost_without_it():
@@ -114,13 +114,13 @@ def test_what_a_term_is_worth_is_the_evidence_lost_without_it():
         lost = fall + at.odds(at.causes[k]) - price(term.candidate.effect)
         assert at.loss(term) == pytest.approx(lost)
         assert at.placed(term) == (term.place[0], "hinge_0")
-    assert len(at.base()) == len(at.base(at.terms[0])) + 1
+    assert len(at.base()) == len(at.rigid) + 2
 
 
 def test_a_wider_prior_costs_the_logarithm_of_how_much_wider_it_is():
     at = search(RUBS)
     usual = candidate(at.gap, RUBS)
-    one, ten = (at.cause(replace(usual, wider=w)) for w in (1.0, 10.0))
+    one, ten = (at.cause(replace(usual, prior_factor=w)) for w in (1.0, 10.0))
     assert ten.cost - one.cost == pytest.approx(np.log(10.0))
     assert one.cost == pytest.approx(at.prior.cause + price(RUBS))
     std = at.evidence.precision[[one.index[0], ten.index[0]]] ** -0.5
@@ -130,28 +130,30 @@ def test_a_wider_prior_costs_the_logarithm_of_how_much_wider_it_is():
 def test_no_law_is_worth_more_than_it_is_inexact_by():
     """A law that is off by 3 % leaves 9e-4 of its squares, and an unknown one 0.01."""
     at = search(RUBS)
-    whole = at.evidence.lost(at.rigid, at.evidence.solve(at.rigid).gains)[0] / 2
+    whole = (
+        at.evidence.weighted_squares(at.rigid, at.evidence.solve(at.rigid).gains)[0] / 2
+    )
     known, law = cause(at, DRAGS), at.laws.all[0]
-    assert at.mimicked(known) == pytest.approx(9e-4 * whole, rel=1e-6)
-    assert at.mimicked(law) == pytest.approx(0.01 * whole, rel=1e-6)
-    assert at.odds(known) == pytest.approx(known.cost + at.mimicked(known))
+    assert at.model_error_odds(known) == pytest.approx(9e-4 * whole, rel=1e-6)
+    assert at.model_error_odds(law) == pytest.approx(0.01 * whole, rel=1e-6)
+    assert at.odds(known) == pytest.approx(known.cost + at.model_error_odds(known))
 
 
 def test_a_cause_gives_way_to_what_explains_more_in_its_place():
     at = search(RUBS)
     wrong = cause(at, DRAGS)
     at.causes = [wrong]
-    assert at._renew(wrong)
+    assert at._exchange(wrong)
     assert places(at) == {("coulomb", (0,))}
     (right,) = at.causes
-    assert not at._renew(right) and at.causes == [right]
+    assert not at._exchange(right) and at.causes == [right]
 
 
 def test_a_cause_that_explains_nothing_gives_way_to_nothing():
     at = search(RUBS)
     spare = cause(at, ASKEW)
     at.causes = [cause(at, RUBS), spare]
-    assert at._renew(spare) and places(at) == {("coulomb", (0,))}
+    assert at._exchange(spare) and places(at) == {("coulomb", (0,))}
     at.causes = [cause(at, RUBS), cause(at, ASKEW), cause(at, DRAGS)]
     at._remove()
     assert places(at) == {("coulomb", (0,))}
@@ -176,7 +178,7 @@ def test_a_law_that_no_library_has_is_unknown_and_its_stand_ins_are_known():
     assert law.candidate is None and law.place[1] == (0,)
     assert at.known == [] and at.terms == [] and len(at.background) > len(at.rigid)
     before = at.score([])
-    at.stand_in()
+    at.substitute_unknown_laws()
     assert all(c.candidate is not None for c in at.causes)
     assert at.score(at.causes) >= before
     assert at.whole == [law]
@@ -226,14 +228,15 @@ def test_an_unknown_law_is_as_strong_as_it_has_to_be_at_a_cost():
 
 def test_numbers_of_a_file_that_are_farther_off_are_less_probable():
     at = search(*BOTH, size=2)
-    assert at.doubt(0.02) == 0.0
-    assert at.doubt(0.01) == pytest.approx(0.5)  # a factor of two: one deviation
+    assert at.file_error_odds(0.02) == 0.0
+    # A factor of two is one deviation.
+    assert at.file_error_odds(0.01) == pytest.approx(0.5)
     links = at.prior.cause + 2 * np.log(2.0)  # each of both may be another one then
-    assert at.doubt(0.08) == pytest.approx(0.5 * 2.0**2 + links)
-    at.spread(0.5)
-    assert at.widest == 0.5
-    at.spread(0.01)
-    assert at.widest == 0.05
+    assert at.file_error_odds(0.08) == pytest.approx(0.5 * 2.0**2 + links)
+    at.set_file_error(0.5)
+    assert at.reported_file_error == 0.5
+    at.set_file_error(0.01)
+    assert at.reported_file_error == 0.05
 
 
 def test_a_link_that_is_heavier_than_its_file_says_is_told():
@@ -245,31 +248,31 @@ def test_a_link_that_is_heavier_than_its_file_says_is_told():
     for arm, told in ((robot, True), (pendulum(2), False)):
         known = measure_gap(arm, logs, cutoff=10.0)
         at = Search(known, split(known), list(effect_classes()))
-        at.spread(0.02)
-        assert (1 in at.strained([])) == bool(at.strained([])) == told
+        at.set_file_error(0.02)
+        assert (1 in at.doubtful_joints([])) == bool(at.doubtful_joints([])) == told
 
 
 def test_noise_is_at_most_what_an_explanation_leaves():
     at = search(RUBS)
     at.causes = [cause(at, RUBS)]
-    at.listen(at.causes)
+    at.update_noise(at.causes)
     true = at.noise.copy()
     at.noise *= 100.0
     at.evidence.covariances[0] *= 100.0
-    assert at.listen(at.causes)
+    assert at.update_noise(at.causes)
     np.testing.assert_allclose(at.noise, true, rtol=0.3)
-    assert not at.listen(at.causes)
+    assert not at.update_noise(at.causes)
 
 
 def test_a_cause_lowers_the_squares_on_samples_that_nothing_was_learnt_from():
     at = search(RUBS, ASKEW)
     at.causes = [cause(at, e) for e in (RUBS, ASKEW, DRAGS)]
-    falls = [at.unseen(at.causes)[c] for c in at.causes]
+    falls = [at.unseen_gain(at.causes)[c] for c in at.causes]
     assert falls[0] > 50 and falls[1] > 50 and abs(falls[2]) < 5
-    assert at.unseen([]) == {}
-    assert at._holds(at.causes) is False or abs(falls[2]) < 5
+    assert at.unseen_gain([]) == {}
+    assert at._is_cross_validated(at.causes) is False or abs(falls[2]) < 5
     at.causes = []
-    assert at._holds([cause(at, RUBS)])
+    assert at._is_cross_validated([cause(at, RUBS)])
 
 
 def test_a_cause_has_to_help_on_recordings_that_were_not_learnt_from():
@@ -301,7 +304,7 @@ def test_no_law_is_held_to_be_exact():
     small, large = search(RUBS, size=2), search(RUBS, LARGE, size=2)
     more = [x.evidence.noise - x.noise for x in (small, large)]
     assert np.all(more[0] > 0.0)
-    least = small.prior.inexact**2 * 25.0  # of one sample that is like no other
+    least = small.prior.law_error**2 * 25.0  # of one sample that is like no other
     assert more[1][1] - more[0][1] > least
     assert abs(more[1][0] - more[0][0]) < 0.1 * (more[1][1] - more[0][1])
 
@@ -322,7 +325,7 @@ def test_nothing_is_counted_of_a_joint_without_samples():
 def test_values_are_those_of_the_arm_within_their_intervals():
     at = search(RUBS, ASKEW)
     at.run()
-    for effect in refit(at.gap, at):
+    for effect in refit(at):
         truth = {"coulomb": RUBS, "torque_offset": ASKEW}[effect.id]
         for name, value in effect.values.items():
             off = abs(value - truth.values[name])
@@ -332,10 +335,10 @@ def test_values_are_those_of_the_arm_within_their_intervals():
 def test_the_interval_of_a_shape_is_that_of_all_that_fit_nearly_as_well():
     at = search(BRISTLES, library=("presliding",))
     at.run()
-    (found,) = refit(at.gap, at)
+    (found,) = refit(at)
     assert abs(found.values["distance"] - 0.05) < 3 * found.std["distance"] < 0.01
     assert abs(found.values["level"] - 1.0) < 3 * found.std["level"] < 0.1
-    evidence, solution, (own,) = solve_all(at.gap, at)
+    evidence, solution, (own,) = solve_all(at)
     base = np.setdiff1d(solution.index, own)
     candidate_, steps = at.known[0].candidate, [-1.96, 0.0, 1.96]
     worth = []
@@ -370,7 +373,7 @@ def test_a_shape_is_as_far_off_as_fits_nearly_as_well():
     """Within 1.92 nat of the best: its region of 95 %."""
     at = search(BRISTLES, library=("presliding",))
     (cause,) = at.run()
-    evidence, solution, (own,) = solve_all(at.gap, at)
+    evidence, solution, (own,) = solve_all(at)
     base, found = np.setdiff1d(solution.index, own), cause.candidate
     bends, best = found.effect.shapes[0], found.effect.values["distance"]
     width = np.log(bends.upper / bends.lower)
@@ -383,7 +386,7 @@ def test_a_shape_is_as_far_off_as_fits_nearly_as_well():
     assert not inside[0] and not inside[-1]
     region = np.abs(values - best)[inside].max()
     for std in (0.003, 0.006):  # from wherever it was drawn
-        far = _over_shapes(evidence, base, found, np.array([[std**2]]))
+        far = _profile_range(evidence, base, found, np.array([[std**2]]))
         assert far[-1] == pytest.approx(region, rel=0.2)
 
 
@@ -406,7 +409,7 @@ def test_a_spring_is_stiffer_than_its_file_says_by_so_much():
     springy = Spring((0,), {"stiffness": 3.0})
     at = search(springy, library=("spring", *FEW))
     at.run()
-    (found,) = refit(at.gap, at)
+    (found,) = refit(at)
     assert found.id == "spring"
     assert abs(found.values["stiffness"] - 3.0) < 3 * found.std["stiffness"] < 0.5
 
@@ -473,6 +476,6 @@ def test_a_search_is_freed_with_its_last_use():
     """It holds all columns: hundreds of megabytes, which no cycle may keep alive."""
     at = search(RUBS)
     assert at.run()
-    at.stand_in()
+    at.substitute_unknown_laws()
     at, alive = None, weakref.ref(at)
     assert alive() is None

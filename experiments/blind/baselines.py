@@ -25,9 +25,9 @@ from blind.score import Named
 from blind.sysid import fit_sysid, has_sysid
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.evidence.candidates import Term
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.products import Index
-from hybrid.diagnosis.evidence.term import Term
 from hybrid.errors import IdentificationError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -102,7 +102,7 @@ def _stepwise(evidence: Evidence, base: Index, tried: Sequence[Term]) -> list[Te
     """Candidates in the order in which an F-test takes them in."""
     chosen: list[Term] = []
     samples = int(evidence.count.sum())
-    rest = float((evidence.power.sum(axis=1) / evidence.noise).sum())
+    rest = float((evidence.power / evidence.noise).sum())
     for _ in range(_MOST):
         now = np.concatenate([base, *(t.index for t in chosen)])
         open_ = [t for t in tried if t not in chosen]
@@ -157,7 +157,7 @@ def _fixed(evidence: Evidence, tried: Sequence[Term]) -> list[Term]:
     A, b = evidence.normal(index)
     inverse = np.linalg.inv(A + _RIDGE * np.diag(np.diag(A)) + 1e-12 * np.eye(len(b)))
     values = inverse @ b
-    whole = float((evidence.power.sum(axis=1) / evidence.noise).sum())
+    whole = float((evidence.power / evidence.noise).sum())
     each = (whole - float(b @ values)) / max(int(evidence.count.sum()) - len(b), 1)
     telling = values**2 / np.diag(inverse) / max(each, 1e-300)
     order = np.argsort(-telling)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from hybrid.diagnosis.answer.replay import Replay
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.evidence.candidates import Candidate, candidate
 from hybrid.diagnosis.explanations.explanation import explain
+from hybrid.diagnosis.explanations.search import Search
 from hybrid.effects import Effect
 from hybrid.errors import EffectError
 
@@ -41,6 +43,13 @@ class MotionError:
         return (self.before - self.found) / most
 
 
+def having(search: Search, chosen: Sequence[Candidate]) -> Search:
+    """The same search with some effects as all of its causes."""
+    other = copy(search)
+    other.causes = [search.cause(c) for c in chosen]
+    return other
+
+
 def motion_error(result: Result, truth: Sequence[Effect]) -> MotionError | None:
     """Simulate the motions kept for scoring with three models fitted alike.
 
@@ -58,7 +67,7 @@ def motion_error(result: Result, truth: Sequence[Effect]) -> MotionError | None:
     found = [term.candidate for term in search.terms]
 
     def error(chosen: Sequence[Candidate]) -> float:
-        replay = Replay(explain(search.having(chosen)))
+        replay = Replay(explain(having(search, chosen)))
         if replay.horizon != _HORIZON:
             return np.nan
         squares = replay.squares(replay.all_terms)[:, joints]

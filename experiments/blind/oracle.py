@@ -62,7 +62,7 @@ def shrinkage(
     test = measure_gap(gap.robot, unseen, cutoff=gap.cutoff)
     found = [term.candidate for term in search.terms]
     true = [candidate(gap, effect) for effect in truth]
-    noise, off = search.evidence.noise, search.off
+    noise, off = search.evidence.noise, search.file_error
     bare, ours, best = (_Fit.of(gap, test, c, noise, off) for c in ([], found, true))
     return Shrinkage(
         before=bare.rms,
@@ -135,7 +135,7 @@ def _evidence(
 ) -> Evidence:
     evidence = Evidence(gap)
     rigid = np.concatenate(evidence.add(*background(gap)))
-    evidence.spread(rigid, off)
+    evidence.scale_prior(rigid, off)
     evidence.noise = noise
     if chosen:
         evidence.add([gap.columns(c.effect) for c in chosen], [c.std for c in chosen])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.candidates import declared
+from hybrid.diagnosis.evidence.candidates import nominal
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.effects import Effect
@@ -102,9 +102,9 @@ class Rig:
         if not all(x.lower <= effect.values[x.name] <= x.upper for x in bounds):
             return False
         robot, masses = self.robot, self.robot.chain.inertial[:, 0]
-        known, first = declared(robot), abs(effect.gain_values[0])
-        if effect.id in known:
-            return bool(first >= _LEAST * known[effect.id][j])
+        declared, first = effect.declared(nominal(robot)), abs(effect.gain_values[0])
+        if declared is not None:
+            return bool(first >= _LEAST * declared[j])
         most = {
             "asymmetric_friction": robot.frictionloss[j],  # friction never pushes
             "link_inertia": _MOST_LINK * masses[j],

@@ -1,4 +1,4 @@
-"""The verb: what a simulator lacks, from logs of the real arm."""
+"""Diagnosis of a simulator from logs of the real arm."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ from hybrid.diagnosis.answer.locate import locate
 from hybrid.diagnosis.answer.replayed import replayed
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
-from hybrid.diagnosis.evidence.candidates import Candidate
+from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.evidence.logs import measured, since_first
-from hybrid.diagnosis.evidence.term import Term
 from hybrid.diagnosis.explanations.account import Account, account
 from hybrid.diagnosis.explanations.belief import unknown_worth
 from hybrid.diagnosis.explanations.cause import Cause
@@ -30,12 +29,11 @@ from hybrid.diagnosis.explanations.explanation import Explanation, explain, shar
 from hybrid.diagnosis.explanations.refit import refit
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.baseline import Baseline
+from hybrid.diagnosis.gap.coverage import not_excited
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.grounds import too_little, unlike
 from hybrid.diagnosis.gap.split import split
 from hybrid.diagnosis.gap.units import units
-from hybrid.diagnosis.gap.visited import not_excited
-from hybrid.effects import Effect
+from hybrid.diagnosis.gap.usability import too_little_motion, wrong_simulator
 from hybrid.effects.delay import Delay
 from hybrid.identification.preparation import taken
 from hybrid.model import DynamicModel
@@ -46,25 +44,26 @@ from hybrid.threads import one_thread
 
 Progress = Callable[[str], None]
 
-_EXPLAINED = 0.9  # of the squares above noise, of a gap that is explained
-_HALF = 0.5
-_ONCE = (
-    "{} acts only in what was learnt from: its shrinkage is on the same samples, not "
-    "on motions that no step has seen"
+_EXPLAINED = 0.9  # share of the squares above noise, of a gap that is explained
+_PROBABLE = 0.5  # probability of a cause that is named
+_MISSED = 0.05  # share of all squares above noise, of a joint without a cause
+_UNTESTED = (
+    "{} acts only on the training samples: its shrinkage is measured on them, and not "
+    "on unseen motions"
 )
-_FAR = (
-    "the numbers of the file are off by some {:.0%}: that is a gap of its own, and "
-    "small errors of single links are not told from it"
+_FILE_ERRORS = (
+    "the numbers of the file have errors of about {:.0%}, which are a gap themselves: "
+    "smaller errors of single links cannot be found"
 )
 _PLACEHOLDERS = (
-    "the numbers of the file look like placeholders: the logs ask for quite others, "
-    "and errors of single links are not told from that"
+    "the numbers of the file look like placeholders, far from those of the logs: "
+    "errors of single links cannot be found"
 )
-_STRAINED = (
-    "numbers of the file at {} take up the gap there, and are farther off than files "
-    "usually are"
+_DOUBTFUL = (
+    "numbers of the file at {} would explain the gap there, but with larger errors "
+    "than files usually have"
 )
-_WHERE = "{} at {} may as well be {} at {}: these motions do not tell"
+_OTHER_JOINT = "{} at {} may as well be {} at {}: these motions cannot tell them apart"
 
 
 def diagnose(
@@ -76,17 +75,17 @@ def diagnose(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Say where a sim-to-real gap lies, what causes it, and how far it shrinks.
+    """Find where a sim-to-real gap lies, what causes it, and how far it shrinks.
 
     Args:
-        robot: The simulator as it stands today; or a model of the healthy arm, which
-            is to say what has changed since.
-        recordings: Logs of the real arm: time, position and torque. One with holes
-            counts as several.
-        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
+        robot: The simulator; or a model of the healthy arm, to find what has changed.
+        recordings: Logs of the real arm: time, position and torque. A log with missing
+            samples counts as several.
+        cutoff: Cut-off of the low-pass filter, [Hz]; chosen from the spectrum if not
+            given.
         without: Ids of effects to leave out of the library.
         seed: Seed of the bootstrap.
-        progress: Called with what is being done.
+        progress: Called with the name of each step.
 
     Raises:
         IdentificationError: There is no recording.
@@ -115,7 +114,7 @@ def examine(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Result:
-    """:func:`diagnose` in torque, with everything that led to the answer."""
+    """:func:`diagnose` without replay and advice, with all intermediate results."""
     tell, rng = progress or (lambda _: None), np.random.default_rng(seed)
     tell("measuring the gap")
     case = _Case.of(robot, recordings, cutoff, without)
@@ -126,7 +125,7 @@ def examine(
     floor = np.array(result.diagnosis.noise_floor)
     where = locate(case.as_logged, floor, rng)
     diagnosis = replace(result.diagnosis, where=where)
-    # Torque that was taken from the logs was asked for.
+    # Without the torque of a healthy model a log does not show the servo.
     if case.doubts or case.healthy:
         return replace(result, diagnosis=diagnosis)
     tell("asking whether torque follows the command")
@@ -140,15 +139,15 @@ def examine(
 
 @dataclass(frozen=True, eq=False)
 class _Case:
-    """Logs, and how they differ from a simulator.
+    """Corrected logs and their gap.
 
     Attributes:
-        recordings: The logs, with what their writer did taken back.
-        logged: How they were written.
+        recordings: The corrected logs.
+        logged: Their logging convention.
         gap: Their gap.
-        as_logged: The gap with the log taken at its word where torque in it is late.
+        as_logged: The gap without the correction for torque that another clock stamped.
         without: Ids of effects to leave out of the library.
-        healthy: What is known of the arm beyond its file, if a model is the simulator.
+        healthy: The model of the healthy arm, if that is the simulator.
     """
 
     recordings: Sequence[Recording | Motion]
@@ -166,86 +165,88 @@ class _Case:
         cutoff: float | None,
         without: Sequence[str],
     ) -> _Case:
-        """Measure the gap of logs; see :func:`diagnose`."""
+        """Correct logs and measure their gap; see :func:`diagnose`."""
         healthy = None
         if isinstance(robot, DynamicModel):
             healthy = Baseline(robot)
-            robot, without = healthy.robot, [*without, *healthy.constant]
+            robot, without = healthy.robot, [*without, *healthy.inborn]
         recordings = since_first(taken(robot, recordings))
         if healthy:
-            recordings = healthy.taken_from(recordings)
+            recordings = healthy.subtract_from(recordings)
         logged, recordings, *gaps = measured(
             robot, recordings, cutoff, clocks=Delay.id not in without
         )
-        gap, as_logged = map(healthy.beside, gaps) if healthy else gaps
+        gap, as_logged = map(healthy.with_subtracted, gaps) if healthy else gaps
         return cls(recordings, logged, gap, as_logged, tuple(without), healthy)
 
     @cached_property
     def doubts(self) -> list[str]:
-        """Why nothing can be said of such logs."""
-        return [x for x in (too_little(self.gap), unlike(self.gap)) if x is not None]
-
-    @property
-    def known(self) -> tuple[Effect, ...]:
-        """Effects of the model that is the simulator."""
-        return self.healthy.model.effects if self.healthy else ()
+        """Reasons why no cause can be named."""
+        reasons = too_little_motion(self.gap), wrong_simulator(self.gap)
+        return [x for x in reasons if x is not None]
 
 
 def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
-    """What explains the torque of some logs, and what is left."""
+    """Explain the torque of some logs."""
     gap, logged, doubts = case.gap, case.logged, list(case.doubts)
-    # Torque that is late at every joint is no term: it is taken back already.
+    # A delay of all torque is corrected already.
     late = [Delay.id] if logged.clocks else []
     search = Search(gap, split(gap), without=[*case.without, *late])
     if not doubts:
         tell("looking for the most probable explanation")
         search.run()
     reached = account(search).ceiling
-    named, alike = _believed(search, doubts)
-    found, far = account(search, reached), search.strained(search.causes)
+    named, alike = _drop_improbable(search, doubts)
+    found, far = account(search, reached), search.doubtful_joints(search.causes)
     if far:
-        doubts.append(_STRAINED.format(", ".join(gap.robot.joints[j] for j in far)))
-    search.stand_in()
+        doubts.append(_DOUBTFUL.format(", ".join(gap.robot.joints[j] for j in far)))
+    search.substitute_unknown_laws()
     kinds = [named.get(c, ()) for c in search.known]
-    tell("scoring on motions that no step has seen")
-    scored, effects = explain(search), refit(gap, search)
-    shown, left = unseen(search, found), left_unseen(scored, found, search)
+    tell("scoring on unseen motions")
+    scored, effects = explain(search), refit(search)
+    shown, left = unseen(search, found), left_unseen(scored, found)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
-    doubts += [_ONCE.format(f.effect) for f in causes if _once(f, scored)]
-    if search.off > search.prior.file[1]:
-        doubts.append(_FAR.format(search.off) if search.off < 1 else _PLACEHOLDERS)
+    doubts += [_UNTESTED.format(f.effect) for f in causes if _is_untested(f, scored)]
+    error, typical = search.file_error, search.prior.file_errors[1]
+    if error > typical:
+        doubts.append(_FILE_ERRORS.format(error) if error < 1 else _PLACEHOLDERS)
     if logged.clocks and not case.doubts:
         apart, others = clocks_apart(case.as_logged, scored, logged, rng)
         causes, effects = apart.joined(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
-    off = bool(far) or (not causes and search.off > search.prior.file[1])
-    verdict = _verdict(gap, found, causes, left, off=off)
+    doubtful = bool(far) or (not causes and error > typical)
+    verdict = _verdict(gap, found, causes, left, doubtful=doubtful)
     diagnosis = replace(
         _diagnosis(case.as_logged, search, found, causes, *verdict),
         unseen=shown,
         events=events_at_rest(case.as_logged),
         warnings=(*gap.notes, *logged.notes, *doubts),
     )
+    healthy = case.healthy.model.effects if case.healthy else ()
     return Result(diagnosis, case.as_logged, search, scored, found, effects,
-                  alike=alike, healthy=case.known)  # fmt: skip
+                  alike=alike, healthy=healthy)  # fmt: skip
 
 
-def _believed(
+def _drop_improbable(
     search: Search, doubts: list[str]
 ) -> tuple[dict[Cause, tuple[str, ...]], dict[Term, tuple[Candidate, ...]]]:
-    """Leave a search the causes that are more probable than something unknown.
+    """Remove causes from a search that are less probable than an unknown law.
+
+    Args:
+        search: A search that has run.
+        doubts: Warnings, to which those of an uncertain joint are added.
 
     Returns:
-        Ids that each cannot be told from, itself first; and what explains as much in
-        its place: at its joint, and the most probable at another one.
+        The ids of each cause's alternatives at its joint, its own first; and the
+        alternatives themselves, with the most probable one at another joint.
     """
-    beliefs = [b for b in search.beliefs if b.probability > _HALF]
+    beliefs = [b for b in search.beliefs if b.probability > _PROBABLE]
     beliefs = [b for b in beliefs if b.worth > unknown_worth(search, b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
     kinds, alike, names = {}, {}, search.gap.robot.joints
     for b, term in zip(beliefs, search.terms, strict=True):
-        known = [x.candidate for x, _ in b.alike if x.candidate is not None]
+        known = [x.candidate for x, _ in b.alternatives if x.candidate is not None]
         here = [c for c in known if {*c.place[1]} & {*term.place[1]}]
         there = [c for c in known if c not in here][:1]
         kinds[b.cause] = tuple(dict.fromkeys(c.place[0] for c in here))
@@ -253,11 +254,11 @@ def _believed(
         for c in there:
             both = (term.place, c.place)
             said = (w for e, at in both for w in (e, names[at[-1]]))
-            doubts.append(_WHERE.format(*said))
+            doubts.append(_OTHER_JOINT.format(*said))
     return kinds, alike
 
 
-def _once(finding: Finding, scored: Explanation) -> bool:
+def _is_untested(finding: Finding, scored: Explanation) -> bool:
     return scored.where_seen(scored.members(finding.effect)) is not scored
 
 
@@ -267,27 +268,27 @@ def _verdict(
     causes: Sequence[Finding],
     left: float,
     *,
-    off: bool,
+    doubtful: bool,
 ) -> tuple[Verdict, float]:
-    """What it comes to, and the unexplained share of the explainable gap.
+    """The verdict, and the unexplained share of the explainable gap.
 
     Args:
         gap: The gap.
-        found: What is explained of it where that was learnt.
-        causes: What is named.
-        left: Part of it that is left on unseen motions.
-        off: Whether numbers of the file are farther off than files usually are, with no
-            cause that explains it.
+        found: The explained part of it on the training samples.
+        causes: The named causes.
+        left: Share of it that is left on the test samples.
+        doubtful: Whether the file's numbers have larger errors than usual, which no
+            cause explains.
     """
-    if too_little(gap):
+    if too_little_motion(gap):
         return "not_excited", 1.0
     if not causes:
-        missed = off or bool(found.missed.sum() > 0) or unlike(gap) is not None
+        missed = doubtful or found.missed.any() or wrong_simulator(gap) is not None
         return ("unexplained", 1.0) if missed else ("no_gap", 0.0)
     share, whole = max(found.unknown, left), found.explained + found.missed
-    # A joint whose gap has no cause is not explained by what is found at others.
-    alone = (found.missed > found.explained) & (found.missed > 0.05 * whole.sum())
-    if 1.0 - share >= _EXPLAINED and not alone.any() and not off:
+    # The causes of other joints do not explain the gap of a joint without a cause.
+    alone = (found.missed > found.explained) & (found.missed > _MISSED * whole.sum())
+    if 1.0 - share >= _EXPLAINED and not alone.any() and not doubtful:
         return "explained", share
     return "partly_explained", share
 
@@ -300,24 +301,22 @@ def _diagnosis(
     verdict: Verdict,
     unexplained: float,
 ) -> Diagnosis:
-    rows = search.evidence.rows
-    count = np.array([max(len(r), 1) for r in rows])
-    squares = np.where(gap.moving, gap.left, 0.0) ** 2
-    moving = np.maximum(gap.moving.sum(axis=0), 1)
-    rms = np.sqrt(squares.sum(axis=0) / moving)
-    size = np.sqrt((np.where(gap.moving, gap.measured, 0.0) ** 2).sum(axis=0) / moving)
-    floor = np.sqrt(np.maximum(found.noise, 0.0) * search.noise / count)
+    count = np.maximum(gap.moving.sum(axis=0), 1)
+    rms, size = (
+        np.sqrt((np.where(gap.moving, x, 0.0) ** 2).sum(axis=0) / count)
+        for x in (gap.left, gap.measured)
+    )
     return Diagnosis(
         robot=gap.robot.name,
         joints=gap.robot.joints,
         rms=tuple(map(float, rms)),
         relative=tuple(map(float, rms / np.where(size > 0, size, np.inf))),
-        noise_floor=tuple(map(float, floor)),
+        noise_floor=tuple(map(float, np.sqrt(found.noise))),
         where=(),
         findings=tuple(effects),
         verdict=verdict,
         unexplained=unexplained,
-        background=search.off,
+        background=search.file_error,
         units=tuple(units(gap.robot, [j])[1] for j in range(gap.robot.size)),
         not_excited=not_excited(gap),
     )

@@ -19,8 +19,7 @@ from hybrid.diagnosis.advice.separation import (
     shapes_of,
 )
 from hybrid.diagnosis.answer.diagnosis import Advice
-from hybrid.diagnosis.evidence.candidates import Candidate
-from hybrid.diagnosis.evidence.term import Term
+from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.effects import Effect, effect_class
 from hybrid.effects.effect import Port

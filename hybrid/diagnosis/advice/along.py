@@ -11,8 +11,12 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import Candidate
 from hybrid.diagnosis.evidence.products import Index
-from hybrid.diagnosis.evidence.shapes import nudges
-from hybrid.diagnosis.gap.background import background, clocks, rest
+from hybrid.diagnosis.evidence.shapes import shape_derivatives
+from hybrid.diagnosis.gap.background import (
+    background,
+    friction_near_rest,
+    sampling_delays,
+)
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
@@ -49,13 +53,15 @@ class Along:
 
     def own(self, effect: Effect) -> list[Columns]:
         """Columns of an effect, and of small changes of its shapes."""
-        bends = [self._counted(x) for x in nudges(self.gap, effect)]
+        bends = [self._counted(x) for x in shape_derivatives(self.gap, effect)]
         return [self.columns(effect), *bends]
 
     @cached_property
     def background(self) -> list[Columns]:
         """Columns of the simulator's own numbers."""
-        parts = (x(self.gap)[0] for x in (background, rest, clocks))
+        parts = (
+            x(self.gap)[0] for x in (background, friction_near_rest, sampling_delays)
+        )
         return [self._counted(x) for blocks in parts for x in blocks]
 
     @cached_property

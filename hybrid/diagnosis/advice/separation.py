@@ -19,9 +19,13 @@ from scipy.linalg import cho_factor, cho_solve
 from hybrid.arrays import Array
 from hybrid.diagnosis.advice.along import Along
 from hybrid.diagnosis.evidence.bayes import heavy_tailed
-from hybrid.diagnosis.evidence.candidates import Candidate, scale_of, with_gains
-from hybrid.diagnosis.evidence.shapes import fit_shapes, nudges, price
-from hybrid.diagnosis.evidence.term import Term
+from hybrid.diagnosis.evidence.candidates import (
+    Candidate,
+    Term,
+    scale_of,
+    with_gains,
+)
+from hybrid.diagnosis.evidence.shapes import fit_shapes, price, shape_derivatives
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import Columns
 from hybrid.diagnosis.prior import Prior
@@ -79,7 +83,7 @@ def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
     (own,) = evidence.add([gap.columns(candidate.effect)], [candidate.std])
     solution = evidence.solve(np.concatenate([base, own]))
     effect = with_gains(candidate.effect, solution.gains[len(base) :])
-    blocks = nudges(gap, effect)
+    blocks = shape_derivatives(gap, effect)
     bends = evidence.add(blocks, [np.ones(1)] * len(blocks)) if blocks else []
     index = np.concatenate([base, own, *bends])
     A, _ = evidence.normal(index)
@@ -254,7 +258,7 @@ def needed(evidence: float) -> float:
         evidence: Of the explanation, [nat]; its law may be inexact.
     """
     prior = Prior()
-    return float(max(-np.log(prior.alike), prior.inexact * evidence))
+    return float(max(-np.log(prior.alternative), prior.law_error * evidence))
 
 
 def _joined(parts: Sequence[Sequence[Array]]) -> list[Array]:

@@ -19,14 +19,14 @@ from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS, NORMAL, shrink
 from hybrid.diagnosis.explanations.servo_fit import (
     WORTH,
     Fit,
-    at_once,
-    blur,
-    evidence,
     fit,
+    fit_without_latency,
+    hidden_damping,
+    log_likelihood_ratio,
 )
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.servo import FEWEST, Law, ServoLog, laws, servo_logs
-from hybrid.diagnosis.gap.split import between, split
+from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.diagnosis.gap.units import units
 from hybrid.effects import Effect
 from hybrid.effects.command_latency import CommandLatency
@@ -124,7 +124,7 @@ def command_link(
             it would be of something else.
     """
     learn = split(gap)
-    test = ~learn & between(gap, learn)
+    test = unseen_samples(gap, learn)
     kinds = [k for k in (CommandLatency, ControllerGain) if k.id not in without]
     servos = []
     for i, log in enumerate(servo_logs(gap, recordings)):
@@ -162,37 +162,37 @@ def _examined(
         return None
     free = list(laws())
     stated = _stated(gap, i)
-    whole = fit(own, free, prompt=False)
+    whole = fit(own, free, immediate=False)
     tau = unseen.torque(unseen.t)
     left = whole.residual(unseen)
     # A servo pulls towards its command.
     stiffness = whole.gains[1 if whole.law.scaled else 0]
     if left @ left > (1 - _EXPLAINED) * len(tau) * tau.var() or stiffness <= 0:
         return None
-    fits = {(True, True): whole, (False, True): at_once(own, free, whole)}
+    fits = {(True, True): whole, (False, True): fit_without_latency(own, free, whole)}
     found: list[type[Effect]] = []
     # A log may be a period late.
     least = max(_HELD, 1.0 / gap.motions[0].rate)
     late = whole.latency - NORMAL * whole.latency_std > least
-    if late and _better(own, unseen, fit(own, free, prompt=True), whole):
+    if late and _better(own, unseen, fit(own, free, immediate=True), whole):
         found.append(CommandLatency)
     same = False
     if stated:
         alike = [law for law in stated if law.scaled == whole.law.scaled]
-        fits[True, False] = fit(own, alike, prompt=False)
+        fits[True, False] = fit(own, alike, immediate=False)
         if _wrong(whole, gap, own, i) and _better(
             own, unseen, fits[True, False], whole
         ):
             found.append(ControllerGain)
-            scaled = fit(own, stated, prompt=False)
-            same = evidence(own, scaled, whole) < WORTH
+            scaled = fit(own, stated, immediate=False)
+            same = log_likelihood_ratio(own, scaled, whole) < WORTH
         elif found:
             # Less damping does what a late command undoes; of noise both let less pass.
-            thought = at_once(own, stated, fits[True, False])
+            thought = fit_without_latency(own, stated, fits[True, False])
             if not _better(own, unseen, thought, fits[True, False]):
                 found = []
         if len(found) == 2:
-            fits[False, False] = at_once(own, stated, whole)
+            fits[False, False] = fit_without_latency(own, stated, whole)
     noise = float(whole.left @ whole.left) / len(own.row)
     named = tuple(k for k in found if k in kinds)
     effects = _fitted(gap, i, log, named)
@@ -203,7 +203,7 @@ def _better(own: ServoLog, unseen: ServoLog, before: Fit, after: Fit) -> bool:
     """Whether a fit is better, on the samples it has seen and on others."""
     squares = [float(x @ x) for x in (before.residual(unseen), after.residual(unseen))]
     falls = squares[1] < (1 - _LEAST_FALL) * squares[0]
-    return falls and evidence(own, before, after) > WORTH
+    return falls and log_likelihood_ratio(own, before, after) > WORTH
 
 
 def _stated(gap: Gap, i: int) -> list[Law]:
@@ -237,7 +237,7 @@ def _wrong(found: Fit, gap: Gap, own: ServoLog, i: int) -> bool:
     """Whether gains are surely not the declared ones."""
     off, std = _off(found, gap, i)
     # Of what is there, the part that noise hides comes on top of what is seen.
-    part = blur(own, found, gap.rate, gap.cutoff)
+    part = hidden_damping(own, found, gap.rate, gap.cutoff)
     hidden = np.array([0.0, (1.0 + off[1]) * part / max(1.0 - part, 1e-3)])
     return bool((np.maximum(off, -off - hidden) - NORMAL * std > _LEAST_GAIN).any())
 
@@ -252,7 +252,7 @@ def _fitted(
     gap: Gap, i: int, log: ServoLog, kinds: Sequence[type[Effect]]
 ) -> tuple[Effect, ...]:
     """The effects of a joint with their values from all samples."""
-    found = fit(log, list(laws()), prompt=CommandLatency not in kinds)
+    found = fit(log, list(laws()), immediate=CommandLatency not in kinds)
     effects = []
     for kind in kinds:
         names = [g.name for g in kind.gains]

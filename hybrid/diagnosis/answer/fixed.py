@@ -94,7 +94,7 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
     """
     if not result.effects:
         return result.gap.robot, ()
-    _, solution, _ = solve_all(result.scored.gap, result.search)
+    _, solution, _ = solve_all(result.search)
     rigid = len(result.search.rigid)
     return corrected(result.scored, result.effects, solution.gains[:rigid])
 

@@ -21,7 +21,7 @@ from hybrid.diagnosis.answer.simulator import corrected, scored_effects
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.faults import stretches
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.split import between, split
+from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.effects import Effect
 from hybrid.plant.rollout import Windows, rollout
 from hybrid.regression.problem import part
@@ -55,7 +55,7 @@ class Replay:
         self.effects = scored_effects(scored)
         gap = scored.gap
         learn = split(gap)
-        unseen = ~learn & between(gap, learn)
+        unseen = unseen_samples(gap, learn)
         self.motions, usable, self._start = _motions(gap, unseen)
         self.horizon, self.windows = windows_of(usable, gap.rate)
         self._known: dict[tuple[frozenset[int], float], Array] = {}

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
-from hybrid.diagnosis.evidence.candidates import Candidate
-from hybrid.diagnosis.evidence.term import Term
+from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.explanations.account import Account
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.explanations.search import Search

@@ -32,11 +32,11 @@ def unseen(search: Search, found: Account) -> Unseen:
         return tuple(map(float, left))
 
     return Unseen(
-        before=rms(test.evidence.power.sum(axis=1)),
+        before=rms(test.evidence.power),
         after=rms(test.squares(search.causes)),
         least_squares=rms(_least_squares(search)),
         ceiling=rms(test.squares(search.whole)),
-        noise=tuple(map(float, np.sqrt(_noise(search, found)))),
+        noise=tuple(map(float, np.sqrt(found.noise))),
     )
 
 
@@ -50,25 +50,19 @@ def _least_squares(search: Search) -> Array:
         sizes.append(c.std)
     seen, other = Evidence(gap, search.learn), Evidence(gap, search.test.use)
     index, there = (np.concatenate(x.add(blocks, sizes)) for x in (seen, other))
-    seen.noise = seen.power.sum(axis=1) / np.maximum(seen.count.sum(axis=1), 1) + 1e-12
-    seen.spread(index, _FREE)
+    seen.noise = seen.power / np.maximum(seen.count, 1) + 1e-12
+    seen.scale_prior(index, _FREE)
     A, b = seen.normal(index)
-    left = other.squares(there, pseudo_solve(A + np.diag(seen.precision[index]), b))
-    return np.asarray(left.sum(axis=1))
+    gains = pseudo_solve(A + np.diag(seen.precision[index]), b)
+    return other.squares(there, gains)
 
 
-def _noise(search: Search, found: Account) -> Array:
-    """Variance of each joint's noise, shape (n,), [N²·m²]."""
-    learnt = np.maximum(search.evidence.count.sum(axis=1), 1)
-    return np.asarray(found.noise * search.noise / learnt)
-
-
-def left_unseen(scored: Explanation, found: Account, search: Search) -> float:
+def left_unseen(scored: Explanation, found: Account) -> float:
     """Part of the gap that is left on unseen motions, where that is not noise.
 
     What is explained where it was learnt may not be explained elsewhere.
     """
-    variance = np.maximum(_noise(search, found), 1e-300)
+    variance = np.maximum(found.noise, 1e-300)
     left = whole = 0.0
     for before, after, noise in zip(scored.before, scored.after, variance, strict=True):
         usual = _BEYOND * len(after)

@@ -1,1 +1,1 @@
-"""What might explain a gap, and how much evidence there is for it."""
+"""The evidence for each candidate cause of a gap: its log marginal likelihood."""

@@ -1,4 +1,4 @@
-"""When an arm touched something: stretches of a residual that one wrench explains."""
+"""Contacts of the arm: stretches of a residual that a constant wrench explains."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.bayes import loudness
+from hybrid.diagnosis.evidence.noise import relative_noise_power
 from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.measure import NORMAL
 from hybrid.effects.contact import Contact
 
 _CHUNK = 0.05  # s
 _LENGTHS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192)  # chunks
 _FAST = 0.1  # of a joint's highest speed
-_NORMAL = 1.4826  # standard deviation over median size
-_LONGEST = 1 / 3  # of a recording; what lasts is no event
+_LONGEST = 1 / 3  # of a recording
 _FORCE, _MOMENT = 20.0, 2.0  # N, N·m; prior standard deviations of the scan
-_OF_ALL = -1  # recordings
-_WORTH = 14.0  # nat: thousands of stretches are tried
+_OF_ALL = -1  # number that stands for all recordings
+_WORTH = 14.0  # nat, odds against one of some thousand stretches
 
 
 @dataclass(frozen=True)
 class _Clock:
-    """Time cut into chunks, of all recordings together or of each its own.
+    """Time divided into chunks, of each recording or of all recordings together.
 
     Attributes:
         chunk: Chunk of each sample of the gap, shape (M,).
-        number: Place of each chunk in time, shape (C,), in lengths of a chunk.
-        recording: Which recording a chunk is of, shape (C,).
+        number: Start of each chunk, shape (C,), in lengths of a chunk.
+        recording: Recording of each chunk, shape (C,).
     """
 
     chunk: NDArray[np.intp]
@@ -39,13 +39,20 @@ class _Clock:
 
     @classmethod
     def cut(cls, number: NDArray[np.intp], recording: NDArray[np.intp]) -> _Clock:
-        """Chunks of samples with these numbers, each of shape (M,)."""
+        """Make chunks of samples with the same number and recording, (M,) each."""
         both = np.stack([recording, number])
         (of, known), chunk = np.unique(both, axis=1, return_inverse=True)
         return cls(chunk.reshape(-1), known, of)
 
+    def sums(self, rows: NDArray[np.intp], x: Array) -> Array:
+        """Sum of some samples' values, shape (R, ...), over each chunk, (C, ...)."""
+        chunk, size = self.chunk[rows], len(self.number)
+        flat = x.reshape(-1, int(np.prod(x.shape[1:])))
+        sums = np.array([np.bincount(chunk, y, size) for y in flat.T], dtype=float)
+        return sums.T.reshape(size, *x.shape[1:])
+
     def unbroken(self, length: int) -> NDArray[np.bool_]:
-        """Whether chunks follow each other, from each on, shape (C − length + 1,)."""
+        """Whether a number of chunks from each on is contiguous, (C − length + 1,)."""
         last = np.arange(length - 1, len(self.number))
         first = last - length + 1
         near = self.number[last] - self.number[first] < length
@@ -62,28 +69,17 @@ class _Stretch:
     recording: int
 
     def overlaps(self, other: _Stretch) -> bool:
-        ends = self.first + self.length, other.first + other.length
-        return _meet(
-            (self.recording, self.first, ends[0]),
-            (other.recording, other.first, ends[1]),
-        )
-
-
-def _meet(a: tuple[float, float, float], b: tuple[float, float, float]) -> bool:
-    """Whether two stretches, of a recording from a time to another, have any shared."""
-    if len({a[0], b[0]} - {_OF_ALL}) > 1:
-        return False
-    return a[1] < b[2] and b[1] < a[2]
+        """Whether two stretches share some time of a recording."""
+        if len({self.recording, other.recording} - {_OF_ALL}) > 1:
+            return False
+        before = self.first < other.first + other.length
+        return before and other.first < self.first + self.length
 
 
 class Contacts:
-    """Cross-products of the gap's wrench columns, chunk by chunk of time.
+    """Search for contacts, over stretches of one recording and of all of them.
 
-    What is in the way is so in every repeat, if recordings share a clock; or it was in
-    the way only once.
-
-    Args:
-        gap: The gap.
+    An obstacle is met at the same time in every repeat of a motion, or only once.
     """
 
     def __init__(self, gap: Gap) -> None:
@@ -91,7 +87,7 @@ class Contacts:
         t = gap.sampled.t
         self._joints = tuple(range(n))
         v = np.abs(gap.sampled.v)
-        # At low speed friction does whatever a contact might.
+        # At low speed, errors of the friction look like a contact.
         self._fast = v > _FAST * v[gap.sampled.mask].max(axis=0, initial=0.0)
         self._first = float(t.min())
         number = ((t - self._first) / _CHUNK).astype(np.intp)
@@ -111,67 +107,50 @@ class Contacts:
         noise: Array,
         count: int,
     ) -> list[Contact]:
-        """Contacts that explain most of a residual, none of them overlapping.
+        """Contacts that explain most of a residual, without overlap.
+
+        Their evidence refers to the noise power around each sample: where positions or
+        times are quantised, noise comes in bursts.
 
         Args:
             left: Residual of each joint, shape (R_i,), [N·m].
-            rows: Samples of the gap that these are, shape (R_i,).
-            noise: Variance of each joint, shape (n,), [N²·m²].
-            count: How many contacts, at most. What may be noise is none; that is as
-                large as at the time: where positions or times are coarse it comes in
-                bursts.
+            rows: Samples of the gap of each residual, shape (R_i,).
+            noise: Noise variance of each joint, shape (n,), [N²·m²].
+            count: Largest number of contacts.
         """
-        sizes = [len(c.number) for c in self._clocks]
-        gram = [np.zeros((size, 6, 6)) for size in sizes]
-        moment = [np.zeros((size, 6)) for size in sizes]
+        gram = [np.zeros((len(c.number), 6, 6)) for c in self._clocks]
+        moment = [np.zeros((len(c.number), 6)) for c in self._clocks]
         for i, (whole, among) in enumerate(zip(left, rows, strict=True)):
             fast = self._fast[among, i]
             x, r = whole[fast], among[fast]
-            # The noise as known so far may hold the very contact.
-            usual = (_NORMAL * np.median(np.abs(x))) ** 2 if len(x) else 0.0
+            # The estimate of the noise may contain the contact.
+            usual = (NORMAL * np.median(np.abs(x))) ** 2 if len(x) else 0.0
             weight = 1.0 / (min(noise[i], usual) or noise[i])
-            weight = weight / loudness(x, r, self._rate, self._cutoff)
-            weighed = self._columns[i][r] * (x * weight)[:, None]
-            for c, clock in enumerate(self._clocks):
-                gram[c] += self._gram(c, i, r, weight)
-                for k, column in enumerate(weighed.T):
-                    moment[c][:, k] += np.bincount(clock.chunk[r], column, sizes[c])
+            weight = weight / relative_noise_power(x, r, self._rate, self._cutoff)
+            columns = self._columns[i][r]
+            weighted = columns * weight[:, None]
+            for clock, G, m in zip(self._clocks, gram, moment, strict=True):
+                G += clock.sums(r, weighted[:, :, None] * columns[:, None])
+                m += clock.sums(r, columns * (x * weight)[:, None])
         sums = zip(self._clocks, gram, moment, strict=True)
-        stretches = [
-            s for clock, G, m in sums for s in _stretches(clock, G, m)
-            if s.gain > _WORTH
-        ]  # fmt: skip
+        stretches = [s for each in sums for s in _stretches(*each) if s.gain > _WORTH]
         found: list[_Stretch] = []
         for stretch in sorted(stretches, reverse=True):
             if not any(stretch.overlaps(x) for x in found):
                 found.append(stretch)
-            if len(found) == count:
-                break
-        return [
-            Contact(
-                self._joints,
-                {
-                    "start": self._first + _CHUNK * s.first,
-                    "duration": _CHUNK * s.length,
-                    "recording": float(s.recording),
-                },
-            )
-            for s in found
-        ]
+        return [self._contact(s) for s in found[:count]]
 
-    def _gram(self, c: int, i: int, rows: NDArray[np.intp], weight: Array) -> Array:
-        """Products of a joint's columns on each chunk of a clock, shape (C, 6, 6)."""
-        columns, chunk = self._columns[i][rows], self._clocks[c].chunk[rows]
-        size = len(self._clocks[c].number)
-        sums = [
-            [np.bincount(chunk, weight * a * b, size) for b in columns.T]
-            for a in columns.T
-        ]
-        return np.array(sums).transpose(2, 0, 1)
+    def _contact(self, stretch: _Stretch) -> Contact:
+        times = {
+            "start": self._first + _CHUNK * stretch.first,
+            "duration": _CHUNK * stretch.length,
+            "recording": float(stretch.recording),
+        }
+        return Contact(self._joints, times)
 
 
 def _stretches(clock: _Clock, gram: Array, moment: Array) -> list[_Stretch]:
-    """The best of each length, with the evidence for a wrench."""
+    """The best stretches of each length, with the evidence for a wrench."""
     unit = np.array([_FORCE] * 3 + [_MOMENT] * 3)
     gram = np.concatenate([np.zeros((1, 6, 6)), gram * unit[:, None] * unit]).cumsum(0)
     moment = np.concatenate([np.zeros((1, 6)), moment * unit]).cumsum(0)

@@ -1,12 +1,12 @@
-"""How a simulation's log was written: which instant its torque is of.
+"""The logging convention: the instant at which the logged torque acted.
 
-A loop that steps and then logs writes the position after a step beside the torque of
-the instant before it. And an implicit step feels a servo's damping at the speed that
-it arrives at, while the torque it reports is that of the speed it left from: over a
-step h the report is too high by ``h k_d a``. Both are the log's, not the arm's, and are
-taken back where nothing else is more probable (MacKay 1992, doi
-10.1162/neco.1992.4.3.415). So is torque that is late by a time which is no step, as if
-stamped by another clock; but that is a cause, and is named.
+A simulation that steps before it logs writes the position after the step beside the
+torque before it. In an implicit step the servo's damping acts at the final speed, while
+the logged torque is that of the initial speed: over a step h it is too high by
+``h k_d a``. Both are errors of the log, and are corrected where they are the most
+probable explanation (MacKay 1992, doi 10.1162/neco.1992.4.3.415). Torque that is late
+by another time, as if stamped by another clock, is corrected as well, and is reported
+as a cause.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.estimate import estimate_noise
 from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.diagnosis.gap.background import background, rest
-from hybrid.diagnosis.gap.gap import Columns, Gap
+from hybrid.diagnosis.gap.background import background, friction_near_rest
+from hybrid.diagnosis.gap.gap import LOWER_BAND, Columns, Gap
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects.armature import Armature
@@ -38,10 +38,9 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
-_BESIDE = (Viscous, Coulomb, TorqueOffset, TorqueGain)
-_LOWER = 0.5  # of the cut-off: noise of positions grows with the cube of frequency
-_OPEN = 0.1  # s, one standard deviation of an age, and of a damping's step
-_ALIKE = 0.1  # of a time that joints share, by which columns of first order are off
+_NUISANCE = (Viscous, Coulomb, TorqueOffset, TorqueGain)
+_OPEN = 0.1  # s, prior standard deviation of a joint's own delay or step
+_LINEARITY = 0.1  # of a common time: error of columns that are linear in it
 _LATEST = Delay.gains[0].upper  # s
 
 
@@ -50,10 +49,10 @@ class Convention:
     """How torque was logged.
 
     Attributes:
-        late: Torque is of so much before the position, [s].
-        step: Step h over which the report leaves out the servo's damping, [s].
-        std: Standard deviation of ``late``, [s], if it is no step of a loop but a
-            cause: torque and position stamped by different clocks.
+        late: Delay of the logged torque behind the logged position, [s].
+        step: Implicit step h that the logged damping leaves out, [s].
+        std: Standard deviation of ``late``, [s], if torque and position were stamped by
+            different clocks; 0 if the delay is a step of the simulation.
     """
 
     late: float = 0.0
@@ -65,29 +64,29 @@ class Convention:
 
     @property
     def clocks(self) -> bool:
-        """Whether torque is late by a time that is no step of a loop."""
+        """Whether different clocks stamped torque and position."""
         return self.std > 0
 
-    def in_step(self, log: Recording | Motion) -> Recording | Motion:
-        """A log with the torque, and the command, of the instant of each position."""
+    def shift(self, log: Recording | Motion) -> Recording | Motion:
+        """A log with torque and command shifted to the instant of each position."""
         if not self.late:
             return log
-        # Which clock stamps commands is not known.
+        # It is unknown which of two clocks stamps the command.
         if isinstance(log, Motion) or log.command is None or self.clocks:
             return replace(log, tau=self._later(log.t, log.tau))
         command = self._later(log.t, log.command)
         return replace(log, tau=self._later(log.t, log.tau), command=command)
 
     def _later(self, t: Array, x: Array) -> Array:
-        """Samples of a later time; those of the end, which has none, as they are."""
+        """A signal at later times; its last samples stay as they are."""
         then = t + self.late
         moved = np.stack([np.interp(then, t, y) for y in x.T], axis=1)
         return np.where((then > t[-1])[:, None], x, moved)
 
-    def explicit(self, robot: Robot, motion: Motion) -> Motion:
-        """A motion with the torque, and the speed of friction, that acted in a step.
+    def correct(self, robot: Robot, motion: Motion) -> Motion:
+        """A motion with the damping of the final speed, and the speed of its friction.
 
-        Less the end that has no torque, if it is late.
+        Samples at its end, for which no torque was logged, are masked.
         """
         missing = int(np.ceil(self.late * motion.rate))
         mask = motion.mask.copy()
@@ -100,22 +99,22 @@ class Convention:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was taken back, in words."""
+        """The corrections, in words."""
         found = []
         if self.clocks:
             found.append(
-                f"torque is logged {1e3 * self.late:.3g} ms late at every joint: what "
-                "else is said is of the log without that"
+                f"torque is logged {1e3 * self.late:.3g} ms late at every joint: all "
+                "other results are for the log without this delay"
             )
         elif self.late:
             found.append(
                 f"torque is logged {1e3 * self.late:.3g} ms late at every joint, as by "
-                "a simulation that steps before it logs: taken back"
+                "a simulation that steps before it logs: corrected"
             )
         if self.step:
             found.append(
                 "torque is logged with the servo's damping at the start of an implicit "
-                f"step of {1e3 * self.step:.3g} ms: taken back"
+                f"step of {1e3 * self.step:.3g} ms: corrected"
             )
         return tuple(found)
 
@@ -123,61 +122,58 @@ class Convention:
 def find_convention(
     gap: Gap, recordings: Sequence[Recording | Motion], *, clocks: bool = True
 ) -> Convention:
-    """The most probable of the few ways in which a loop may log.
+    """Find the most probable logging convention.
 
-    Torque of each joint has an age, and a servo's torque is of a step before: none of
-    either, that of one joint alone, of each joint its own, or what all of them share.
+    The torque of each joint has a delay, and the damping of each servo a step. Either
+    is zero at all joints, not zero at one joint, different at every joint, or common.
 
     Args:
-        gap: The gap with the log taken at its word.
-        recordings: What it was measured from.
+        gap: The gap, without any correction.
+        recordings: The recordings from which it was measured.
         clocks: Whether torque and position may be stamped by different clocks.
     """
     robot = gap.robot
     shortest = min(float(m.t[-1] - m.t[0]) for m in gap.motions)
-    lower = max(_LOWER * gap.cutoff, FEWEST_PERIODS / shortest)
+    # Noise of an acceleration's derivative grows with the cube of frequency.
+    lower = max(LOWER_BAND * gap.cutoff, FEWEST_PERIODS / shortest)
     measured = partial(measure_gap, robot, cutoff=lower)
     gap = measured(recordings)
     if not gap.moving.any():
         return Convention()
     steps = sorted(x for x in {1.0 / gap.motions[0].rate, robot.timestep} if x > 0)
-    asked = _Asked(gap)
-    # Within a sample nobody knows when torque was read.
+    evidence = _TimeEvidence(gap)
+    # The log does not tell when torque was read within a sample.
     least = 1.0 / gap.motions[0].rate if clocks else _LATEST
-    age, damped = asked.most_probable(steps, least)
-    late, step = age.shared, damped.shared
-    if not (late or step) or not asked.hold():
+    delays, damped = evidence.most_probable(steps, least)
+    late, step = delays.common, damped.common
+    if not (late or step) or not evidence.is_cross_validated():
         return Convention()
     if not late or late in steps:
         return Convention(late, step)
-    # That took torque to change evenly over the time; what is left of it is small.
-    shift = Convention(late, step, asked.shared(step)[1])
-    shifted = measured([shift.in_step(x) for x in recordings])
-    more, std = _Asked(shifted).shared(step)
+    # The first estimate is linear in the time: it is repeated after a shift.
+    first = Convention(late, step, evidence.common_delay(step)[1])
+    shifted = measured([first.shift(x) for x in recordings])
+    more, std = _TimeEvidence(shifted).common_delay(step)
     return Convention(late + more, step, std)
 
 
 @dataclass(frozen=True)
-class _Guess:
-    """What may be of some times, one of each joint, [s].
+class _TimePrior:
+    """A Gaussian prior of some times, one for each joint, [s].
 
     Attributes:
-        cost: Odds against it, [nat].
-        root: A root of their covariance, shape (p, k).
-        shared: What all of them are about, or zero.
+        cost: Log odds against it, [nat].
+        root: A root of the covariance, shape (p, k).
+        common: Mean of all times.
     """
 
     cost: float
     root: Array
-    shared: float = 0.0
+    common: float = 0.0
 
 
-class _Asked:
-    """Evidence for the age of each joint's torque, and for its servo's step.
-
-    Args:
-        gap: The gap, of the lower band.
-    """
+class _TimeEvidence:
+    """Evidence for the delay of each joint's torque, and for each servo's step."""
 
     def __init__(self, gap: Gap) -> None:
         robot, prior = gap.robot, Prior()
@@ -185,86 +181,83 @@ class _Asked:
         servo = [j for j in joints if robot.kd[j] > 0]
         evidence, self._cause = Evidence(gap), prior.cause
         numbers = np.concatenate(evidence.add(*background(gap)))
-        evidence.spread(numbers, prior.file[0])
-        evidence.add(*rest(gap))
-        beside = [candidate(gap, kind((j,))) for kind in _BESIDE for j in joints]
-        # A rotor that the file lacks is no age of torque.
+        evidence.scale_prior(numbers, prior.file_errors[0])
+        evidence.add(*friction_near_rest(gap))
+        beside = [candidate(gap, kind((j,))) for kind in _NUISANCE for j in joints]
+        # A rotor that the file lacks would look like a delay.
         rotors = set(joints) - set(servo)
         beside += [candidate(gap, Armature((j,))) for j in rotors]
         beside.append(candidate(gap, Payload(tuple(range(robot.size)))))
         evidence.add([gap.columns(c.effect) for c in beside], [c.std for c in beside])
         self._base = np.arange(evidence.size)
         damped = [{j: robot.kd[j] * gap.columns(Armature((j,)))[j]} for j in servo]
-        ages = [_older(gap, j) for j in joints]
-        open_ = [np.array([_OPEN])] * len(joints + servo)
-        evidence.add([*ages, *damped], open_)
+        delays = [_delay_columns(gap, j) for j in joints]
+        evidence.add([*delays, *damped], [np.array([_OPEN])] * len(joints + servo))
         self._evidence, self._sizes = evidence, (len(joints), len(servo))
         every = np.arange(evidence.size)
         estimate_noise(evidence, every)
         A, b = evidence.normal(every)
         k = len(self._base)
         A[:k, :k] += np.diag(evidence.precision[:k])
-        asked = np.column_stack([A[k:, k:], b[k:]])
-        known = np.column_stack([A[:k, k:], b[:k]])
-        left = asked - A[k:, :k] @ np.linalg.solve(A[:k, :k], known)
+        times = np.column_stack([A[k:, k:], b[k:]])
+        across = np.column_stack([A[:k, k:], b[:k]])
+        left = times - A[k:, :k] @ np.linalg.solve(A[:k, :k], across)
         self._H, self._s = left[:, :-1], left[:, -1]
 
-    def _worth(self, *guesses: _Guess) -> float:
-        """Evidence for what ages and steps may be, [nat]."""
-        mean = np.repeat([g.shared for g in guesses], self._sizes)
-        root = block_diag(*(g.root for g in guesses))
+    def _score(self, *priors: _TimePrior) -> float:
+        """Log evidence for priors of delays and steps, less their odds, [nat]."""
+        mean = np.repeat([p.common for p in priors], self._sizes)
+        root = block_diag(*(p.root for p in priors))
         left = root.T @ (self._s - self._H @ mean)
         A = np.eye(root.shape[1]) + root.T @ self._H @ root
         known = mean @ self._s - 0.5 * mean @ self._H @ mean
         more = 0.5 * left @ np.linalg.solve(A, left) - 0.5 * np.linalg.slogdet(A)[1]
-        return float(known + more - sum(g.cost for g in guesses))
+        return float(known + more - sum(p.cost for p in priors))
 
-    def _guesses(self, size: int, steps: Sequence[float]) -> list[_Guess]:
-        """Nothing, a step, the time of one joint alone, or of each its own."""
-        unit = np.eye(size)
-        found = [_Guess(0.0, unit[:, :0]), _Guess(size * self._cause, _OPEN * unit)]
-        found += [_Guess(self._cause, _ALIKE * x * unit, x) for x in steps]
+    def _priors(self, size: int, steps: Sequence[float]) -> list[_TimePrior]:
+        """No time, a step, the time of one joint alone, or one of each joint."""
+        unit, cause = np.eye(size), self._cause
+        found = [_TimePrior(0.0, unit[:, :0]), _TimePrior(size * cause, _OPEN * unit)]
+        found += [_TimePrior(cause, _LINEARITY * x * unit, x) for x in steps]
         alone = (unit[:, [j]] for j in range(size))
-        return found + [_Guess(self._cause, _OPEN * x) for x in alone]
+        return found + [_TimePrior(cause, _OPEN * x) for x in alone]
 
     def most_probable(
         self, steps: Sequence[float], least: float
-    ) -> tuple[_Guess, _Guess]:
-        """What ages and steps most probably are.
+    ) -> tuple[_TimePrior, _TimePrior]:
+        """The most probable priors of delays and of steps.
 
-        Args:
-            steps: Those of the loop, [s].
-            least: Shortest time that all torque may be late by besides, [s].
+        A common delay is a step of the simulation, or longer than the least, [s].
         """
-        ages, damped = (self._guesses(x, steps) for x in self._sizes)
-        pairs = [(x, y) for x in ages for y in damped]
+        delays, damped = (self._priors(x, steps) for x in self._sizes)
+        pairs = [(x, y) for x in delays for y in damped]
         for y in damped:
-            time, _ = self.shared(y.shared)
+            time, _ = self.common_delay(y.common)
             if least < time < _LATEST:
-                own = _ALIKE * time * np.eye(self._sizes[0])
+                own = _LINEARITY * time * np.eye(self._sizes[0])
                 root = np.column_stack([np.full(len(own), _OPEN), own])
-                pairs.append((_Guess(self._cause, root, time), y))
-        return max(pairs, key=lambda x: self._worth(*x))
+                pairs.append((_TimePrior(self._cause, root, time), y))
+        return max(pairs, key=lambda x: self._score(*x))
 
-    def shared(self, step: float) -> tuple[float, float]:
-        """Time that all torque is late by beside a step, and its deviation, [s]."""
+    def common_delay(self, step: float) -> tuple[float, float]:
+        """Delay of all torque beside a step, and its standard deviation, [s]."""
         ones = np.repeat([1.0, 0.0], self._sizes)
         more = self._H @ np.repeat([0.0, step], self._sizes)
         weight = ones @ self._H @ ones + _OPEN**-2
         return float(ones @ (self._s - more) / weight), float(weight**-0.5)
 
-    def hold(self) -> bool:
-        """Whether ages and steps found on other folds lower the squares there.
+    def is_cross_validated(self) -> bool:
+        """Whether delays and steps lower the held-out loss.
 
-        What happens once may look like either.
+        An event that happens once may look like either.
         """
         every = np.arange(self._evidence.size)
-        now, then = map(self._evidence.left_out, (self._base, every))
+        now, then = map(self._evidence.held_out_loss, (self._base, every))
         return bool(np.all(then < now))
 
 
-def _older(gap: Gap, joint: int) -> Columns:
-    """Change of the torque of links and rotor with its age, per second."""
+def _delay_columns(gap: Gap, joint: int) -> Columns:
+    """Derivative of the torque of links and rotor with respect to a delay."""
     parts = []
     rotor = gap.robot.chain.armature[joint]
     for motion, body, sampler in gap:

@@ -1,9 +1,8 @@
-"""How much evidence the gap holds for one more effect.
+"""The log marginal likelihood of the gap, for any columns.
 
-The gap is a sum of terms, ``left = Z β + Σ C γ + noise``. The simulator's own numbers
-(β: link parameters and declared friction) are a few per cent off everywhere, and each
-gain γ has a physical size, so both have Gaussian priors; terms are compared by the
-marginal likelihood of the gap, in which all gains are integrated out.
+The gap is a sum of terms, ``left = Z β + Σ C γ + noise``. The errors β of the file's
+numbers are small, and each gain γ has a physical size: both have Gaussian priors, and
+are integrated out.
 
 Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam factor).
 """
@@ -27,7 +26,7 @@ from hybrid.diagnosis.evidence.screening import Screening, by_size
 from hybrid.diagnosis.gap.gap import Columns, Gap
 
 _NONE = np.zeros(0, dtype=np.intp)
-_SCREENS = 4  # that are kept: two bases, and on each causes and unknown laws
+_SCREENS = 4  # kept screenings: of two bases, for candidates and for unknown laws
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +34,8 @@ class Solution:
     """The most probable gains of some columns.
 
     Attributes:
-        index: Columns in the solution, shape (k,).
-        gains: Their values, shape (k,).
+        index: The columns, shape (k,).
+        gains: Their gains, shape (k,).
         evidence: Log marginal likelihood of the gap, up to a constant, [nat].
     """
 
@@ -54,37 +53,34 @@ class Solution:
 
     def of(self, columns: Index) -> Array:
         """Gains of some of the columns, in their order."""
-        return self.gains[self._rows(columns)]
-
-    def _rows(self, columns: Index) -> Index:
         order = np.argsort(self.index)
-        return order[np.searchsorted(self.index[order], columns)]
+        return self.gains[order[np.searchsorted(self.index[order], columns)]]
 
 
 class Trial(NamedTuple):
-    """What columns add to an explanation.
+    """Result of a trial of new columns beside a base.
 
     Attributes:
-        worth: Gain in evidence, [nat].
+        worth: Gain in log evidence, [nat].
         gains: The most probable gains, shape (p,).
-        wider: How many times wider than usual their prior is.
+        prior_factor: Factor by which their prior is widened.
     """
 
     worth: float
     gains: Array
-    wider: float
+    prior_factor: float
 
 
 class Evidence(Products):
-    """How much more probable the gap is with some of the columns.
+    """Log marginal likelihoods of the gap, given some of the columns.
 
     Args:
-        gap: The gap.
-        use: Samples that count, shape (M,); all by default.
+        use: Samples that are used, shape (M,); all by default.
 
     Attributes:
         precision: Inverse prior variance of each gain, shape (K,).
-        covariances: Of each joint's noise at some lags, shape (p + 1,), [N²·m²].
+        covariances: Estimated covariance of each joint's noise at lags from zero on,
+            shape (p + 1,), [N²·m²].
     """
 
     def __init__(self, gap: Gap, use: NDArray[np.bool_] | None = None) -> None:
@@ -97,55 +93,58 @@ class Evidence(Products):
         self._factored = b"", (np.zeros((0, 0)), False), np.zeros(0)
 
     def add(self, blocks: Sequence[Columns], std: Sequence[Array]) -> list[Index]:
-        """Take in columns.
+        """Add columns with the prior of their gains.
 
         Args:
             blocks: Columns by joint, shape (M, p) each.
             std: Prior standard deviation of each gain of a block, shape (p,).
 
         Returns:
-            Index of the columns of each block.
+            Numbers of the columns of each block.
         """
         if not blocks:
             return []
-        index = self.take(blocks, [len(s) for s in std])
-        size = np.concatenate([np.asarray(s, dtype=float) for s in std])
-        size = np.maximum(size, 1e-12)
-        weight = size**-2.0
+        index = self.add_columns(blocks, [len(s) for s in std])
+        size = np.maximum(np.concatenate(std), 1e-12)
         self._size = np.concatenate([self._size, size])
-        self.precision = np.concatenate([self.precision, weight])
+        self.precision = np.concatenate([self.precision, size**-2.0])
         return index
 
-    def weigh(self, covariances: Sequence[Array]) -> None:
-        """See :meth:`.Products.weigh`."""
-        super().weigh(covariances)
+    def set_covariances(self, covariances: Sequence[Array]) -> None:
+        """See :meth:`.Products.set_covariances`."""
+        super().set_covariances(covariances)
         self._screened.clear()
         self._factored = b"", *self._factored[1:]
 
-    def spread(self, index: Index, relative: float) -> None:
-        """Set the prior of some gains to a fraction of the size they came with."""
-        self.precision[index] = self._size[index] ** -2.0 / relative**2
+    def scale_prior(self, index: Index, factor: float) -> None:
+        """Set prior standard deviations to a factor times those given at first."""
+        self.precision[index] = self._size[index] ** -2.0 / factor**2
         self._factored = b"", *self._factored[1:]
 
     def solve(self, index: Index) -> Solution:
-        """Most probable gains of some columns, and the evidence for all of them."""
+        """Most probable gains of some columns, and their log evidence."""
         A, b = self.normal(index)
-        prior = self.precision[index]
-        # In units of the prior the matrix is the identity plus what the data say.
-        unit = 1.0 / np.sqrt(prior)
+        # In units of the prior, in which the matrix is well conditioned.
+        unit = 1.0 / np.sqrt(self.precision[index])
         factor = cho_factor(np.eye(len(index)) + unit[:, None] * A * unit)
         gains = unit * cho_solve(factor, unit * b)
         occam = np.log(np.diag(factor[0])).sum()
         return Solution(index, gains, float(0.5 * b @ gains - occam), unit, factor)
 
-    def strain(self, solution: Solution, columns: Index) -> float:
-        """Squares of some gains in a solution, in units of their priors."""
+    def residuals(self, index: Index, gains: Array | None = None) -> list[Array]:
+        """Residual of each joint, [N·m]; at the most probable gains by default."""
+        gains = self.solve(index).gains if gains is None else gains
+        return [self.residual(i, index, gains) for i in range(len(self.rows))]
+
+    def prior_squares(self, solution: Solution, columns: Index) -> float:
+        """Sum of squared gains of some columns over their prior variances."""
         return float(solution.of(columns) ** 2 @ self.precision[columns])
 
-    def left_out(self, index: Index) -> Array:
-        """What columns lose on each fold by the gains of all others, shape (2,).
+    def held_out_loss(self, index: Index) -> Array:
+        """Cross-validated squared residual over the noise variance, shape (2,).
 
-        Squares of the gap over their noise, and weighed by it as a process.
+        Each fold is predicted with the gains of all others. The first loss takes
+        samples as independent, the second one is of whitened samples.
         """
         G, c = self.normal_by_fold(index)
         A, b = G.sum(axis=0) + np.diag(self.precision[index]), c.sum(axis=0)
@@ -153,9 +152,9 @@ class Evidence(Products):
         lost = np.zeros(2)
         for i, white in enumerate(self._white):
             left = white.copy()
-            for g, (first, last) in zip(gains, self.parts(i), strict=True):
+            for g, (first, last) in zip(gains, self.fold_edges(i), strict=True):
                 left[first:last] -= self._fitted(i, index, g, slice(first, last))
-            raw = self._coloured(i, left)
+            raw = self._colour(i, left)
             lost += raw @ raw / self.noise[i], left @ left * self._weight(i)
         return lost
 
@@ -164,34 +163,30 @@ class Evidence(Products):
         base: Index,
         blocks: Sequence[Index],
         lower: Sequence[Array],
-        made_at: Sequence[Array | None] | None = None,
+        fixed_gains: Sequence[Array | None] | None = None,
         less: Index = _NONE,
     ) -> Array:
-        """Gain in evidence by each block of columns on top of others, [nat].
+        """Gain in log evidence by each block of columns beside a base, [nat].
 
-        Args:
-            base: Columns that are in already.
-            blocks: Candidates.
-            lower: Smallest physical value of each gain of a candidate.
-            made_at: Its gains, where its columns are of these alone; of each.
-            less: Columns of the base that are to be left out.
+        For the bounds and ``fixed_gains`` of each block see :func:`.log_bayes`. The
+        columns ``less`` of the base are left out.
         """
         if not blocks:
             return np.zeros(0)
         wanted = np.concatenate(blocks)
         screening = self._screening(base, wanted, blocks)
-        known = made_at or [None] * len(blocks)
+        fixed = fixed_gains or [None] * len(blocks)
         precision, least = self.precision[wanted], np.concatenate(lower)
-        return screening.worth(less, precision, least, known)
+        return screening.worth(less, precision, least, fixed)
 
     def _screening(
         self, base: Index, wanted: Index, blocks: Sequence[Index]
     ) -> Screening:
-        """Kept: the same base is asked for once without each of its parts."""
+        """Screening of blocks beside a base; the last ones are kept."""
         key = base.tobytes(), wanted.tobytes(), self.precision[base].tobytes()
         if key not in self._screened:
             places = by_size(blocks)
-            across, within, moment = self.beside(base, wanted, places)
+            across, within, moment = self.cross_products(base, wanted, places)
             across *= 1.0 / np.sqrt(self.precision[base])[:, None]
             products = across, within, moment
             found = Screening.of(base, places, products, *self._factor(base))
@@ -206,33 +201,31 @@ class Evidence(Products):
         columns: Columns,
         std: Array,
         lower: Array,
-        made_at: Array | None = None,
+        fixed_gains: Array | None = None,
     ) -> Trial:
-        """Gain in evidence by columns that are not in.
+        """Try new columns, shape (M, p) at each joint, beside a base.
 
-        Args:
-            base: Columns that are in already.
-            columns: Columns by joint, shape (M, p) each.
-            std: Prior standard deviation of their gains, shape (p,).
-            lower: Smallest physical values of these, shape (p,).
-            made_at: Their values, shape (p,), where the columns are of these alone.
+        ``std`` are the prior standard deviations of their gains, shape (p,). For the
+        bounds and ``fixed_gains`` see :func:`.log_bayes`.
         """
-        H, s = self._beyond(base, columns, len(std))
-        worth, gains, wider = heavy_tailed(H, s, std**-2.0, lower, made_at)
-        return Trial(float(worth), gains, float(wider))
+        H, s = self._schur_complement(base, columns, len(std))
+        worth, gains, factor = heavy_tailed(H, s, std**-2.0, lower, fixed_gains)
+        return Trial(float(worth), gains, float(factor))
 
-    def at(self, base: Index, columns: Columns, gains: Array) -> float:
-        """Log-likelihood that columns that are not in add at gains (p,), [nat]."""
-        H, s = self._beyond(base, columns, len(gains))
+    def log_likelihood(self, base: Index, columns: Columns, gains: Array) -> float:
+        """Gain in log likelihood by new columns with given gains (p,), [nat]."""
+        H, s = self._schur_complement(base, columns, len(gains))
         return float(s @ gains - 0.5 * gains @ H @ gains)
 
-    def _beyond(self, base: Index, columns: Columns, p: int) -> tuple[Array, Array]:
-        """Normal matrix and right-hand side of columns, less what others explain."""
+    def _schur_complement(
+        self, base: Index, columns: Columns, p: int
+    ) -> tuple[Array, Array]:
+        """Normal matrix and right-hand side of new columns, the base eliminated."""
         H, s = np.zeros((p, p)), np.zeros(p)
         across = np.zeros((len(base), p))
         for i, x in columns.items():
-            target, beside, own, moment = self.cross(base, i, x[self.rows[i]])
-            across[target] += beside
+            target, both, own, moment = self.new_products(base, i, x[self.rows[i]])
+            across[target] += both
             H += own
             s += moment
         factor, b = self._factor(base)
@@ -242,9 +235,9 @@ class Evidence(Products):
         return H, s
 
     def _factor(self, base: Index) -> tuple[tuple[Array, bool], Array]:
-        """Cholesky factor and right-hand side of some columns, kept for the next.
+        """Cholesky factor and right-hand side of a base, in units of the prior.
 
-        Both are in units of the prior.
+        Those of the last base are kept.
         """
         key = base.tobytes() + self.noise.tobytes()
         if key != self._factored[0]:

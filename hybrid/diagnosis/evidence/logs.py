@@ -1,4 +1,4 @@
-"""Logs as they are diagnosed: one clock, what a writer did taken back."""
+"""Logs with the errors of their logger corrected, and their gap."""
 
 from __future__ import annotations
 
@@ -21,37 +21,31 @@ def measured(
     *,
     clocks: bool,
 ) -> tuple[Convention, list[Recording | Motion], Gap, Gap]:
-    """How logs were written, and they and their gap with that taken back.
+    """Find the logging convention, correct the logs, and measure their gap.
 
-    Args:
-        robot: The simulator as it stands.
-        recordings: Logs of the real arm.
-        cutoff: Cut-off of everything filtered, [Hz]; from the spectrum if not given.
-        clocks: Whether torque may be late by the same time at every joint.
+    ``clocks`` is whether torque may be late by the same time at every joint. Without a
+    ``cutoff``, [Hz], it is chosen from the spectrum.
 
     Returns:
-        How they were written; the logs and the gap with that taken back; and the gap
-        with the log taken at its word where torque in it is late.
+        The convention; the corrected logs; the gap of the corrected logs; and the gap
+        without the correction for torque that another clock stamped.
     """
     gap = measure_gap(robot, recordings, cutoff=cutoff)
     logged = find_convention(gap, recordings, clocks=clocks)
     if not logged:
         return logged, list(recordings), gap, gap
-    explicit = partial(logged.explicit, robot)
-    shifted = [logged.in_step(x) for x in recordings]
-    gap = measure_gap(robot, shifted, cutoff=cutoff, correct=explicit)
+    correct = partial(logged.correct, robot)
+    shifted = [logged.shift(x) for x in recordings]
+    gap = measure_gap(robot, shifted, cutoff=cutoff, correct=correct)
     as_logged = gap
     if logged.clocks:
-        as_logged = measure_gap(robot, recordings, cutoff=gap.cutoff, correct=explicit)
+        as_logged = measure_gap(robot, recordings, cutoff=gap.cutoff, correct=correct)
     return logged, shifted, gap, as_logged
 
 
 def since_first(
     recordings: Sequence[Recording | Motion],
 ) -> list[Recording | Motion]:
-    """The same by a clock that starts with the first of them.
-
-    Loggers count from anywhere; what warms up or happens once is told by this clock.
-    """
+    """Recordings with the time since the start of the first one."""
     start = min((float(x.t[0]) for x in recordings), default=0.0)
     return [replace(x, t=x.t - start) for x in recordings]

@@ -1,4 +1,12 @@
-"""Noise of a joint as a process: what of a residual follows from the samples before."""
+"""Noise of a joint: an autoregressive process, and estimates from a residual.
+
+Sensor noise is as strong at all frequencies, and that of derivatives is stronger at
+high ones. So the upper half of a residual's band shows its noise; what exceeds that in
+the lower half is not noise.
+
+A residual with holes is given by its values ``x`` and their positions in time ``row``,
+shape (R,) each, its ``rate``, and the ``cutoff`` of its band, both in [Hz].
+"""
 
 from __future__ import annotations
 
@@ -6,23 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import solve_banded
+from scipy.ndimage import uniform_filter1d
 
 from hybrid.arrays import Array
+from hybrid.diagnosis.gap.gap import LOWER_BAND
+from hybrid.signals import butterworth
 
-LAGS = 16  # that noise is known at
-_UPPER = 0.5, 0.85  # of the band: there is little else than noise
+LAGS = 16  # largest lag of a noise covariance
+_UPPER_BAND = LOWER_BAND, 0.85  # of the cut-off
 _LEAST = 1e-6  # of the variance
+_STRETCH = 0.5  # s, over which the power of noise is averaged
+_EVENT = 8.0  # times the median power
 
 
 class Noise:
-    """A Gaussian process of a joint's samples, an autoregression with holes.
+    """A Gaussian autoregressive process, with holes, of a joint's samples.
 
-    What is whitened is independent from sample to sample, of variance one. As a run of
-    samples begins, the few before are all that is known.
+    Whitened samples are independent, of variance one. The first samples after a hole
+    are whitened with the few samples before them.
 
     Args:
         covariance: Covariance at lags 0 to p, shape (p + 1,), [N²·m²].
-        follows: Whether a sample is the next one after the one before it, shape (R,).
+        follows: Whether a sample directly follows the one before it, shape (R,).
 
     Source: Durbin 1960, doi 10.2307/1401322 (predictors of rising order).
     """
@@ -41,27 +54,13 @@ class Noise:
         self._matrix = bands.tocsr()
 
     def whiten(self, x: Array) -> Array:
-        """Samples as independent ones, shape (R, ...) each."""
+        """Whitened samples, shape (R, ...)."""
         return np.asarray(self._matrix @ x)
 
     def colour(self, x: Array) -> Array:
         """The inverse of :meth:`whiten`."""
         below = len(self._bands) - 1
         return np.asarray(solve_banded((below, 0), self._bands, x))
-
-
-def autocovariance(x: Array, row: NDArray[np.intp], lags: int) -> Array:
-    """Covariance of a signal with holes at lags 0 to p, shape (p + 1,).
-
-    Args:
-        x: The signal, shape (R,).
-        row: Place of each sample in time, shape (R,), ascending.
-        lags: Largest lag p.
-    """
-    full = np.zeros(row[-1] - row[0] + 1 + lags)
-    full[row - row[0]] = x
-    end = len(full) - lags
-    return np.array([full[:end] @ full[k : end + k] for k in range(lags + 1)]) / len(x)
 
 
 def _predictors(covariance: Array) -> Array:
@@ -78,20 +77,92 @@ def _predictors(covariance: Array) -> Array:
     return filters
 
 
+def autocovariance(x: Array, row: NDArray[np.intp], lags: int) -> Array:
+    """Autocovariance of a residual at lags from 0 to the largest, (lags + 1,)."""
+    full = np.zeros(np.ptp(row) + 1 + lags)
+    full[row - row.min()] = x
+    end = len(full) - lags
+    return np.array([full[:end] @ full[k : end + k] for k in range(lags + 1)]) / len(x)
+
+
 def floored(covariance: Array, cutoff: float) -> Array:
-    """Covariance of a filtered process, as if its stop band had as much as its band.
+    """Covariance of a filtered process, with the noise of its upper band in all bands.
+
+    Without it the stop band of a low-pass filter would count as free of noise.
 
     Args:
-        covariance: At lags from zero on, shape (p + 1,).
-        cutoff: End of its band, in cycles per sample.
+        covariance: Covariance at lags from zero on, shape (p + 1,).
+        cutoff: Cut-off of the filter, in cycles per sample.
     """
     p = len(covariance) - 1
     lag = np.arange(1, p + 1)
-    f = cutoff * np.linspace(*_UPPER, 20)
-    taper = 1.0 - lag / (p + 1)  # so that no density is below zero
+    f = cutoff * np.linspace(*_UPPER_BAND, 20)
+    taper = 1.0 - lag / (p + 1)  # keeps the density positive
     density = covariance[0] + 2 * np.cos(2 * np.pi * np.outer(f, lag)) @ (
         taper * covariance[1:]
     )
     out = covariance.copy()
     out[0] += max(float(density.mean()), _LEAST * covariance[0], 1e-300)
     return out
+
+
+def without_events(x: Array, row: NDArray[np.intp], rate: float) -> NDArray[np.bool_]:
+    """Samples of a residual in stretches of usual power, shape (R,).
+
+    The power of noise is the same at all times. A stretch with many times the median
+    power holds an event.
+    """
+    stretch = row // round(_STRETCH * rate)
+    count = np.bincount(stretch)
+    mean = np.bincount(stretch, x**2) / np.maximum(count, 1)
+    usual = np.median(mean[count > 0]) if len(x) else 0.0
+    return np.asarray(mean[stretch] <= _EVENT * usual)
+
+
+def relative_noise_power(
+    x: Array, row: NDArray[np.intp], rate: float, cutoff: float
+) -> Array:
+    """Noise power around each sample over the median one, at least 1, shape (R,)."""
+    if not len(row):
+        return np.ones(0)
+    first = row.min()
+    full, known = np.zeros((2, row.max() - first + 1))
+    full[row - first], known[row - first] = x, 1.0
+    upper = known * (full - butterworth(full, rate=rate, cutoff=LOWER_BAND * cutoff))
+    length = max(1, round(_STRETCH * rate))
+    around, count = (
+        uniform_filter1d(y, length, mode="constant")[row - first]
+        for y in (upper**2, known)
+    )
+    mean = around / count
+    return np.asarray(np.maximum(mean / max(np.median(mean), 1e-300), 1.0))
+
+
+def low_frequency_excess(
+    x: Array, row: NDArray[np.intp], rate: float, cutoff: float
+) -> float:
+    """Squares in the lower half of a residual's band beyond those of its noise."""
+    power, f = _spectrum(x, row, rate)
+    lower, upper = power[f < LOWER_BAND * cutoff], _upper(power, f / cutoff)
+    return float(lower.sum() - len(lower) * upper.mean()) if len(upper) else 0.0
+
+
+def noise_bound(x: Array, row: NDArray[np.intp], rate: float, cutoff: float) -> float:
+    """Upper bound of the mean square of a signal's noise, from its upper half band."""
+    power, f = _spectrum(x, row, rate)
+    upper = _upper(power, f / cutoff)
+    return float(np.sum(f < cutoff) * upper.mean() / len(x)) if len(upper) else 0.0
+
+
+def _spectrum(x: Array, row: NDArray[np.intp], rate: float) -> tuple[Array, Array]:
+    """Squares of a residual at each frequency of both signs, and the frequencies."""
+    full = np.zeros(np.ptp(row) + 1)
+    full[row - row.min()] = x
+    power = 2 * np.abs(np.fft.rfft(full)) ** 2 / len(full)
+    power[0] /= 2  # a constant has one sign only
+    return power, np.asarray(np.fft.rfftfreq(len(full), 1.0 / rate))
+
+
+def _upper(power: Array, f: Array) -> Array:
+    low, high = _UPPER_BAND
+    return power[(f >= low) & (f < high)]

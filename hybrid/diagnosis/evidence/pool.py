@@ -1,4 +1,4 @@
-"""Everything that might be a cause, with its columns."""
+"""The pool of all candidates, with their columns."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import numpy as np
 from hybrid.diagnosis.evidence.candidates import (
     Candidate,
     Place,
+    Term,
     candidate,
     candidates,
     fine_candidates,
-    same,
+    same_columns,
 )
 from hybrid.diagnosis.evidence.contacts import Contacts
 from hybrid.diagnosis.evidence.evidence import Evidence
@@ -20,23 +21,25 @@ from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.refine import gain
 from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.evidence.shapes import price
-from hybrid.diagnosis.evidence.term import Term
 from hybrid.diagnosis.gap.gap import Columns, Gap
+from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
 
-_RIPPLES, _MOST_RIPPLES = 3, 24  # orders tried at each joint at a time, and in all
-_CONTACTS = 2  # stretches of time tried at a time
-_ODD = 10.0  # nats for any cause, without which a joint has no gap
+_RIPPLES, _MOST_RIPPLES = 3, 24  # orders added at each joint at a time, and in all
+_CONTACTS = 2  # contacts added at a time
 
 
 class Pool:
-    """Candidates of all effects at all places, whose columns are in the evidence.
+    """Candidates of all effects at all places.
 
     Args:
-        evidence: Cross-products of the gap, with its background.
+        evidence: Cross-products of the gap, to which their columns are added.
         without: Ids of effects to leave out of the library.
+
+    Attributes:
+        tried: The candidates with their columns.
     """
 
     def __init__(self, evidence: Evidence, without: Sequence[str]) -> None:
@@ -45,99 +48,85 @@ class Pool:
         self.without = tuple(without)
         self.tried: list[Term] = []
         self._contacts = None if Contact.id in without else Contacts(self.gap)
-        self._take(candidates(self.gap, without))
-        self._take(
+        self._add(candidates(self.gap, without))
+        self._add(
             [x for j in range(self.gap.robot.size) for x in self._ripples(j, [1])]
         )
 
-    def _take(self, found: Sequence[Candidate]) -> None:
+    def _add(self, found: Sequence[Candidate]) -> None:
         blocks: list[Columns] = []
         kept: list[Candidate] = []
         for c in found:
             columns = self.gap.columns(c.effect)
-            if blocks and kept[-1].place == c.place and same(columns, blocks[-1]):
-                continue  # this shape does not show in first order
+            if blocks and kept[-1].place == c.place:
+                if same_columns(columns, blocks[-1]):
+                    continue  # the shape does not change the columns at zero gains
             blocks.append(columns)
             kept.append(c)
         if kept:
             index = self.evidence.add(blocks, [c.std for c in kept])
             self.tried += [Term(c, i) for c, i in zip(kept, index, strict=True)]
 
-    def take_ripples(self, base: Index, count: int = _RIPPLES) -> None:
-        """Take in ripples of the orders that stand out of what columns leave.
-
-        Args:
-            base: Columns that are in already.
-            count: Number of orders, at each joint.
-        """
+    def add_ripples(self, base: Index, count: int = _RIPPLES) -> None:
+        """Add ripples of the strongest orders at each joint in a base's residual."""
         if TorqueRipple.id in self.without:
             return
-        solution = self.evidence.solve(base)
         sampled, found = self.gap.sampled, list[Candidate]()
-        for j, rows in enumerate(self.evidence.rows):
-            left = self.evidence.residual(j, solution.index, solution.gains)
+        residuals = zip(self.evidence.rows, self.evidence.residuals(base), strict=True)
+        for j, (rows, left) in enumerate(residuals):
             q, v = sampled.q[rows, j], sampled.v[rows, j]
             orders = ripple_orders(left, q, v, self.gap.cutoff, count)
             found += self._ripples(j, orders.tolist())
-        self._take(found)
+        self._add(found)
 
     def _ripples(self, joint: int, orders: Sequence[int]) -> list[Candidate]:
-        """Ripples of some orders at a joint that are not in yet, up to a number."""
+        """New ripples of some orders at a joint, up to a total number."""
         if TorqueRipple.id in self.without:
             return []
         place = TorqueRipple.id, (joint,)
-        known = {x.effect.values["periods"] for x in self.at(place)}
+        there = (t.candidate.effect for t in self.tried if t.place == place)
+        known = {effect.values["periods"] for effect in there}
         room = max(0, _MOST_RIPPLES - len(known))
         new = [float(k) for k in orders if k not in known][:room]
         effects = (TorqueRipple((joint,), {"periods": k}) for k in new)
         return [candidate(self.gap, effect) for effect in effects]
 
-    def take_contacts(self, base: Index) -> None:
-        """Take in contacts where most is left, in units of noise, by some columns."""
+    def add_contacts(self, base: Index) -> None:
+        """Add the contacts with the most evidence in the residual of a base."""
         if self._contacts is None:
             return
-        evidence, solution = self.evidence, self.evidence.solve(base)
-        left = [
-            evidence.residual(i, solution.index, solution.gains)
-            for i in range(len(evidence.rows))
-        ]
+        evidence, left = self.evidence, self.evidence.residuals(base)
         found = self._contacts.strongest(left, evidence.rows, evidence.noise, _CONTACTS)
         known = [t.candidate.effect.shape_values for t in self.tried]
         new = (c for c in found if c.shape_values not in known)
-        self._take([candidate(self.gap, c) for c in new])
+        self._add([candidate(self.gap, c) for c in new])
 
-    def take_steep(self, base: Index) -> None:
-        """Take in steep effects at the gain that adds most to some columns.
-
-        Only at joints where there is a gap: their grid is too fine for all.
-        """
+    def add_steep(self, base: Index) -> None:
+        """Add steep effects at their best gain beside a base, at joints with a gap."""
         worth = {c.place: x for c, x in reversed(self.ranked(base))}
-        odd = {joints[-1] for (_, joints), x in worth.items() if x > _ODD}
+        with_gap = {at[-1] for (_, at), x in worth.items() if x > Prior.cause}
         for effect_id, joints in worth:
             cls = effect_classes()[effect_id]
-            if cls.steep and joints[-1] in odd:
+            if cls.steep and joints[-1] in with_gap:
                 fine = fine_candidates(self.gap, cls, joints)
-                self._take([max(fine, key=lambda c: gain(self.evidence, base, c))])
-
-    def at(self, place: Place) -> list[Candidate]:
-        """All shapes of an effect that were tried at a place."""
-        return [t.candidate for t in self.tried if t.place == place]
+                self._add([max(fine, key=lambda c: gain(self.evidence, base, c))])
 
     def ranked(
         self, base: Index, taken: Collection[Place] = (), less: Index | None = None
     ) -> list[tuple[Candidate, float]]:
-        """The best shape of each form of an effect at a place, most evidence first.
+        """The best candidate of each form of an effect at each place, best first.
 
-        Args:
-            base: Columns that are in already.
-            taken: Places where nothing more may be.
-            less: Columns of the base that are to be left out.
+        Forms are the values of inner shapes that are whole numbers. Places that are
+        ``taken`` are excluded, and the columns ``less`` of the base are left out.
+
+        Returns:
+            Each candidate with its gain in log evidence, less its price, [nat].
         """
         gains = self.evidence.screen(
             base,
             [t.index for t in self.tried],
             [t.candidate.lower for t in self.tried],
-            [t.candidate.made_at for t in self.tried],
+            [t.candidate.fixed_gains for t in self.tried],
             np.zeros(0, dtype=np.intp) if less is None else less,
         )
         best: dict[tuple[object, ...], tuple[Candidate, float]] = {}

@@ -1,4 +1,4 @@
-"""Candidates at their best: shapes and gains in which their torque is not linear."""
+"""Fit of the shapes of a candidate, and of gains in which it is not linear."""
 
 from __future__ import annotations
 
@@ -11,53 +11,52 @@ from scipy.optimize import minimize_scalar
 from hybrid.diagnosis.evidence.candidates import Candidate, scale_of, with_gains
 from hybrid.diagnosis.evidence.evidence import Evidence, Trial
 from hybrid.diagnosis.evidence.products import Index
-from hybrid.diagnosis.evidence.shapes import fit_shapes, nudges, price
+from hybrid.diagnosis.evidence.shapes import fit_shapes, price, shape_derivatives
 from hybrid.effects import Effect
 
-_EXACT_PASSES = 4
-_SHAPE_SPREAD = 0.3  # prior deviation of a shape, of its range
-_SHORTER, _LONGER, _SHIFTS, _FINE = 0.5, 2.0, 15, 0.003  # factors; times tried; part
-_STEP, _SCAN = 1.15, 9  # factor to either side of a steep gain; values tried
+_EXACT_PASSES = 4  # of a linearisation at the last gains
+_SHAPE_STD = 0.3  # prior standard deviation of a shape, of its range
+_SHORTER, _LONGER = 0.5, 2.0  # factors of a time shift that is searched
+_SHIFTS, _FINE = 15, 0.003  # evaluations; tolerance, as a part of the shift
+_STEP, _SCAN = 1.15, 9  # factor to either side of a steep gain; evaluations
 
 
 def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, float]:
-    """Fit the shapes of a candidate, from those given on.
-
-    Args:
-        evidence: Cross-products of the gap.
-        base: Columns that are in already, shape (k,).
-        c: The candidate.
+    """Fit the shapes of a candidate beside a base, near its own.
 
     Returns:
-        The candidate with better shapes, and the evidence that it adds, [nat].
+        The candidate with fitted shapes, and the log evidence that it adds, [nat].
     """
 
     def worth(effect: Effect) -> float:
         return gain(evidence, base, replace(c, effect=effect))
 
-    first = _scanned(evidence, base, c, worth) if c.effect.steep else c.effect
+    first = _scan_gain(evidence, base, c, worth) if c.effect.steep else c.effect
     start = worth(first)
     effect, best = fit_shapes(first, worth, evidence.gap)
     if best < start:
         effect, best = first, start
     if effect.linearised:
-        effect, best = _exact(evidence, base, replace(c, effect=effect))
+        effect, best = _fit_nonlinear(evidence, base, replace(c, effect=effect))
     better = replace(c, effect=effect)
-    return replace(better, wider=_tried(evidence, base, better).wider), best
+    factor = _trial(evidence, base, better).prior_factor
+    return replace(better, prior_factor=factor), best
 
 
 def gain(evidence: Evidence, base: Index, c: Candidate) -> float:
-    """Evidence that a candidate adds, less the price of its shapes, [nat]."""
-    return _tried(evidence, base, c).worth - price(c.effect)
+    """Log evidence that a candidate adds, less the price of its shapes, [nat]."""
+    return _trial(evidence, base, c).worth - price(c.effect)
 
 
-def _tried(evidence: Evidence, base: Index, c: Candidate) -> Trial:
+def _trial(evidence: Evidence, base: Index, c: Candidate) -> Trial:
     columns = evidence.gap.columns(c.effect)
-    return evidence.trial(base, columns, c.std, c.lower, c.made_at)
+    return evidence.trial(base, columns, c.std, c.lower, c.fixed_gains)
 
 
-def _exact(evidence: Evidence, base: Index, c: Candidate) -> tuple[Effect, float]:
-    """An effect on signals at its own gains, where its columns are not linear."""
+def _fit_nonlinear(
+    evidence: Evidence, base: Index, c: Candidate
+) -> tuple[Effect, float]:
+    """Fit the gains of an effect on signals, which is not linear in them."""
     effect, best, scale = c.effect, -np.inf, scale_of(evidence.gap, c.effect)
     bounds = [g.scaled(scale) for g in effect.gains]
     lower, upper = [b.lower for b in bounds], [b.upper for b in bounds]
@@ -67,29 +66,24 @@ def _exact(evidence: Evidence, base: Index, c: Candidate) -> tuple[Effect, float
         effect = with_gains(effect, np.clip(gains, lower, upper))
     if not effect.shifts:
         return effect, best - price(effect)
-    effect = shifted(evidence, base, effect)
+    effect = fit_shift(evidence, base, effect)
     return effect, gain(evidence, base, replace(c, effect=effect))
 
 
-def shifted(
-    evidence: Evidence, base: Index, effect: Effect, *, calm: bool | None = None
+def fit_shift(
+    evidence: Evidence, base: Index, effect: Effect, *, lower_band: bool | None = None
 ) -> Effect:
-    """A shift by the time at which its own torque, and no part of it, fits best.
+    """Fit the time of an effect that shifts torque, near its own.
 
-    Noise takes from the part that fits, which is not to be taken for a shorter time.
-
-    Args:
-        evidence: Cross-products of the gap.
-        base: Columns that are in already, shape (k,).
-        effect: The shift, by a time near the best.
-        calm: See :meth:`.Gap.columns`.
+    A free gain of its columns would be too small by noise, as if the time were shorter.
+    For ``lower_band`` see :meth:`.Gap.columns`.
     """
     (own,), (now,) = effect.gains, effect.gain_values
     name, bounds = own.name, own.scaled(scale_of(evidence.gap, effect))
 
     def loss(time: float) -> float:
-        columns = evidence.gap.columns(effect.at({name: time}), calm=calm)
-        return -evidence.at(base, columns, np.array([time]))
+        columns = evidence.gap.columns(effect.at({name: time}), lower_band=lower_band)
+        return -evidence.log_likelihood(base, columns, np.array([time]))
 
     ends = sorted([_SHORTER * now, _LONGER * now])
     ends = np.clip(ends, bounds.lower, bounds.upper)
@@ -102,12 +96,12 @@ def shifted(
     return effect.at({name: float(found.x)})
 
 
-def _scanned(
+def _scan_gain(
     evidence: Evidence, base: Index, c: Candidate, worth: Callable[[Effect], float]
 ) -> Effect:
-    """A steep effect at the best gain near its own, which is on a fine grid.
+    """Fit the gain of a steep effect near its own.
 
-    Where it only bends, and swings above the band, it is one in proportion to its gain.
+    Above the visible band its torque is proportional to the gain.
     """
     (own,), (now,) = c.effect.gains, c.effect.gain_values
     bounds = own.scaled(scale_of(evidence.gap, c.effect))
@@ -123,25 +117,16 @@ def _scanned(
         options={"maxiter": _SCAN, "xatol": 0.02},
     )
     best = at(found.x)
-    if not evidence.gap.above(best):
+    if not evidence.gap.is_above_band(best):
         return best
     columns = evidence.gap.columns(best)
     (gain,) = evidence.trial(base, columns, c.std, c.lower).gains
     return best.at({own.name: float(np.clip(gain, bounds.lower, bounds.upper))})
 
 
-def take_nudges(evidence: Evidence, effect: Effect) -> Index:
-    """Take in the change of an effect's torque with each of its shapes.
-
-    Args:
-        evidence: Where the columns go.
-        effect: The effect with its gains.
-
-    Returns:
-        The columns, one for each shape, shape (s,), per whole range of the shape.
-    """
-    blocks = nudges(evidence.gap, effect)
+def add_shape_derivatives(evidence: Evidence, effect: Effect) -> Index:
+    """Add the derivative of an effect's torque to each normalised shape, (s,)."""
+    blocks = shape_derivatives(evidence.gap, effect)
     if not blocks:
         return np.zeros(0, dtype=np.intp)
-    spread = [np.array([_SHAPE_SPREAD])] * len(blocks)
-    return np.concatenate(evidence.add(blocks, spread))
+    return np.concatenate(evidence.add(blocks, [np.array([_SHAPE_STD])] * len(blocks)))

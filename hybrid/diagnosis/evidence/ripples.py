@@ -1,4 +1,4 @@
-"""Which orders of ripple a residual holds: its spectrum over position."""
+"""Orders of torque ripple in a residual, from its spectrum over position."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 
-_MOST_PERIODS = 400
-_FILTER_ORDER = 5
+_MOST_PERIODS = 400  # per turn
+_FILTER_ORDER = 5  # of the low-pass filter that signals pass
 
 
 def ripple_orders(
     left: Array, q: Array, v: Array, cutoff: float, count: int
 ) -> NDArray[np.intp]:
-    """Strongest whole orders of torque that repeats with position, strongest first.
+    """Strongest orders of torque that is periodic in position, strongest first.
 
-    A wave of order k passes at k·v/2π: what the filter takes of it at each sample is
-    taken into account, so that fast stretches do not hide what slow ones show.
+    A ripple of order k has the frequency k·v/2π. Each sample is weighted by what the
+    low-pass filter passes at its frequency.
 
     Args:
         left: Residual of one joint, shape (M,), [N·m].
         q: Its position, shape (M,), [rad].
         v: Its speed, shape (M,), [rad/s].
-        cutoff: Cut-off of the filter that the residual went through, [Hz].
-        count: How many orders.
+        cutoff: Cut-off of the residual's filter, [Hz].
+        count: Number of orders.
 
     Returns:
         Orders per turn, shape (count,) or fewer.

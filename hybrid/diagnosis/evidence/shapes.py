@@ -1,4 +1,7 @@
-"""The shapes of an effect: what its torque is not linear in."""
+"""The shapes of an effect: the parameters in which its torque is nonlinear.
+
+A shape is searched in normalised form, 0 to 1 over its range.
+"""
 
 from __future__ import annotations
 
@@ -13,82 +16,85 @@ from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.effects import Effect
 from hybrid.effects.effect import Quantity
 
-_PRICE = 2.0  # of choosing one shape; the logarithm of how many differ in effect
-_SCAN_PRICE = 8.0  # of a gain that is scanned: each value is another law
+_PRICE = 2.0  # nat, logarithm of the number of values of a shape that differ
+_SCAN_PRICE = 8.0  # nat, the same of a gain that is scanned
 _REACH = 0.2  # of a shape's range, to either side
-_WIDE = 8.0  # times the lower bound: such a range is even in its logarithm
+_WIDE = 8.0  # upper over lower bound, from which on a range is logarithmic
 _MOST_TRIALS = 40
-_ENDLESS = 1e4  # s
-_NUDGE = 0.05  # of the reach, for a derivative
+_ENDLESS = 1e4  # s, upper bound of a time on a clock
+_STEP = 0.05  # of the reach, of a finite difference
 
 
 def price(effect: Effect) -> float:
-    """Evidence that the choice of an effect's shapes has to pay for, [nat]."""
+    """Odds against the choice of an effect's shapes, [nat]."""
     if effect.choices is not None:
         return effect.choices
     return _PRICE * len(effect.shapes) + (_SCAN_PRICE if effect.steep else 0.0)
 
 
 @dataclass(frozen=True)
-class _Range:
-    """A shape's range, as 0 to 1."""
+class Range:
+    """A shape's range as 0 to 1; logarithmic where it is wide.
+
+    Attributes:
+        shape: The shape.
+    """
 
     shape: Quantity
 
     @property
-    def wide(self) -> bool:
+    def logarithmic(self) -> bool:
+        """Whether the logarithm of a value is linear in its normalised form."""
         return self.shape.lower > 0 and self.shape.upper > _WIDE * self.shape.lower
 
-    def place(self, value: float) -> float:
+    def normalised(self, value: float) -> float:
+        """Normalised form of a value."""
         low, high = self.shape.lower, self.shape.upper
-        if self.wide:
+        if self.logarithmic:
             return float(np.log(value / low) / np.log(high / low))
         return (value - low) / (high - low)
 
-    def value(self, place: float) -> float:
-        low, high, x = self.shape.lower, self.shape.upper, min(max(place, 0.0), 1.0)
-        value = low * (high / low) ** x if self.wide else low + x * (high - low)
+    def value(self, normalised: float) -> float:
+        """Value of a normalised form, or of the nearest end of the range."""
+        low, high = self.shape.lower, self.shape.upper
+        x = min(max(normalised, 0.0), 1.0)
+        value = low * (high / low) ** x if self.logarithmic else low + x * (high - low)
         return float(np.clip(value, low, high))
 
 
 def part_of_range(shape: Quantity, low: float, high: float) -> float:
-    """How much of a shape's range lies between two of its values, 0 to 1."""
-    whole = _Range(shape)
-    return whole.place(high) - whole.place(low)
+    """Part of a shape's range between two of its values, 0 to 1."""
+    whole = Range(shape)
+    return whole.normalised(high) - whole.normalised(low)
 
 
 def fit_shapes(
     effect: Effect, gain: Callable[[Effect], float], gap: Gap
 ) -> tuple[Effect, float]:
-    """Maximise a function of an effect over its shapes, near the given ones.
-
-    Args:
-        effect: The effect with the shapes to start from.
-        gain: What to maximise.
-        gap: For the bounds of the shapes.
+    """Maximise a function of an effect over its shapes, near its own.
 
     Returns:
-        The effect with better shapes, and what was gained.
+        The effect with the best shapes, and the function's value.
     """
     ranges = _ranges(gap, effect)
     if not ranges:
         return effect, gain(effect)
 
     def at(x: Array) -> Effect:
-        return at_places(gap, effect, x)
+        return with_normalised_shapes(gap, effect, x)
 
     search = _one if len(ranges) == 1 else _several
-    start, reach = places(gap, effect), _reach(effect, ranges[0])
+    start, reach = normalised_shapes(gap, effect), _reach(effect, ranges[0])
     best = at(search(lambda x: -gain(at(x)), start, reach))
     return best, gain(best)
 
 
-def _reach(effect: Effect, first: _Range) -> float:
-    """How far to look, in parts of the range."""
+def _reach(effect: Effect, first: Range) -> float:
+    """Half width of the search in normalised form."""
     if first.shape.near is None:
         return _REACH
     value = effect.values[first.shape.name]
-    return first.place(value + first.shape.near) - first.place(value)
+    return first.normalised(value + first.shape.near) - first.normalised(value)
 
 
 def _one(loss: Callable[[Array], float], start: Array, reach: float) -> Array:
@@ -119,59 +125,49 @@ def _several(loss: Callable[[Array], float], start: Array, reach: float) -> Arra
     return np.asarray(found.x)
 
 
-def nudges(gap: Gap, effect: Effect) -> list[Columns]:
-    """Change of an effect's torque with each shape, per whole range of the shape.
-
-    Args:
-        gap: Where to evaluate it.
-        effect: The effect with its gains.
-
-    Returns:
-        For each shape a column at every joint that the effect reaches, shape (M, 1).
-    """
+def shape_derivatives(gap: Gap, effect: Effect) -> list[Columns]:
+    """Derivative of an effect's torque to each normalised shape, shape (M, 1)."""
     now, gains = gap.columns(effect), effect.gain_values
     blocks: list[Columns] = []
-    for r in _ranges(gap, effect):
-        place = r.place(effect.values[r.shape.name])
-        step = _NUDGE * _reach(effect, r)
-        step = step if place + step <= 1.0 else -step
-        then = gap.columns(effect.at({r.shape.name: r.value(place + step)}))
+    ranges = _ranges(gap, effect)
+    for r, x in zip(ranges, normalised_shapes(gap, effect), strict=True):
+        step = _STEP * _reach(effect, r)
+        step = step if x + step <= 1.0 else -step
+        then = gap.columns(effect.at({r.shape.name: r.value(x + step)}))
         blocks.append({j: ((then[j] - now[j]) @ gains / step)[:, None] for j in now})
     return blocks
 
 
-def places(gap: Gap, effect: Effect) -> Array:
-    """Places of an effect's shapes in their ranges, 0 to 1, shape (s,)."""
-    return np.array(
-        [r.place(effect.values[r.shape.name]) for r in _ranges(gap, effect)]
-    )
+def normalised_shapes(gap: Gap, effect: Effect) -> Array:
+    """Shapes of an effect in normalised form, shape (s,)."""
+    ranges = _ranges(gap, effect)
+    return np.array([r.normalised(effect.values[r.shape.name]) for r in ranges])
 
 
-def at_places(gap: Gap, effect: Effect, at: Array) -> Effect:
-    """An effect with its shapes at places in their ranges, or at the nearest end."""
-    values = zip(_ranges(gap, effect), at, strict=True)
+def with_normalised_shapes(gap: Gap, effect: Effect, shapes: Array) -> Effect:
+    """An effect with shapes given in normalised form, shape (s,)."""
+    values = zip(_ranges(gap, effect), shapes, strict=True)
     return effect.at({r.shape.name: r.value(float(x)) for r, x in values})
 
 
 def shape_units(gap: Gap, effect: Effect) -> list[float]:
-    """Change of each shape's value with its place in its range, at its value."""
-    units = []
-    for r in _ranges(gap, effect):
-        place = r.place(effect.values[r.shape.name])
-        step = _NUDGE * _reach(effect, r)
-        low, high = max(place - step, 0.0), min(place + step, 1.0)
+    """Derivative of each shape's value with respect to its normalised form."""
+    units, ranges = [], _ranges(gap, effect)
+    for r, x in zip(ranges, normalised_shapes(gap, effect), strict=True):
+        step = _STEP * _reach(effect, r)
+        low, high = max(x - step, 0.0), min(x + step, 1.0)
         units.append((r.value(high) - r.value(low)) / (high - low))
     return units
 
 
-def _ranges(gap: Gap, effect: Effect) -> list[_Range]:
+def _ranges(gap: Gap, effect: Effect) -> list[Range]:
     scale = gap.scales[effect.joints[-1]]
     shapes = [s.scaled(scale) for s in effect.shapes if not s.whole]
-    return [_Range(_near(s, effect.values[s.name])) for s in shapes]
+    return [Range(_near(s, effect.values[s.name])) for s in shapes]
 
 
 def _near(shape: Quantity, value: float) -> Quantity:
-    """A shape within reach: of a time on a clock without end, what is around it."""
+    """A shape with bounds around its value, if it is a time without upper bound."""
     if shape.upper <= _ENDLESS:
         return shape
     low, high = value - shape.typical, value + shape.typical

@@ -1,1 +1,1 @@
-"""Explanations of a gap: sets of causes, and how probable they are."""
+"""Explanations of a gap: sets of causes, their posterior, and the search for them."""

@@ -1,4 +1,4 @@
-"""What of the gap is explained, joint by joint, and what is left to the unknown."""
+"""The explained and the unexplained part of the gap, by joint."""
 
 from __future__ import annotations
 
@@ -8,57 +8,51 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.bayes import coloured
+from hybrid.diagnosis.evidence.noise import low_frequency_excess
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.search import Search
 
 
 @dataclass(frozen=True)
 class Account:
-    """Squares of the gap on the samples learnt from, by joint, in units of noise.
+    """Residual squares on the training samples, by joint, in units of noise.
 
     Attributes:
         before: With the background alone, shape (n,).
         after: With all known causes, shape (n,).
-        ceiling: With the unknown laws as well, shape (n,), and without what is no noise
-            although no law has it.
-        depends: What the unknown part depends on, for each joint.
+        ceiling: With the unknown laws as well, shape (n,), and without the excess at
+            low frequencies that no law explains.
+        noise: The same as a variance, shape (n,), [N²·m²].
+        depends: Signals on which the unknown laws of each joint depend.
     """
 
     before: Array
     after: Array
     ceiling: Array
+    noise: Array
     depends: tuple[str, ...]
 
     @property
     def explained(self) -> Array:
-        """What the known causes explain, shape (n,)."""
+        """Squares that the known causes explain, shape (n,)."""
         return np.maximum(self.before - self.after, 0.0)
 
     @property
     def missed(self) -> Array:
-        """What has no known cause, shape (n,)."""
+        """Squares that have no known cause, shape (n,)."""
         return np.maximum(self.after - self.ceiling, 0.0)
 
     @property
-    def noise(self) -> Array:
-        """Sum of squares of noise alone, shape (n,)."""
-        return self.ceiling
-
-    @property
     def unknown(self) -> float:
-        """Part of the explainable gap that no known cause explains."""
+        """Share of the explainable squares that has no known cause, 0 to 1."""
         whole = self.explained.sum() + self.missed.sum()
         return float(self.missed.sum() / whole) if whole > 0 else 0.0
 
 
 def account(search: Search, reached: Array | None = None) -> Account:
-    """What an explanation explains where it was learnt.
+    """Account for the gap on the training samples of a search that has run.
 
-    Args:
-        search: A search that has run.
-        reached: Squares that more causes left, some of which are not believed, shape
-            (n,).
+    ``reached`` is the ceiling of an explanation with more causes, shape (n,).
     """
     laws = [c for c in search.causes if c.candidate is None]
     left = [_left(search, causes) for causes in ([], search.known, search.causes)]
@@ -67,42 +61,34 @@ def account(search: Search, reached: Array | None = None) -> Account:
         for j in range(search.gap.robot.size)
     ]
     before, after, ceiling = left
-    events = _coloured(search)
-    for i in np.flatnonzero(events):
+    slow = _slow_share(search)
+    for i in np.flatnonzero(slow):
         depends[i] = depends[i] or "what does not recur"
-    ceiling = ceiling * (1.0 - events)
+    ceiling = ceiling * np.maximum(1.0 - slow, 0.0)
     if reached is not None:
         ceiling = np.minimum(ceiling, reached)
-    return Account(before, after, ceiling, tuple(depends))
+    variance = ceiling * search.noise / np.maximum(search.evidence.count, 1)
+    return Account(before, after, ceiling, variance, tuple(depends))
 
 
-def _coloured(search: Search) -> Array:
-    """Part of the residual's squares that is no noise: too slow for it, (n,).
-
-    Noise of sensors, and of derivatives, is not stronger at low frequencies.
-    """
+def _slow_share(search: Search) -> Array:
+    """Share of the residual's squares that is too slow for noise, shape (n,)."""
     evidence, gap = search.evidence, search.gap
-    found = evidence.solve(search.columns(search.causes))
-    parts = np.zeros(len(evidence.rows))
-    for i, rows in enumerate(evidence.rows):
+    residuals = evidence.residuals(search.columns(search.causes))
+    parts = np.zeros(len(residuals))
+    for i, (x, rows) in enumerate(zip(residuals, evidence.rows, strict=True)):
         if len(rows):
-            back = np.argsort(rows)
-            x = evidence.residual(i, found.index, found.gains)[back]
-            slow = coloured(x, rows[back], gap.rate, gap.cutoff)
-            part = slow / max(float(x @ x), 1e-300)
-            if part > search.prior.coloured:
-                parts[i] = part
-    return parts
+            slow = low_frequency_excess(x, rows, gap.rate, gap.cutoff)
+            parts[i] = slow / max(float(x @ x), 1e-300)
+    return np.where(parts > search.prior.slow_share, parts, 0.0)
 
 
 def _left(search: Search, causes: Sequence[Cause]) -> Array:
-    """Squares that some causes leave, those of the others put to nothing, (n,).
+    """Residual squares where all other causes have no torque, in units of noise, (n,).
 
-    The file's numbers are those of the whole explanation; without any cause they are
-    fitted anew.
+    The background is that of the whole explanation, or is refitted without any cause.
     """
     evidence = search.evidence
     found = evidence.solve(search.columns(search.causes if causes else []))
     index = search.columns(causes)
-    left = evidence.squares(index, found.of(index)).sum(axis=1)
-    return np.asarray(left / search.noise)
+    return evidence.squares(index, found.of(index)) / search.noise

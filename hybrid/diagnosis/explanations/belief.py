@@ -1,4 +1,4 @@
-"""How probable a cause is."""
+"""The probability of a cause, and of the alternatives to it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybrid.diagnosis.evidence.candidates import Place, same, scale_of
+from hybrid.diagnosis.evidence.candidates import Place, same_columns, scale_of
 from hybrid.diagnosis.evidence.refine import gain
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.proposal import Proposal
+from hybrid.diagnosis.explanations.proposals import Proposal
 
 if TYPE_CHECKING:
     from hybrid.diagnosis.explanations.search import Search
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """How probable a cause is, beside all others of an explanation.
+    """Probability of a cause, beside all others of an explanation.
 
     Attributes:
         cause: The cause.
-        worth: By how much it raises the score, [nat].
-        alike: What may stand in its place, itself first, and how probable each is.
-        probability: That it, or a known effect alike, is there; the rest is that of
-            no cause or an unknown law.
-        limit: Id of what it cannot be told from, where it is not itself any more; see
+        worth: Gain in the score by it, [nat].
+        alternatives: Proposals in its place with their probabilities, itself first.
+        probability: Probability that a known effect is in its place. The rest is that
+            of no cause, or of an unknown law.
+        limit: Id of the law that it has become, at the limit of its own; see
             :attr:`.Effect.becomes`.
     """
 
     cause: Cause
     worth: float
-    alike: tuple[tuple[Proposal, float], ...]
+    alternatives: tuple[tuple[Proposal, float], ...]
     probability: float
     limit: str | None = None
 
@@ -47,15 +47,10 @@ class Belief:
         least: float,
         limit: str | None = None,
     ) -> Belief:
-        """Normalised over what may stand in its place, and over nothing there.
+        """Normalise the probabilities of the options in place of a cause, and of none.
 
-        Args:
-            cause: The cause.
-            worth: By how much it raises the score, [nat].
-            options: What may stand in its place.
-            twins: What has the same torque; only its prior is another.
-            least: Probability from which on something counts.
-            limit: Id of what it cannot be told from, if it is at its limit.
+        Twins are options with the same torque, and another prior. They are alternatives
+        even below the least probability.
         """
         known = list(options.values())
         nat = np.array([0.0, *(x.worth for x in known)])
@@ -70,23 +65,24 @@ class Belief:
         likely = sum(p for x, p in ranked if x.candidate is not None)
         return cls(cause, worth, (*own, *others), float(likely), limit)
 
-    def plainest(self, slack: float) -> Proposal | None:
-        """A plainer effect that is as probable to within some nat; nothing without.
+    def simplest(self, slack: float) -> Proposal | None:
+        """A simpler effect that is as probable; ``None`` if there is none.
 
-        A law at a limit, where it is another one, is that one.
+        For a law at its limit it is the law that it has become. A difference of log
+        probability up to the slack, [nat], is ignored.
         """
-        (own, best), *rest = self.alike
+        (own, best), *rest = self.alternatives
         known = [(x, p) for x, p in rest if x.candidate is not None]
         for x, _ in known:
             if x.place == (self.limit, own.place[1]):
                 return x
         near = [x for x, p in known if p > best * np.exp(-slack)]
-        plain = min(near, key=lambda x: x.parameters, default=own)
-        return plain if plain.parameters < own.parameters else None
+        simple = min(near, key=lambda x: x.parameters, default=own)
+        return simple if simple.parameters < own.parameters else None
 
 
 def beliefs(search: Search) -> list[Belief]:
-    """How probable each known cause is, and what might stand in its place."""
+    """The probability of each known cause of a search, and its alternatives."""
     now, found = search.score(search.causes), []
     for cause in search.known:
         rest = [c for c in search.causes if c is not cause]
@@ -95,23 +91,23 @@ def beliefs(search: Search) -> list[Belief]:
         for x in search.proposals(search.causes, own=cause):
             options.setdefault(x.place, x)
         twins = {place for place, x in options.items() if _twin(search, cause, x)}
-        limit, least = _limit(search, cause, rest), search.prior.alike
+        limit, least = _limit(search, cause, rest), search.prior.alternative
         found.append(Belief.of(cause, worth, options, twins, least, limit))
     return found
 
 
 def _twin(search: Search, cause: Cause, other: Proposal) -> bool:
-    """Whether something else has the same torque, and but another prior."""
+    """Whether a proposal has the same torque as a cause at its joint."""
     one, two = cause.candidate, other.candidate
     if one is None or two is None or one.place[1] != two.place[1]:
         return False
-    return same(*(search.gap.columns(c.effect) for c in (one, two)))
+    return same_columns(*(search.gap.columns(c.effect) for c in (one, two)))
 
 
 def _limit(search: Search, cause: Cause, rest: list[Cause]) -> str | None:
-    """Id of what it cannot be told from, at an end of a shape, or nothing.
+    """Id of the law that a cause has become, if a shape is at an end of its range.
 
-    What it is worth more may be no more than laws are inexact by.
+    It has if it is better than at that end by no more than errors of laws.
     """
     c = cause.candidate
     end = None if c is None else c.effect.at_limit(scale_of(search.gap, c.effect))
@@ -121,14 +117,13 @@ def _limit(search: Search, cause: Cause, rest: list[Cause]) -> str | None:
     own, there = (
         gain(search.evidence, base, replace(c, effect=x)) for x in (c.effect, end[0])
     )
-    return end[1] if own - there < search.mimicked(cause) else None
+    return end[1] if own - there < search.model_error_odds(cause) else None
 
 
 def unknown_worth(search: Search, cause: Cause) -> float:
-    """What the unknown laws are worth at the joint that a cause is about, [nat]."""
+    """Gain in score by unknown laws, at the joint with most of a cause's torque."""
     evidence, causes = search.evidence, search.causes
     gains = evidence.solve(search.columns(causes)).of(cause.index)
-    order = np.argsort(cause.index)
-    joint = int(np.argmax(evidence.made(cause.index[order], gains[order])))
+    joint = int(np.argmax(evidence.fitted_squares(cause.index, gains)))
     rest = [c for c in causes if c.candidate is not None or c.place[1] != (joint,)]
     return search.score(causes) - search.score(rest)

@@ -1,4 +1,4 @@
-"""A cause in an explanation: an effect of the library, or a law that it lacks."""
+"""A cause in an explanation: an effect of the library, or an unknown law."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ class Cause:
     """One part of an explanation.
 
     Attributes:
-        place: Id of the effect, or what an unknown law is of; and the joints.
+        place: Id of the effect, or name of the unknown law; and the joints.
         index: Its columns in the evidence.
-        cost: Odds against it before any recording, and for the choice of its shapes,
-            [nat].
-        candidate: The effect with its shapes; nothing for an unknown law.
-        rough: Part of its torque's RMS that its law leaves out.
+        cost: Log odds against it, with the price of its shapes, [nat].
+        candidate: The effect with its shapes; ``None`` for an unknown law.
+        rough: RMS error of its law, relative to its torque.
     """
 
     place: Place

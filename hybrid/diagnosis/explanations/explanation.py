@@ -1,4 +1,4 @@
-"""The terms that explain a gap, fitted together and scored on unseen samples."""
+"""The known causes of a gap, fitted together and scored on test samples."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
+from hybrid.diagnosis.evidence.candidates import Term
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.products import Index
-from hybrid.diagnosis.evidence.term import Term
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import Gap
 
 _BLOCK_SECONDS = 1.0
-_TAIL = 0.02  # of a term's squares: no more than a filter spreads
-_INSTEAD = 0.7  # of what is less of a law, at least of the one that takes its place
-_ORDERS = 24  # of terms, and as many reversed
+_TAIL = 0.02  # of a term's squares, which a filter may spread to other samples
+_INSTEAD = 0.7  # of the fall of a declared law, least gain of the law in its place
+_ORDERS = 24  # random orders of terms, each with its reverse
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Background and terms on the samples kept for scoring.
+    """Background and terms on the test samples.
 
     Attributes:
         gap: The gap.
         terms: Effects with their shapes.
-        evidence: Cross-products on the samples kept for scoring.
+        evidence: Cross-products on the test samples.
         index: Columns of background and terms.
-        gains: Their values, found on the other samples.
+        gains: Their gains, fitted to the training samples.
         own: Columns of each term.
-        learnt: The same on the samples that the gains were found on.
+        learnt: The same on the training samples.
     """
 
     gap: Gap
@@ -59,8 +59,7 @@ class Explanation:
 
     def left(self, gains: Array) -> list[Array]:
         """Residual of each joint, in the order of ``evidence.rows``, [N·m]."""
-        n = self.gap.robot.size
-        return [self.evidence.residual(i, self.index, gains) for i in range(n)]
+        return self.evidence.residuals(self.index, gains)
 
     @cached_property
     def after(self) -> list[Array]:
@@ -73,16 +72,15 @@ class Explanation:
         return self.left(self.without(*range(len(self.terms))))
 
     def contribution(self, k: int) -> list[Array]:
-        """Torque of one term at each joint, [N·m]."""
-        return [
-            w - a for w, a in zip(self.left(self.without(k)), self.after, strict=True)
-        ]
+        """Torque of a term at each joint, [N·m]."""
+        pairs = zip(self.left(self.without(k)), self.after, strict=True)
+        return [without - after for without, after in pairs]
 
     @cached_property
     def named(self) -> tuple[str, ...]:
-        """Id of the effect that each term belongs to.
+        """Id of the effect under which each term is reported.
 
-        Less of a law that the file declares belongs to the one that takes its place.
+        A declared law that is reduced is reported under the law that takes its place.
         """
         first = [self.gains[self.index == own[0]].item() for own in self.own]
 
@@ -101,13 +99,13 @@ class Explanation:
         return tuple(map(owner, range(len(self.terms))))
 
     def members(self, effect_id: str) -> list[int]:
-        """Terms that belong to one effect."""
+        """Terms that are reported under an effect."""
         return [k for k, name in enumerate(self.named) if name == effect_id]
 
     def where_seen(self, members: Sequence[int]) -> Explanation:
-        """This, or :attr:`learnt` if some terms hardly act on the scored samples.
+        """This, or :attr:`learnt` if some terms hardly act on the test samples.
 
-        What happened only once cannot be checked on another occasion.
+        An effect that acts only once cannot be tested.
         """
         if self.learnt is None:
             return self
@@ -118,20 +116,16 @@ class Explanation:
         return self if here > _TAIL * there else self.learnt
 
     def blocks(self, i: int) -> NDArray[np.intp]:
-        """Block of time of each scored sample of a joint, for resampling."""
+        """Block of time of each test sample of a joint, for the bootstrap."""
         rows = self.evidence.rows[i]
         length = max(1, round(_BLOCK_SECONDS * self.gap.rate))
         return rows // length
 
 
 def explain(search: Search) -> Explanation:
-    """Score what a search found on the samples it has not seen.
-
-    Args:
-        search: A search that has run on the samples to learn from.
-    """
+    """Score the known causes of a search on its test samples."""
     gap, terms, test = search.gap, tuple(search.terms), search.test
-    test.evidence.spread(test.numbers, search.off)  # as it is by now
+    test.evidence.scale_prior(test.numbers, search.file_error)
     seen, unseen = search.columns(search.known), test.columns(search.known)
     gains = search.evidence.solve(search.base()).of(seen)
     learnt = Explanation(
@@ -142,20 +136,18 @@ def explain(search: Search) -> Explanation:
 
 
 def shares(search: Search, rng: np.random.Generator) -> Array:
-    """Part of each term in what all of them explain, shape (terms,).
+    """Share of each term in what all of them explain, shape (terms,).
 
-    Shapley's shares of the fall in squares, in units of noise, on the samples learnt
-    from; every subset of terms is fitted anew, beside the background as it is with all
-    of them: alone it would take over, at the price of numbers that are far off. They
-    are estimated from random orders and their reverses, which settles the shares of
-    two terms exactly.
+    Shapley values of the fall in squares, in units of noise, on the training samples.
+    Each subset of terms is refitted, while the background stays as it is with all of
+    them. The values are estimated from random orders and their reverses, which is exact
+    for two terms.
 
     Source: Shapley 1953, doi 10.1515/9781400881970-018; Mitchell et al. 2022,
     arXiv 2104.12199 (antithetic orders).
     """
     evidence, terms = search.evidence, search.terms
     gain = np.zeros(len(terms))
-
     rigid, base = search.background, search.base()
     K = len(rigid)
     known = evidence.solve(base).gains[:K]
@@ -169,13 +161,14 @@ def shares(search: Search, rng: np.random.Generator) -> Array:
         H = A[np.ix_(here, here)] + np.diag(evidence.precision[own])
         gains = np.linalg.solve(H, b[here] - A[here, :K] @ known)
         columns = np.concatenate([rigid, own])
-        return float(evidence.lost(columns, np.concatenate([known, gains])).sum())
+        both = np.concatenate([known, gains])
+        return float(evidence.weighted_squares(columns, both).sum())
 
-    nothing = left([])
+    none = left([])
     for _ in range(_ORDERS if len(terms) > 2 else 1):
         forth = rng.permutation(len(terms)).tolist()
         for order in (forth, forth[::-1]):
-            before = nothing
+            before = none
             for k in range(len(order)):
                 after = left(order[: k + 1])
                 gain[order[k]] += before - after

@@ -1,27 +1,52 @@
-"""What may be added to an explanation, and how much more probable it makes it."""
+"""Causes that may be added to an explanation, with their gain in score."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from weakref import proxy
 
 import numpy as np
 
-from hybrid.diagnosis.evidence.candidates import Place
+from hybrid.diagnosis.evidence.candidates import Candidate, Place
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.posterior import Posterior
-from hybrid.diagnosis.explanations.proposal import Proposal
 from hybrid.effects import effect_classes
 
 
-class Proposals(Posterior):
-    """What may be added to any causes of a gap.
+@dataclass(frozen=True)
+class Proposal:
+    """A cause that may be added to an explanation.
 
     Attributes:
-        refused: Places of causes that did not hold on unseen recordings.
+        place: Id of the effect, or name of the unknown law; and the joints.
+        worth: Gain in the score, [nat].
+        make: Makes the cause.
+        candidate: The effect with its shapes; ``None`` for an unknown law.
+    """
+
+    place: Place
+    worth: float
+    make: Callable[[], Cause]
+    candidate: Candidate | None = None
+
+    @property
+    def parameters(self) -> float:
+        """Number of its parameters; infinite for an unknown law."""
+        if self.candidate is None:
+            return np.inf
+        effect = self.candidate.effect
+        return len(effect.gains) + len(effect.shapes)
+
+
+class Proposals(Posterior):
+    """A posterior that proposes causes.
+
+    Attributes:
+        refused: Places of causes that did not lower the loss on test samples.
         library_only: Whether unknown laws are left out.
     """
 
@@ -31,12 +56,7 @@ class Proposals(Posterior):
     def proposals(
         self, causes: Sequence[Cause], own: Cause | None = None
     ) -> list[Proposal]:
-        """What may be added to some causes, and by how much it raises the score.
-
-        Args:
-            causes: The causes.
-            own: One of them, in whose place it is to be; its shapes are fitted anew.
-        """
+        """Causes that may be added to some causes, or replace ``own``, best first."""
         whole, rest = self.columns(causes), [c for c in causes if c is not own]
         base, found = self.columns(rest), list[Proposal]()
         less = base[:0] if own is None else own.index
@@ -47,21 +67,22 @@ class Proposals(Posterior):
             k = c.place[1][-1]
             rough[k] = max(rough[k], c.effect.rough**2 * x)
         ranked = ranked[: self.prior.shortlist]
-        short = [c for c, x in ranked if x > self.prior.refined * ranked[0][1]]
+        short = [c for c, x in ranked if x > self.prior.refined_share * ranked[0][1]]
         if own is not None and own.candidate is not None:
             short = [own.candidate, *short]
         for c in short:
             better, worth = self.refine(base, c)
-            make = partial(Proposals.cause, proxy(self), better)  # a search keeps these
-            alike = self.alike(rest, c.place[0]) - self.alike(rest)
-            odds = self.prior.cause - alike + self.mimicked(c)
+            # A reference in a kept proposal would be a cycle.
+            make = partial(Proposals.cause, proxy(self), better)
+            discount = self.kind_discount(rest, c.place[0]) - self.kind_discount(rest)
+            odds = self.prior.cause - discount + self.model_error_odds(c)
             found.append(Proposal(c.place, worth - odds, make, better))
         laws = [x for x in self.laws.open(rest) if x.place not in self.refused]
         if laws and not self.library_only:
-            found.append(self.unknown(laws, base, whole, less, rough))
+            found.append(self.best_law(laws, base, whole, less, rough))
         return sorted(found, key=lambda x: -x.worth)
 
-    def unknown(
+    def best_law(
         self,
         laws: Sequence[Cause],
         base: Index,
@@ -69,11 +90,11 @@ class Proposals(Posterior):
         less: Index,
         rough: Mapping[int, float],
     ) -> Proposal:
-        """The best of some unknown laws beside a base, which is a whole less a part.
+        """The best of some unknown laws beside a base: ``whole`` without ``less``.
 
-        What a rough law of the library leaves out at a joint is no unknown law.
+        ``rough`` is the evidence, by joint, that errors of known laws may explain.
         """
-        every = self.laws.all  # the same ones each time, whose products are kept
+        every = self.laws.all  # the same ones each time, whose screening is kept
         none = [np.full(len(x.index), -np.inf) for x in every]
         gained = self.evidence.screen(whole, [x.index for x in every], none, less=less)
         known = dict(zip(every, gained, strict=True))
@@ -86,8 +107,8 @@ class Proposals(Posterior):
         return Proposal(law.place, worth[law], make)
 
     def taken(self, causes: Sequence[Cause]) -> set[Place]:
-        """Where no more may be than some causes: one of a kind, or a few."""
-        most = self.prior.repeated
+        """Places of some causes to which no further cause may be added."""
+        most = self.prior.most_repeated
         count = Counter(c.place for c in causes)
         again = {x.id for x in effect_classes().values() if x.repeats}
         return {x for x, k in count.items() if k >= (most if x[0] in again else 1)}

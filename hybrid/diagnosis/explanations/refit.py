@@ -1,4 +1,4 @@
-"""The numbers that are reported, and how far off they may be."""
+"""The reported values of effects, with their standard deviations."""
 
 from __future__ import annotations
 
@@ -11,54 +11,58 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import Candidate, with_gains
 from hybrid.diagnosis.evidence.evidence import Evidence, Solution
 from hybrid.diagnosis.evidence.products import Index
-from hybrid.diagnosis.evidence.refine import shifted, take_nudges
-from hybrid.diagnosis.evidence.shapes import at_places, places, shape_units
-from hybrid.diagnosis.explanations.elsewhere import Elsewhere
+from hybrid.diagnosis.evidence.refine import add_shape_derivatives, fit_shift
+from hybrid.diagnosis.evidence.shapes import (
+    normalised_shapes,
+    shape_units,
+    with_normalised_shapes,
+)
+from hybrid.diagnosis.explanations.other_samples import OtherSamples
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import Effect
 
-_NORMAL = 1.96
-_OPEN = 10.0  # times a gain's prior deviation
-_DRAWS = 64  # shapes from all of the range, and as many from near the best
-_WIDER = 2.0  # times the deviation, to draw from
+_NORMAL = 1.96  # standard deviations to either side of a 95 % interval
+_OPEN = 10.0  # factor on the priors of gains, so that intervals show the data
+_DRAWS = 64  # shapes from the whole range, and as many from near the best
+_WIDER = 2.0  # factor on the standard deviation of the draws near the best
 
 
-def solve_all(gap: Gap, search: Search) -> tuple[Evidence, Solution, tuple[Index, ...]]:
-    """Background and terms of a search, of shapes as they are, on all samples.
+def solve_all(search: Search) -> tuple[Evidence, Solution, tuple[Index, ...]]:
+    """Fit background and terms of a search, with their shapes, to all samples.
 
     Returns:
         The evidence, the gains of all columns, and the columns of each term.
     """
-    every = Elsewhere(search, np.ones(len(gap.fold), dtype=bool))
+    every = OtherSamples(search, np.ones(len(search.gap.fold), dtype=bool))
     solution = every.evidence.solve(every.columns(search.causes))
     return every.evidence, solution, tuple(map(every.own, search.known))
 
 
-def refit(gap: Gap, search: Search) -> tuple[Effect, ...]:
-    """The effects of a search's terms, as all samples have them.
+def refit(search: Search) -> tuple[Effect, ...]:
+    """Effects of a search's terms, fitted to all samples.
 
-    Their standard deviations take into account that the others, and the numbers of the
-    file, are not known exactly.
+    Their standard deviations include the uncertainty of all other terms, and of the
+    file's numbers.
     """
-    evidence, solution, own = solve_all(gap, search)
-    index = solution.index
+    evidence, solution, own = solve_all(search)
+    gap, index = search.gap, solution.index
     effects = [
         with_gains(t.candidate.effect, solution.of(i))
         for t, i in zip(search.terms, own, strict=True)
     ]
-    # The band's upper half tells the time best, if it is a shift for sure.
+    # The upper half of the band determines the time of a shift best.
     effects = [
-        shifted(evidence, np.setdiff1d(index, i), effect, calm=False)
+        fit_shift(evidence, np.setdiff1d(index, i), effect, lower_band=False)
         if effect.shifts else effect
         for effect, i in zip(effects, own, strict=True)
     ]  # fmt: skip
-    shapes = [take_nudges(evidence, effect) for effect in effects]
-    # How far the file's numbers are off was chosen by the same data.
-    evidence.spread(index[: len(search.numbers)], search.widest)
+    shapes = [add_shape_derivatives(evidence, effect) for effect in effects]
+    # The error of the file's numbers was chosen by the same data.
+    numbers = index[: len(search.numbers)]
+    evidence.scale_prior(numbers, search.reported_file_error)
     for i in own:
-        # Values lean on their priors; what the data leave open the intervals show.
-        evidence.spread(i, _OPEN)
+        evidence.scale_prior(i, _OPEN)
     whole = evidence.solve(np.concatenate([index, *shapes]))
     place = {int(k): i for i, k in enumerate(whole.index)}
     certain = []
@@ -70,42 +74,35 @@ def refit(gap: Gap, search: Search) -> tuple[Effect, ...]:
         if len(s) and not effect.steep and not effect.repeats:
             base = np.setdiff1d(index, i)
             part = known[len(i) :, len(i) :]
-            far = _over_shapes(
-                evidence, base, replace(t.candidate, effect=effect), part
-            )
+            own_candidate = replace(t.candidate, effect=effect)
+            far = _profile_range(evidence, base, own_candidate, part)
             more = np.maximum(far / _NORMAL / np.sqrt(np.diag(covariance)), 1.0)
             covariance *= np.outer(more, more)
-        covariance[np.diag_indices(len(here))] += _besides(gap, effect)
+        covariance[np.diag_indices(len(here))] += _model_variance(gap, effect)
         certain.append(_reported(effect, covariance))
     return tuple(certain)
 
 
-def _over_shapes(
+def _profile_range(
     evidence: Evidence, base: Index, c: Candidate, covariance: Array
 ) -> Array:
-    """How far off values are at any shapes that fit nearly as well, shape (p,).
+    """Largest deviation of each value within the 95 % region of the shapes, (p,).
 
-    Such shapes lie along curves, or far apart, of which the curvature at the best says
-    nothing. They are drawn from all of their range and from near the best; those within
-    their joint 95 % region count (likelihood ratio).
-
-    Args:
-        evidence: Cross-products of the gap.
-        base: All columns but the term's own.
-        c: The term with its values.
-        covariance: Of its shapes, by the curvature, of their range, shape (s, s).
+    The curvature at the optimum does not describe a curved or divided region. Shapes
+    are drawn from the whole range and from near the optimum; the likelihood ratio tells
+    which of them are in the region. ``covariance`` is that of the normalised shapes by
+    the curvature, shape (s, s).
 
     Source: Venzon and Moolgavkar 1988, doi 10.2307/2347496 (profile likelihood).
     """
-    gap, middle = evidence.gap, places(evidence.gap, c.effect)
-    names = [x.name for x in (*c.effect.gains, *c.effect.shapes) if not x.whole]
-    size = len(middle)
+    gap, middle = evidence.gap, normalised_shapes(evidence.gap, c.effect)
+    names, size = _names(c.effect), len(middle)
     wide = _WIDER**2 * covariance
     near = qmc.MultivariateNormalQMC(middle, wide, rng=0).random(_DRAWS)
     points = np.concatenate([[middle], near, qmc.Sobol(size, rng=0).random(_DRAWS)])
     worth, off = [], []
     for point in np.clip(points, 0.0, 1.0):
-        effect = at_places(gap, c.effect, point)
+        effect = with_normalised_shapes(gap, c.effect, point)
         found, gains, _ = evidence.trial(base, gap.columns(effect), c.std, c.lower)
         values = with_gains(effect, gains).values
         worth.append(found)
@@ -114,24 +111,23 @@ def _over_shapes(
     return np.asarray(np.abs(np.array(off)[inside]).max(axis=0, initial=0.0))
 
 
-def _besides(gap: Gap, effect: Effect) -> Array:
-    """Variance of values by what the law leaves out, shape (p,).
-
-    And of a time at which something happens between two samples.
-    """
-    gains = list(effect.gains)
-    shapes = [x for x in effect.shapes if not x.whole]
-    law = [effect.inexact.get(x.name, 0.0) for x in (*gains, *shapes)]
-    size = [effect.values[x.name] for x in (*gains, *shapes)]
+def _model_variance(gap: Gap, effect: Effect) -> Array:
+    """Variance of values by errors of the law, and of times by sampling, shape (p,)."""
+    law = [effect.inexact.get(x, 0.0) * effect.values[x] for x in _names(effect)]
     step = 1.0 / gap.motions[0].rate
+    shapes = [x for x in effect.shapes if not x.whole]
     times = [step**2 / 12.0 if x.unit == "s" else 0.0 for x in shapes]
-    return np.asarray(np.square(law) * np.square(size) + np.pad(times, (len(gains), 0)))
+    return np.asarray(np.square(law) + np.pad(times, (len(effect.gains), 0)))
+
+
+def _names(effect: Effect) -> list[str]:
+    """Names of the gains, and of the shapes that are no whole numbers."""
+    return [x.name for x in (*effect.gains, *effect.shapes) if not x.whole]
 
 
 def _reported(effect: Effect, covariance: Array) -> Effect:
-    """An effect's law of the torque reported, with standard deviations."""
-    names = [x.name for x in (*effect.gains, *effect.shapes) if not x.whole]
-    law = effect.as_reported()
+    """The effect as it is reported, with standard deviations (delta method)."""
+    names, law = _names(effect), effect.as_reported()
     if law is effect:
         std = np.sqrt(np.diag(covariance))
         return law.at({}, dict(zip(names, map(float, std), strict=True)))

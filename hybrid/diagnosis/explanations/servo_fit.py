@@ -1,4 +1,4 @@
-"""The servo law, the shifts of its signals and the gains that explain a torque best."""
+"""Fit of a servo law: its gains, its latency, and the delay of the logged torque."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.bayes import most_noise
+from hybrid.diagnosis.evidence.noise import noise_bound
 from hybrid.diagnosis.gap.servo import (
     LATENCIES,
     MOST_SHIFT,
@@ -19,24 +19,24 @@ from hybrid.diagnosis.gap.servo import (
 )
 from hybrid.signals import memory
 
-WORTH = 14.0  # nat, with the price of a shape
-_ROUNDS, _LONGEST, _CONVERGED = 12, 0.004, 1e-6  # s
+WORTH = 14.0  # nat, odds against one more parameter of a servo
+_ROUNDS, _LONGEST, _CONVERGED = 12, 0.004, 1e-6  # iterations; steps, [s]
 _RIDGE = 1e-10
-_MOST_SCALE = 0.3
-_MUCH = 0.5  # of the squares: what a torque out of step leaves at most
+_MOST_SCALE = 0.3  # relative error of a log's torque scale
+_MUCH = 0.5  # of the squares without a delay, those that a delay leaves at most
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A servo law with its shifts and gains.
+    """A fitted servo law.
 
     Attributes:
         law: The law.
-        late: Commands act late by T after the position, [s].
-        shift: Torque is logged late by S after the position, [s].
+        late: Latency T from command to logged position, [s].
+        shift: Delay S of the logged torque behind the logged position, [s].
         gains: Gain of each column, shape (p,).
-        left: Torque left, shape (M,), [N·m].
-        covariance: Of T, S and the gains, shape (2 + p, 2 + p).
+        left: Residual torque, shape (M,), [N·m].
+        covariance: Covariance of T, S and the gains, shape (2 + p, 2 + p).
     """
 
     law: Law
@@ -48,7 +48,7 @@ class Fit:
 
     @property
     def latency(self) -> float:
-        """From command to torque, whichever of both the position is in step with."""
+        """Latency from command to torque, [s], whichever of both was logged late."""
         return self.late + min(self.shift, 0.0)
 
     @property
@@ -58,30 +58,27 @@ class Fit:
         return float(np.sqrt(way @ self.covariance[:2, :2] @ way))
 
     def residual(self, servo: ServoLog) -> Array:
-        """Torque that the law leaves on other samples, shape (M,), [N·m]."""
+        """Residual torque on other samples, shape (M,), [N·m]."""
         A = servo.signals(self.late, self.shift)
         return np.asarray(A @ (self.law.target - self.law.columns @ self.gains))
 
 
-def fit(servo: ServoLog, choice: Sequence[Law], *, prompt: bool) -> Fit:
-    """The law, the shifts and the gains that leave least.
+def fit(servo: ServoLog, choice: Sequence[Law], *, immediate: bool) -> Fit:
+    """Fit the law, latency, delay and gains with the least squared residual.
 
-    A scan takes all laws at all latencies from one set of cross-products; the best of
-    each law is refined by Gauss–Newton steps. The log is at scale, and its torque in
-    step with its position, unless there is evidence that they are not.
+    All laws are scanned over all latencies, from one set of cross-products. The best
+    latency of each law is refined by Gauss–Newton steps. A scale of the torque, and a
+    delay of it, are fitted only where there is evidence for them.
 
-    Args:
-        servo: Signals of a joint.
-        choice: Laws to choose from.
-        prompt: Whether torque must follow the command at once: a position that is
-            logged late, or torque, is no latency.
+    With ``immediate`` torque must follow the command without latency; the logged
+    torque, or the logged position, may still be late.
     """
 
     def best(scaled: bool, shifted: bool) -> Fit | None:
         fits = []
         for law in choice:
             if law.scaled == scaled:
-                start, basis = _start(servo.products, law, prompt, shifted)
+                start, basis = _start(servo.products, law, immediate, shifted)
                 fits.append((_refined(servo.thin, law, start, basis), basis))
         if not fits:
             return None
@@ -90,32 +87,26 @@ def fit(servo: ServoLog, choice: Sequence[Law], *, prompt: bool) -> Fit:
 
     at_scale, scaled = best(False, False), best(True, False)
     if at_scale and scaled and abs(scaled.gains[0] - 1.0) > _MOST_SCALE:
-        scaled = None  # no log is off by so much: the law does not fit
-    found = _likelier(servo, at_scale, scaled)
+        scaled = None  # such a law does not fit
+    found = _more_likely(servo, at_scale, scaled)
     shifted = best(found.law.scaled, True)
-    # Noise of the position lets a shift stand for some of it.
+    # A small improvement may come from noise of the position.
     if shifted and shifted.left @ shifted.left > _MUCH * (found.left @ found.left):
         shifted = None
-    return _likelier(servo, found, shifted)
+    return _more_likely(servo, found, shifted)
 
 
-def _likelier(servo: ServoLog, found: Fit | None, other: Fit | None) -> Fit:
-    """A fit, or a less simple one with evidence for it."""
+def _more_likely(servo: ServoLog, found: Fit | None, other: Fit | None) -> Fit:
+    """The first fit, or the second and less simple one if there is evidence for it."""
     if found is None or other is None:
         only = found or other
         assert only is not None
         return only
-    return other if evidence(servo, found, other) > WORTH else found
+    return other if log_likelihood_ratio(servo, found, other) > WORTH else found
 
 
-def at_once(servo: ServoLog, choice: Sequence[Law], found: Fit) -> Fit:
-    """The law and the gains that leave least without any latency.
-
-    Args:
-        servo: Signals of a joint.
-        choice: Laws to choose from.
-        found: A fit whose shift of the torque stays.
-    """
+def fit_without_latency(servo: ServoLog, choice: Sequence[Law], found: Fit) -> Fit:
+    """Fit the law and the gains without latency, at the torque delay of another fit."""
     still = np.array([max(0.0, -found.shift), found.shift])
     fits = [
         _refined(servo, law, still, np.zeros((2, 0)))
@@ -125,17 +116,12 @@ def at_once(servo: ServoLog, choice: Sequence[Law], found: Fit) -> Fit:
     return min(fits, key=lambda x: float(x.left @ x.left))
 
 
-def blur(servo: ServoLog, found: Fit, rate: float, cutoff: float) -> float:
-    """Part of the damping, at most, that noise of the speed hides.
+def hidden_damping(servo: ServoLog, found: Fit, rate: float, cutoff: float) -> float:
+    """Largest part of the damping that noise of the speed may hide, 0 to 1.
 
-    A gain on a noisy signal comes out low by the noise in what only that signal tells,
-    and shifts in time may make up for the rest.
-
-    Args:
-        servo: Signals of a joint.
-        found: Its servo law.
-        rate: Samples per second, [Hz].
-        cutoff: End of the signals' band, [Hz].
+    The estimated gain of a noisy regressor is too small: by the noise variance over the
+    variance that the other regressors do not explain (errors in variables). ``rate``
+    and ``cutoff`` of the signals are in [Hz].
     """
     A, law = servo.signals(found.late, found.shift), found.law
     X, at = A @ law.columns, 2 if law.scaled else 1
@@ -147,31 +133,31 @@ def blur(servo: ServoLog, found: Fit, rate: float, cutoff: float) -> float:
         others.append(change[:, None])
     rest = np.column_stack(others)
     own = speed - rest @ _least(rest, speed)
-    noise = most_noise(speed, servo.row, rate, cutoff)
+    noise = noise_bound(speed, servo.row, rate, cutoff)
     return min(1.0, noise / max(float(own @ own) / len(own), 1e-300))
 
 
-def evidence(servo: ServoLog, without: Fit, with_: Fit) -> float:
-    """Logarithm of the likelihood that a fit has more than another, [nat]."""
-    independent = len(servo.row) / memory(with_.left, servo.row)
-    before, after = without.left @ without.left, with_.left @ with_.left
+def log_likelihood_ratio(servo: ServoLog, first: Fit, second: Fit) -> float:
+    """Log likelihood of the second fit less that of the first, [nat]."""
+    independent = len(servo.row) / memory(second.left, servo.row)
+    before, after = first.left @ first.left, second.left @ second.left
     return float(independent / 2 * np.log(before / after))
 
 
-def _start(G: Array, law: Law, prompt: bool, shifted: bool) -> tuple[Array, Array]:
-    """Shifts (T, S) of the scan, and the directions in which these may change."""
+def _start(G: Array, law: Law, immediate: bool, shifted: bool) -> tuple[Array, Array]:
+    """Initial (T, S) from the scan, and the directions in which they may change."""
     slope, along = np.eye(SIGNALS)[SLOPE], np.eye(2)
     if not shifted:
         late = LATENCIES[np.argmin(_solve(G, law.columns, law.target)[0])]
-        if prompt:
+        if immediate:
             return np.zeros(2), np.zeros((2, 0))
         return np.array([late, 0.0]), along[:, :1]
     squares, x = _solve(G, np.column_stack([law.columns, -slope]), law.target)
     shift = np.clip(x[:, -1], -MOST_SHIFT, MOST_SHIFT)
-    if not prompt:
+    if not immediate:
         k = int(np.argmin(squares))
         return np.array([LATENCIES[k], shift[k]]), along
-    # Either the torque is logged late, or the position, and all follows the command.
+    # Either the torque or the position was logged late.
     behind = law.target - LATENCIES[LATENCIES <= MOST_SHIFT, None] * slope
     others, _ = _solve(G[: len(behind)], law.columns, behind)
     k = int(np.argmin(others))
@@ -181,7 +167,7 @@ def _start(G: Array, law: Law, prompt: bool, shifted: bool) -> tuple[Array, Arra
 
 
 def _solve(G: Array, columns: Array, target: Array) -> tuple[Array, Array]:
-    """Squares left (K,) and gains (K, p) of cross-products, shape (K, 9, 9)."""
+    """Residual squares (K,) and gains (K, p) from cross-products (K, 9, 9)."""
     H = columns.T @ G @ columns
     target = np.broadcast_to(target, G.shape[:2])
     pull = np.einsum("kij,kj->ki", G, target)
@@ -193,8 +179,8 @@ def _solve(G: Array, columns: Array, target: Array) -> tuple[Array, Array]:
 
 
 def _refined(servo: ServoLog, law: Law, x: Array, basis: Array) -> Fit:
-    """Gauss–Newton steps from shifts x = (T, S) along the directions of a basis."""
-    at_once = basis.shape[1] == 1 and basis[1, 0] != 0
+    """Refine x = (T, S) along the directions of a basis by Gauss–Newton steps."""
+    immediate = basis.shape[1] == 1 and basis[1, 0] != 0
     for _ in range(_ROUNDS):
         A = servo.signals(*x)
         X, y = A @ law.columns, A @ law.target
@@ -207,7 +193,7 @@ def _refined(servo: ServoLog, law: Law, x: Array, basis: Array) -> Fit:
         if np.all(np.abs(step) < _CONVERGED):
             break
         x = x + np.clip(step, -_LONGEST, _LONGEST)
-        if at_once and (x[0] < 0 or x.sum() < 0):
+        if immediate and (x[0] < 0 or x.sum() < 0):
             x = np.zeros(2)
     d = _inverse(np.linalg.norm(J, axis=0))
     spread = np.linalg.pinv((J * d).T @ (J * d), rcond=1e-12) * d * d[:, None]
@@ -218,10 +204,11 @@ def _refined(servo: ServoLog, law: Law, x: Array, basis: Array) -> Fit:
 
 
 def _least(X: Array, y: Array) -> Array:
+    """Least-squares gains, with columns scaled to unit length."""
     d = _inverse(np.linalg.norm(X, axis=0))
     return np.asarray(d * np.linalg.lstsq(X * d, y, rcond=1e-10)[0])
 
 
 def _inverse(size: Array) -> Array:
-    """1/size, and nothing for a signal that is zero throughout."""
+    """1/size, and zero for a signal that is zero throughout."""
     return np.divide(1.0, size, out=np.zeros_like(size), where=size > 1e-200)

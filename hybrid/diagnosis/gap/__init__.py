@@ -1,1 +1,1 @@
-"""The gap of some logs: measured, filtered, and where it counts."""
+"""The gap between measured and simulated torque, and which samples of it are used."""

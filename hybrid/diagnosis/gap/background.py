@@ -1,6 +1,7 @@
-"""What is a little off everywhere, and not the cause.
+"""The background of a gap: small errors that every simulator has, and that no cause is.
 
-The simulator's own numbers, and how its dry friction goes through rest.
+They are errors of the numbers of the robot file, the shape of dry friction near rest,
+and the time between two samples.
 """
 
 from __future__ import annotations
@@ -19,23 +20,18 @@ from hybrid.effects.spring import Spring
 from hybrid.effects.viscous import Viscous
 from hybrid.robot.spatial import link_spread
 
-_KNEES = (0.003, 0.01, 0.017, 0.03)  # rad/s
-_LEADS = (0.0, 0.01)  # s
-_USUALLY_OFF, _MOST_OFF = 0.01, 0.03  # of the numbers, for which that holds
+_KNEES = (0.003, 0.01, 0.017, 0.03)  # rad/s, speed of full friction
+_LEADS = (0.0, 0.01)  # s, time by which a solver reverses friction early
 
 
-@lru_cache(maxsize=1)  # each set of samples asks for them
+@lru_cache(maxsize=1)  # the training and the test samples share them
 def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
-    """Columns of link parameters and friction, and how far off they may be.
-
-    Simulators, and arms, differ in how dry friction goes through rest; presliding that
-    matters lasts for longer.
+    """Columns of the numbers of the robot file, and the size of each number.
 
     Returns:
-        A block of ten columns for each link, one for each declared armature, damping,
-        friction loss and stiffness, and some of dry friction, declared or not, that is
-        full from a small speed on; and the size of each number: it may be a few per
-        cent off.
+        A block of ten columns for each link, and one of a column for each declared
+        armature, damping, friction loss and stiffness; and the size of each number, to
+        which its relative error refers.
     """
     robot = gap.robot
     n = robot.size
@@ -65,30 +61,27 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
     return blocks, sizes
 
 
-@lru_cache(maxsize=1)  # each set of samples asks for them
-def rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
-    """Columns of how dry friction goes through rest, and the size of each.
+@lru_cache(maxsize=1)  # the training and the test samples share them
+def friction_near_rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
+    """Columns of soft dry friction near rest, and the size of each gain.
 
-    Of a solver nobody knows more than what its file declares; what an arm has may be as
-    soft as can be, and no softer.
+    Arms and solvers differ in the speed at which dry friction is full.
     """
-    size, blocks = dry_friction(gap), list[Columns]()
-    for joint in range(gap.robot.size):
-        blocks.append({joint: soft_friction(gap, joint, _KNEES, _LEADS)})
-    return blocks, [
-        np.full(x[joint].shape[1], size[joint]) for joint, x in enumerate(blocks)
-    ]
+    level, joints = dry_friction(gap), range(gap.robot.size)
+    blocks: list[Columns]
+    blocks = [{j: soft_friction(gap, j, _KNEES, _LEADS)} for j in joints]
+    sizes = [np.full(blocks[j][j].shape[1], level[j]) for j in joints]
+    return blocks, sizes
 
 
-@lru_cache(maxsize=1)  # each set of samples asks for them
-def clocks(gap: Gap) -> tuple[list[Columns], list[Array]]:
-    """Columns of torque that is logged between two samples, and how late it may be.
+@lru_cache(maxsize=1)  # the training and the test samples share them
+def sampling_delays(gap: Gap) -> tuple[list[Columns], list[Array]]:
+    """Columns of torque that was read between two samples, and the size of the delay.
 
-    A drive holds its torque from one sample to the next, and no log says when in
-    between it was read: all times are known to within half a sample either way.
+    No log says when torque was read within a sample: its time is uniform over one.
 
     Returns:
-        A block of one column for each joint, and the size of its gain.
+        A block of one column for each joint, and the standard deviation of its gain.
     """
     joints = range(gap.robot.size)
     size = 1.0 / gap.motions[0].rate / np.sqrt(12.0)
@@ -97,10 +90,7 @@ def clocks(gap: Gap) -> tuple[list[Columns], list[Array]]:
 
 
 def dry_friction(gap: Gap) -> Array:
-    """Dry friction of each joint, as declared and as the gap has it, shape (n,), [N·m].
-
-    Many a file declares none, and what is there goes through rest as softly.
-    """
+    """Dry friction of each joint: declared, and fitted to the gap, (n,), [N·m]."""
     level = gap.robot.frictionloss.copy()
     for j, moving in enumerate(gap.moving.T):
         laws = [gap.columns(kind((j,)))[j] for kind in (Coulomb, Viscous, Armature)]
@@ -112,13 +102,10 @@ def dry_friction(gap: Gap) -> Array:
 def soft_friction(
     gap: Gap, joint: int, knees: Sequence[float], leads: Sequence[float]
 ) -> Array:
-    """Dry friction of a joint as solvers soften it, less sharp friction.
+    """Soft dry friction of a joint, less the sharp one, for each lead and knee, (M, p).
 
-    It is full from a speed on, the knee. A solver that asks for a deceleration of v / T
-    turns it round T before the joint does, the lead.
-
-    Returns:
-        Columns of unit size for each lead and knee, shape (M, p).
+    Friction is full from a speed on, the knee, [rad/s]. A solver reverses it before the
+    joint does, by the lead, [s].
     """
     parts = []
     for motion, _, sampler in gap:

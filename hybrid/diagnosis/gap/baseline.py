@@ -1,4 +1,4 @@
-"""A model of the healthy arm as the simulator: what has changed since?"""
+"""A model of the healthy arm as the simulator, to diagnose what has changed."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from hybrid.signals import Motion
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """What a model knows of an arm beyond the numbers of its file.
+    """A model of the healthy arm, whose torque is subtracted from the logs.
 
-    Torque of friction, ripple and remainder is taken from the logs. What is left is
-    that of the model's links, and of whatever has changed.
+    The model's friction, ripple and remainder are subtracted. The torque of its links
+    and of all that has changed is left.
 
     Attributes:
         model: The model of the healthy arm.
@@ -34,38 +34,33 @@ class Baseline:
 
     @cached_property
     def robot(self) -> Robot:
-        """The arm with the model's links, if some are consistent with its torque."""
+        """The arm with the model's links, if the model has physical ones."""
         known = self.model.inertial
         return (
             self.model.robot if known is None else self.model.robot.with_inertial(known)
         )
 
     @property
-    def constant(self) -> list[str]:
-        """Ids of effects that do not come about on an arm that was sound."""
+    def inborn(self) -> list[str]:
+        """Ids of effects that a healthy arm cannot acquire."""
         return [x.id for x in effect_classes().values() if x.inborn]
 
-    def taken_from(
+    def subtract_from(
         self, logs: Sequence[Recording | Motion]
     ) -> list[Recording | Motion]:
-        """Logs less the torque that is known.
-
-        Args:
-            logs: Logs of the arm that were checked, or motions made from such.
-        """
+        """Checked logs, or motions, without the model's effects and remainder."""
         motions, _ = motions_of(logs, self.model.cutoff)
         return [
-            replace(x, tau=x.tau - self._known(m))
+            replace(x, tau=x.tau - self._torque(m))
             for x, m in zip(logs, motions, strict=True)
         ]
 
-    def beside(self, gap: Gap) -> Gap:
-        """A gap with the size of what was taken: that may be a little wrong."""
-        both = zip(gap.motions, gap.samplers, strict=True)
-        parts = [sampler(self._known(m)) for m, sampler in both]
-        return replace(gap, known=np.concatenate(parts))
+    def with_subtracted(self, gap: Gap) -> Gap:
+        """A gap that knows the subtracted torque, which may be slightly wrong."""
+        parts = [sampler(self._torque(motion)) for motion, _, sampler in gap]
+        return replace(gap, subtracted=np.concatenate(parts))
 
-    def _known(self, motion: Motion) -> Array:
-        """Torque beyond the file's and the links', shape (N, n), [N·m]."""
+    def _torque(self, motion: Motion) -> Array:
+        """Torque of the model's effects and remainder, shape (N, n), [N·m]."""
         body = RigidBody(self.robot.chain, motion)
         return self.model.predict(motion) - simulated_torque(self.robot, motion, body)

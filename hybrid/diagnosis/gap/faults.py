@@ -1,4 +1,4 @@
-"""Samples of a recording that are no measurement: frozen, saturated, or in between."""
+"""Faulty samples of a recording: frozen, saturated, or beside a jump of torque."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from hybrid.inspect.samples import usual_step
 from hybrid.recording import Recording
 
 _LONGEST_REPEAT = 0.2  # s; quantised torque repeats for less while an arm moves
-_FEWEST = 10  # samples
+_FEWEST = 10  # samples of a frozen channel
 _SHARE = 0.01  # of a log, at its extreme value: a peak is a sample or two
-_COARSE = 0.1  # distinct values of a torque that a sensor has rounded, per sample
-_UNUSUAL = 3.0  # times the third longest run
+_COARSE = 0.1  # distinct values per sample of a torque that was quantised coarsely
+_UNUSUAL = 3.0  # times the third longest run of equal values
 _ALONE = 5.0  # times the samples of the next level
-_JUMP = 5.0  # times the usual step, by which a frozen encoder is left
+_JUMP = 5.0  # times the usual step
 _LEAP = 0.25  # of the range of torque, from one sample to the next
-_KNOCK = 3.0  # times a large step of speed
-_ALIKE = 1 / 3  # of a step, the next one
+_IMPACT = 3.0  # times a large step of speed
+_NEIGHBOUR = 1 / 3  # of a step, the one before or after it
 _UNDER_WAY, _BESIDE = 0.05, 3  # of the highest speed; samples to either side
 
 
 @dataclass(frozen=True, eq=False)
 class Faults:
-    """What of a recording cannot be used.
+    """Samples of a recording that cannot be used.
 
     Attributes:
-        posture: Samples whose positions are wrong, shape (N,): of no use to any joint.
+        posture: Samples whose position is wrong, for all joints, shape (N,).
         torque: Samples whose torque is wrong, shape (N, n).
         notes: The same in words.
     """
@@ -41,7 +41,7 @@ class Faults:
 
 
 def find_faults(recording: Recording) -> Faults:
-    """Samples where a channel repeats one value, though the arm moves, or leaps."""
+    """Find samples where a channel repeats a value while the arm moves, or jumps."""
     q, tau, t = recording.q, recording.tau, recording.t
     least = max(_FEWEST, round(_LONGEST_REPEAT / float(np.median(np.diff(t)))))
     notes = []
@@ -65,35 +65,36 @@ def find_faults(recording: Recording) -> Faults:
         where = [recording.joints[j] for j in np.flatnonzero(leaps.any(axis=0))]
         first = t[leaps.any(axis=1)][0]
         notes.append(
-            f"torque of {', '.join(where)} jumps on the way, at {first:.3g} s first, "
-            "by more than samples so far apart resolve: what is near is left out"
+            f"torque of {', '.join(where)} jumps while the joint moves, first at "
+            f"{first:.3g} s, faster than the samples resolve: samples near it are left "
+            "out"
         )
     place = f"{recording.source}: " if recording.source else ""
     return Faults(posture, torque, tuple(place + note for note in notes))
 
 
 def _leaps(t: Array, q: Array, tau: Array) -> NDArray[np.bool_]:
-    """Samples beside a rare leap of torque while a joint moves, shape (N, n).
+    """Samples beside a rare jump of torque while a joint moves, shape (N, n).
 
-    A reference that jumps takes the acceleration along. Between two samples nobody
-    knows when, and derivatives of positions spread it over several.
+    Where the reference jumps, so does the acceleration, at a time between two samples
+    that derivatives of positions do not resolve.
     """
     steps, v = np.diff(tau, axis=0), np.diff(q, axis=0) / np.diff(t)[:, None]
     around = np.stack([np.roll(v, k, axis=0) for k in (-_BESIDE, 0, _BESIDE)])
     slowest = _UNDER_WAY * np.abs(v).max(axis=0, initial=0.0)
-    # Where it turns round, dry friction does, between two samples if these are rare.
-    on_the_way = np.all(around > slowest, axis=0) | np.all(around < -slowest, axis=0)
+    # At a reversal dry friction jumps as well: these are no faults.
+    under_way = np.all(around > slowest, axis=0) | np.all(around < -slowest, axis=0)
     size = np.abs(steps)
-    # A drive that hurries takes several steps the same way.
+    # A fast change of torque takes several steps in one direction.
     same = [np.roll(steps, k, axis=0) * np.sign(steps) for k in (-1, 1)]
-    alone = np.maximum(*same) < _ALIKE * size
-    # What is knocked, as by play that closes, leaps in speed as well.
-    knocks = np.abs(np.diff(v, axis=0, append=v[-1:]))
-    knocked = np.max([np.roll(knocks, k, axis=0) for k in (-1, 0, 1)], axis=0)
-    knocked = knocked > _KNOCK * np.quantile(knocks, 0.99, axis=0)
+    alone = np.maximum(*same) < _NEIGHBOUR * size
+    # At an impact, as when backlash closes, the speed jumps as well.
+    changes = np.abs(np.diff(v, axis=0, append=v[-1:]))
+    impact = np.max([np.roll(changes, k, axis=0) for k in (-1, 0, 1)], axis=0)
+    impact = impact > _IMPACT * np.quantile(changes, 0.99, axis=0)
     usual = np.quantile(size, 0.99, axis=0)
     far = size > np.maximum(_JUMP * usual, _LEAP * np.ptp(tau, axis=0))
-    leap = on_the_way & alone & far & ~knocked
+    leap = under_way & alone & far & ~impact
     beside = np.zeros(tau.shape, dtype=bool)
     beside[1:] |= leap
     beside[:-1] |= leap
@@ -101,29 +102,28 @@ def _leaps(t: Array, q: Array, tau: Array) -> NDArray[np.bool_]:
 
 
 def _usual_run(x: Array) -> int:
-    """Length of runs of equal values from which on one is out of the ordinary.
+    """Length from which on a run of equal values of a coarse sensor is unusual.
 
-    A coarse sensor holds its level wherever torque hardly changes. A few times what it
-    does otherwise is too long; it may have been stuck twice.
+    It is a multiple of the third longest run, as the sensor may have frozen twice.
     """
     lengths = np.diff(np.flatnonzero(np.diff(x)), prepend=-1)
     return int(_UNUSUAL * np.sort(lengths)[-3]) if len(lengths) > 2 else 0
 
 
 def stretches(flags: NDArray[np.bool_]) -> list[slice]:
-    """Where flags are set, one sample after the other."""
+    """Runs of consecutive samples whose flags are set."""
     return [run for (run,) in find_objects(label(flags)[0])]
 
 
 def _runs(x: Array, least: int) -> NDArray[np.bool_]:
-    """Samples within runs of equal values that are at least so long."""
+    """Samples in runs of equal values with at least a given length."""
     starts = np.concatenate([[0], np.flatnonzero(np.diff(x)) + 1, [len(x)]])
     lengths = np.diff(starts)
     return np.repeat(lengths >= least, lengths)
 
 
 def _moving(q: Array, runs: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Those of some runs during which the arm moves."""
+    """Runs during which the arm moves."""
     moved = np.any(np.diff(q, axis=0, prepend=q[:1]) != 0, axis=1)
     kept = np.zeros_like(runs)
     for run in stretches(runs):
@@ -132,7 +132,7 @@ def _moving(q: Array, runs: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _frozen(q: Array, least: int) -> NDArray[np.bool_]:
-    """Runs of one position that a joint enters or leaves by a jump."""
+    """Samples in runs of one position that begin or end with a jump."""
     runs, steps, usual = _runs(q, least), np.abs(np.diff(q)), usual_step(q)
     frozen = np.zeros_like(runs)
     for run in stretches(runs):
@@ -144,9 +144,9 @@ def _frozen(q: Array, least: int) -> NDArray[np.bool_]:
 
 
 def _clipped(x: Array, coarse: bool) -> NDArray[np.bool_]:
-    """Samples at an extreme value that is held again and again.
+    """Samples at an extreme value that is held repeatedly.
 
-    The highest level of a coarse sensor is held too, but so is the next one.
+    A coarse sensor holds every level: there the extreme one must be much more frequent.
     """
     clipped = np.zeros(len(x), dtype=bool)
     levels, counts = np.unique(x, return_counts=True)

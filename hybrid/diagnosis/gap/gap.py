@@ -1,4 +1,4 @@
-"""The gap: torque that the arm needed and its simulator does not explain."""
+"""The gap: measured torque less the torque that the simulator needs."""
 
 from __future__ import annotations
 
@@ -20,31 +20,33 @@ from hybrid.signals.filters import butterworth
 
 Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
 
-_CALM = 0.5  # of the cut-off
-_SHOWN = 0.7  # of the cut-off: what swings faster does so in noise
-_TURNING = 25.0  # Hz; no dry friction turns round more quickly than that shows
-_SMALL = 0.01  # of the usual gain, for a derivative
+LOWER_BAND = 0.5  # of the cut-off: above it, derivatives of positions are mostly noise
+_VISIBLE = 0.7  # of the cut-off: an oscillation above it is lost in noise
+_FRICTION_BAND = 25.0  # Hz; band in which a reversal of dry friction is visible
+_SMALL = 0.01  # of the typical gain, step of a finite difference
 
 
 @dataclass(frozen=True, eq=False)
 class Gap:
     """Measured less simulated torque along some motions, filtered and decimated.
 
-    M counts the decimated samples of all motions, stacked.
+    M is the number of decimated samples of all motions, stacked.
 
     Attributes:
-        robot: The simulator as it stands.
-        motions: Motions at full rate, with the torque that the simulator needs for
-            them: columns made from measured torque would explain its noise.
-        bodies: The simulator's rigid body along each.
-        cutoff: Cut-off of everything filtered, [Hz].
-        left: Torque left, shape (M, n), [N·m].
-        moving: Where a joint moves and the mask allows, shape (M, n).
-        fold: Fold of each sample for scoring, shape (M,): one trajectory, or some
-            blocks of 3 s where there are fewer than four trajectories.
+        robot: The simulator that is diagnosed.
+        motions: Motions at full rate with the simulated torque. Columns made from the
+            measured torque would explain its noise.
+        bodies: The simulator's rigid body along each motion.
+        cutoff: Cut-off of the low-pass filter, [Hz].
+        left: The gap, shape (M, n), [N·m].
+        moving: Whether a sample is used: the joint moves and the mask allows it,
+            shape (M, n).
+        fold: Cross-validation fold of each sample, shape (M,): a trajectory, or blocks
+            of 3 s where there are fewer than four trajectories.
         trajectory: Recording of each sample, shape (M,).
-        notes: What of the recordings is of no use, in words.
-        known: Torque that was taken from the logs beforehand, shape (M, n), [N·m].
+        notes: Which samples are not used, and why, in words.
+        subtracted: Torque that was subtracted from the logs before, shape (M, n),
+            [N·m].
     """
 
     robot: Robot
@@ -56,19 +58,20 @@ class Gap:
     fold: NDArray[np.intp]
     trajectory: NDArray[np.intp]
     notes: tuple[str, ...] = ()
-    known: Array | None = None
+    subtracted: Array | None = None
 
     @property
     def samplers(self) -> list[Sampler]:
-        """Filter and decimation of each motion."""
+        """Filter and decimator of each motion."""
         return [Sampler.for_rate(m.rate, self.cutoff) for m in self.motions]
 
     @cached_property
     def scales(self) -> tuple[Scale, ...]:
         """Rated torque and speed of each joint.
 
-        A drive of which the file states no limit of torque gives what the logs show, at
-        least; one without a limit of speed is as fast as they show, at most as usual.
+        Where the file states no torque limit, the rated torque is at least the largest
+        measured one. Where it states no speed limit, the rated speed is at most the
+        largest measured one.
         """
         known = joint_scales(self.robot)
         torque, speed = np.array([(s.torque, s.speed) for s in known]).T
@@ -81,11 +84,10 @@ class Gap:
 
     @cached_property
     def sampled(self) -> Motion:
-        """The motions at the decimated samples, stacked; t runs on in each."""
-        parts = list(zip(self.motions, self.samplers, strict=True))
+        """The motions at the decimated samples, stacked."""
 
         def stack(name: str) -> Array:
-            return np.concatenate([getattr(m, name)[:: s.factor] for m, s in parts])
+            return np.concatenate([getattr(m, name)[:: s.factor] for m, _, s in self])
 
         t, q, v, a, tau, mask = map(stack, ("t", "q", "v", "a", "tau", "mask"))
         warm = None
@@ -96,46 +98,41 @@ class Gap:
     @cached_property
     def measured(self) -> Array:
         """Measured torque, filtered as the gap is, shape (M, n), [N·m]."""
-        parts = zip(self.motions, self.samplers, strict=True)
-        return np.concatenate([sampler(m.tau) for m, sampler in parts]) + self.left
+        return np.concatenate([sampler(m.tau) for m, _, sampler in self]) + self.left
 
     @cached_property
     def load(self) -> Array:
-        """Torque the simulator says is passed to the links, shape (M, n), [N·m]."""
-        parts = zip(self.bodies, self.samplers, strict=True)
-        return np.concatenate([body.load[:: s.factor] for body, s in parts])
+        """Simulated torque on the links, without rotor and friction, (M, n), [N·m]."""
+        return np.concatenate([body.load[:: s.factor] for _, body, s in self])
 
     @property
     def rate(self) -> float:
         """Decimated samples per second, [Hz]."""
         return self.motions[0].rate / self.samplers[0].factor
 
-    def columns(self, effect: Effect, *, calm: bool | None = None) -> Columns:
+    def columns(self, effect: Effect, *, lower_band: bool | None = None) -> Columns:
         """Torque per unit of each gain, filtered as the gap is.
 
-        First order at gains of zero. Effects that change signals are not linear in
-        their gains: at any others they are mended along these, so that they make up
-        the whole change.
-
-        Args:
-            effect: The effect.
-            calm: Whether to make them of :attr:`calm`; by default if it differentiates,
-                or swings faster than the band shows: there, only noise does.
+        The columns are the derivative at gains of zero. An effect that changes signals
+        is not linear in its gains: at other gains its columns are corrected, so that
+        columns times gains is the whole change of torque. An effect that differentiates
+        signals, or oscillates above the visible band, is evaluated on the
+        :attr:`lower_band`, unless this is given.
 
         Returns:
-            For each joint that the effect's torque reaches, shape (M, p).
+            Columns at each joint that the effect's torque reaches, shape (M, p).
         """
         if effect.reports and not effect.gain_values.any():
-            # A report is of all torque, friction included: its columns are not.
+            # Its columns at zero do not contain the friction, which a log does.
             scale = self.scales[effect.joints[-1]]
             small = {g.name: _SMALL * g.scaled(scale).typical for g in effect.gains}
             effect = effect.at(small)
         gains = effect.gain_values
-        if calm is None:
-            calm = effect.differentiates or self.above(effect)
+        if lower_band is None:
+            lower_band = effect.differentiates or self.is_above_band(effect)
         parts = []
-        known = self.late if effect.reports else self.calm
-        for motion, body, sampler in known if calm else self:
+        lower = self.lower_band_reported if effect.reports else self.lower_band
+        for motion, body, sampler in lower if lower_band else self:
             if effect.linearised and gains.any():
                 first = self._first(effect, motion, body)
                 rest = self._change(effect, motion, body) - first @ gains
@@ -147,16 +144,16 @@ class Gap:
         reached = effect.reaches(self.robot.size)
         return {j: stacked[:, k] for k, j in enumerate(reached)}
 
-    def above(self, effect: Effect) -> bool:
-        """Whether an effect swings, and faster than the band shows."""
-        swing = np.mean([effect.frequency(x) for x in self.bodies])
-        return bool(swing > _SHOWN * self.cutoff)
+    def is_above_band(self, effect: Effect) -> bool:
+        """Whether an effect oscillates at a frequency above the visible band."""
+        frequency = np.mean([effect.frequency(x) for x in self.bodies])
+        return bool(frequency > _VISIBLE * self.cutoff)
 
     def _first(self, effect: Effect, motion: Motion, body: RigidBody) -> Array:
-        """First-order torque per unit of each gain, shape (N, r, p).
+        """Derivative of the torque with respect to each gain, shape (N, r, p).
 
-        Of another motion than the encoder's, with what rotor, damping and spring make
-        of it.
+        For an effect that changes the observed motion it includes the change of the
+        torque of rotor, damping and spring.
         """
         columns = effect.columns(motion, body)
         if not effect.observes or effect.steep:
@@ -172,7 +169,7 @@ class Gap:
         return columns
 
     def _change(self, effect: Effect, motion: Motion, body: RigidBody) -> Array:
-        """Change of the simulated torque by an effect on signals, shape (N, r)."""
+        """Change of the simulated torque by an effect that changes signals, (N, r)."""
         reached = list(effect.reaches(self.robot.size))
         if effect.reports:
             return (
@@ -184,43 +181,45 @@ class Gap:
         return (tau - motion.tau)[:, reached]
 
     @cached_property
-    def calm(self) -> list[tuple[Motion, RigidBody, Sampler]]:
-        """The same from the lower half of the band.
+    def lower_band(self) -> list[tuple[Motion, RigidBody, Sampler]]:
+        """Motions, bodies and samplers in the lower half of the band.
 
-        A further derivative of a noisy position is mostly noise, and a column that is
-        takes less than its part.
+        A further derivative of a noisy position is mostly noise. The gain of a noisy
+        column would come out too small.
         """
         parts = []
-        for m, sampler in zip(self.motions, self.samplers, strict=True):
-            low = partial(butterworth, rate=m.rate, cutoff=_CALM * self.cutoff)
-            # Its torque is filtered, not made anew: dry friction would turn elsewhere.
+        for m, _, sampler in self:
+            low = partial(butterworth, rate=m.rate, cutoff=LOWER_BAND * self.cutoff)
+            # The torque is filtered: simulated again, its dry friction would reverse
+            # at other times.
             slow = replace(m, q=low(m.q), v=low(m.v), a=low(m.a), tau=low(m.tau))
             parts.append((slow, RigidBody(self.robot.chain, slow), sampler))
         return parts
 
     @cached_property
-    def late(self) -> list[tuple[Motion, RigidBody, Sampler]]:
-        """:attr:`calm` for what reports torque late, with dry friction as it turns.
+    def lower_band_reported(self) -> list[tuple[Motion, RigidBody, Sampler]]:
+        """:attr:`lower_band` for effects that change the reported torque.
 
-        That has no noise. It takes its time, but no longer where the band is narrow.
+        Declared dry friction has no noise, and keeps its band up to 25 Hz.
         """
         parts = []
-        for m, (slow, body, sampler) in zip(self.motions, self.calm, strict=True):
+        for m, (slow, body, sampler) in zip(self.motions, self.lower_band, strict=True):
             dry = self.robot.dry_friction(m.v)
             low = partial(butterworth, dry, rate=m.rate)
-            usual = low(cutoff=_CALM * self.cutoff)
-            turned = dry if self.cutoff < _TURNING else low(cutoff=_TURNING)
-            if _CALM * self.cutoff < _TURNING:
-                slow = replace(slow, tau=slow.tau + turned - usual)
+            narrow = low(cutoff=LOWER_BAND * self.cutoff)
+            wide = dry if self.cutoff < _FRICTION_BAND else low(cutoff=_FRICTION_BAND)
+            if LOWER_BAND * self.cutoff < _FRICTION_BAND:
+                slow = replace(slow, tau=slow.tau + wide - narrow)
             parts.append((slow, body, sampler))
         return parts
 
     def __iter__(self) -> Iterator[tuple[Motion, RigidBody, Sampler]]:
+        """Each motion with its rigid body and its sampler."""
         return zip(self.motions, self.bodies, self.samplers, strict=True)
 
 
 def simulated_torque(robot: Robot, motion: Motion, body: RigidBody) -> Array:
-    """Torque that the simulator's drives need along a motion, shape (N, n), [N·m]."""
+    """Drive torque that the simulator needs along a motion, shape (N, n), [N·m]."""
     return (
         body.load
         + robot.joint_torque(motion.q, motion.v, motion.a)

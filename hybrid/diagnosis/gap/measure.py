@@ -1,4 +1,4 @@
-"""How the gap is measured: a simulator beside logs, without what they got wrong."""
+"""Measurement of the gap between logs and a simulator."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.faults import Faults, find_faults
-from hybrid.diagnosis.gap.gap import Gap, simulated_torque
+from hybrid.diagnosis.gap.gap import LOWER_BAND, Gap, simulated_torque
 from hybrid.dynamics import RigidBody
 from hybrid.errors import RecordingError
 from hybrid.identification.preparation import motions_of
@@ -21,15 +21,12 @@ from hybrid.signals import Motion, Sampler
 from hybrid.signals.filters import butterworth, filter_reach, passes_all
 
 _STANDING = 0.01  # of the highest speed
-_SLOWEST = 0.002  # rad/s or m/s; a servo at rest seems to move as fast
-# Periods of the cut-off for which a filter spreads how declared dry friction passed
-# rest, which is the solver's own.
-_REST = 0.7
-_CALM = 0.5  # of the cut-off
-_FAR = 10.0  # deviations of noise: so far off, torque is what the log says
-_NORMAL = 1.4826  # standard deviation over median size
+_SLOWEST = 0.002  # rad/s or m/s, speed that noise shows at rest
+_REST = 0.7  # periods of the cut-off, reach of declared dry friction near rest
+_FAR = 10.0  # standard deviations of noise, of simulated from measured torque
+NORMAL = 1.4826  # standard deviation of normal noise over its median size
 _BLOCK_SECONDS = 3.0
-_SHORTEST_BLOCK = 0.5
+_SHORTEST_BLOCK = 0.5  # s
 _MOST_FOLDS = 8
 _FEWEST_MOVING = 0.05  # of all samples
 
@@ -41,13 +38,13 @@ def measure_gap(
     cutoff: float | None = None,
     correct: Callable[[Motion], Motion] | None = None,
 ) -> Gap:
-    """Compare a simulator with logs, torque by torque.
+    """Measure the gap between logs and a simulator.
 
     Args:
-        robot: The simulator as it stands, with the friction that its file declares.
-        recordings: Logs of the real arm that were checked, or motions made from such.
-        cutoff: Cut-off, [Hz]; from the spectrum if not given.
-        correct: What to do to each motion first; see :mod:`.convention`.
+        robot: The simulator, with the friction that its file declares.
+        recordings: Checked logs of the real arm, or motions made from them.
+        cutoff: Cut-off, [Hz]; chosen from the spectrum if not given.
+        correct: Correction of each motion; see :mod:`.convention`.
 
     Raises:
         RecordingError: A recording has no torque, or there are motions alone and no
@@ -62,12 +59,7 @@ def measure_gap(
     motions, cutoff = motions_of(recordings, cutoff)
     cutoff = min(cutoff, *(m.rate / 2 for m in motions))  # no filter lets through more
     motions = [correct(m) for m in motions] if correct else motions
-    for motion in motions:
-        if not np.isfinite(motion.tau).all():
-            raise RecordingError(
-                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
-                "positions and torques"
-            )
+    _check_torque(motions)
     faults = [_faults(x, m, cutoff) for x, m in zip(recordings, motions, strict=True)]
     motions = [
         replace(m, mask=m.mask & ~f.posture)
@@ -75,6 +67,7 @@ def measure_gap(
     ]
     speeds = [np.abs(m.v[m.mask]) for m in motions if m.mask.any()]
     fastest = np.max([x.max(axis=0) for x in speeds], axis=0, initial=0.0)
+    slowest = np.maximum(_STANDING * fastest, _SLOWEST)
     bodies = tuple(RigidBody(robot.chain, m) for m in motions)
     simulated, left, moving = [], [], []
     for r, (motion, body) in enumerate(zip(motions, bodies, strict=True)):
@@ -83,27 +76,46 @@ def measure_gap(
         left.append(sampler(motion.tau - tau))
         asked = _asked(motion, tau, cutoff)
         simulated.append(replace(motion, tau=tau, asked=asked, number=r))
-        v = motion.v[:: sampler.factor]
         usable = sampler.keep(motion.mask)[:, None]
         usable = usable & ~faults[r].torque[:: sampler.factor]
-        slow = np.abs(v) <= np.maximum(_STANDING * fastest, _SLOWEST)
-        slow[1:] |= v[1:] * v[:-1] < 0
-        reach = _REST / cutoff * motion.rate / sampler.factor
-        resting = robot.dry_friction(np.full((1, robot.size), _SLOWEST))[0] > 0
-        slow[:, resting] = _around(slow[:, resting], round(reach))
-        moving.append(~slow & usable)
+        moving.append(usable & ~_standing(robot, motion, slowest, cutoff))
     fold, trajectory = _folds(motions, cutoff)
+    used = np.concatenate(moving)
+    used &= used.mean(axis=0) > _FEWEST_MOVING
     return Gap(
         robot, tuple(simulated), bodies, cutoff,
-        np.concatenate(left), _worthwhile(np.concatenate(moving)), fold, trajectory,
+        np.concatenate(left), used, fold, trajectory,
         tuple(note for f in faults for note in f.notes),
     )  # fmt: skip
+
+
+def _check_torque(motions: Sequence[Motion]) -> None:
+    for motion in motions:
+        if not np.isfinite(motion.tau).all():
+            raise RecordingError(
+                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
+                "positions and torques"
+            )
+
+
+def _standing(
+    robot: Robot, motion: Motion, slowest: Array, cutoff: float
+) -> NDArray[np.bool_]:
+    """Decimated samples at rest, and near rest at joints with declared friction."""
+    factor = Sampler.for_rate(motion.rate, cutoff).factor
+    v = motion.v[::factor]
+    slow = np.abs(v) <= slowest
+    slow[1:] |= v[1:] * v[:-1] < 0
+    reach = round(_REST / cutoff * motion.rate / factor)
+    rubs = robot.dry_friction(np.full((1, robot.size), _SLOWEST))[0] > 0
+    slow[:, rubs] = _around(slow[:, rubs], reach)
+    return slow
 
 
 def _folds(
     motions: Sequence[Motion], cutoff: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Fold and recording of each sample, shape (M,): whole recordings, or blocks."""
+    """Fold and recording of each sample, shape (M,) each; see :class:`Gap`."""
     clocks = [m.t[:: Sampler.for_rate(m.rate, cutoff).factor] - m.t[0] for m in motions]
     of = np.repeat(np.arange(len(clocks)), [len(t) for t in clocks])
     if len(motions) >= 4:
@@ -114,21 +126,21 @@ def _folds(
 
 
 def _asked(motion: Motion, simulated: Array, cutoff: float) -> Array:
-    """Torque as simulated, or as measured where that is far off, shape (N, n), [N·m].
+    """Simulated torque, or the measured one where both differ much, (N, n), [N·m].
 
-    Noise of the measured torque is in the gap as well; a column that held it would
-    seem to explain it.
+    The gap contains the noise of the measured torque: columns that contain it too would
+    seem to explain the gap.
     """
     low = partial(butterworth, motion.tau - simulated, rate=motion.rate)
-    slow = low(cutoff=_CALM * cutoff)
+    slow = low(cutoff=LOWER_BAND * cutoff)
     rough = np.abs(low(cutoff=cutoff) - slow)
     usable = motion.mask | ~motion.mask.any()
-    far = _FAR * _NORMAL * np.median(rough[usable], axis=0)
+    far = _FAR * NORMAL * np.median(rough[usable], axis=0)
     return np.where(np.abs(slow) > far, motion.tau, simulated)
 
 
 def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Faults:
-    """Faults on the samples of a motion, and as far as the filter carries them."""
+    """Faults at the samples of a motion, and within reach of the filter."""
     N, n = motion.tau.shape
     if isinstance(recording, Motion):
         return Faults(np.zeros(N, dtype=bool), np.zeros((N, n), dtype=bool), ())
@@ -142,23 +154,15 @@ def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Fau
 
 
 def _around(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Flags, shape (M, k), and what is within reach of them, in samples."""
+    """Flags, shape (M, k), widened by a number of samples to both sides."""
     window, near = np.ones(2 * reach + 1), np.zeros_like(flags)
     for j in np.flatnonzero(flags.any(axis=0)):
-        # Not mode "same": that is as long as the longer of the two.
+        # Mode "same" would be longer than the flags where the window is.
         near[:, j] = np.convolve(flags[:, j], window)[reach : -reach or None] > 0.5
     return near
 
 
-def _worthwhile(moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Without the joints that hardly move or whose torque is hardly measured."""
-    return np.asarray(moving & (moving.mean(axis=0) > _FEWEST_MOVING))
-
-
 def block_seconds(motions: Sequence[Motion]) -> float:
-    """Length of the blocks that trajectories are cut into, [s].
-
-    Three seconds; less where that leaves fewer than eight of them.
-    """
+    """Length of a block of time, [s]: 3 s, or less so that there are eight blocks."""
     total = sum(float(m.t[-1] - m.t[0]) for m in motions)
     return float(np.clip(total / _MOST_FOLDS, _SHORTEST_BLOCK, _BLOCK_SECONDS))

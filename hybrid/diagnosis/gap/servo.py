@@ -1,4 +1,4 @@
-"""A servo law of one joint, found from what it was asked for and what it gave."""
+"""The laws of a joint's servo, and its command, motion and torque."""
 
 from __future__ import annotations
 
@@ -21,13 +21,10 @@ from hybrid.recording.clock import resample
 from hybrid.signals import Motion, motion_from_recording
 from hybrid.signals.filters import butterworth
 
-Index = NDArray[np.intp]
-
-_POSITION_CUTOFF = 2.0  # of the gap's, as positions are filtered
-_LATEST, MOST_SHIFT = 0.2, 0.05  # s; as the effects latency and delay allow
-_STEP = 0.001  # s
-LATENCIES = np.arange(0.0, _LATEST, _STEP)
-_ENOUGH = 2000  # samples, to scan
+_POSITION_CUTOFF = 2.0  # cut-off of positions over that of the gap
+_LATEST, MOST_SHIFT = 0.2, 0.05  # s; bounds of the effects latency and delay
+LATENCIES = np.arange(0.0, _LATEST, 0.001)  # s
+_ENOUGH = 2000  # samples, to scan latencies
 FEWEST = 70  # samples of a joint: twenty periods of the cut-off
 _CLIPPED = 0.98  # of the rated torque
 # Signals of a joint, in the order of their columns.
@@ -39,16 +36,17 @@ SIGNALS = 9
 class Law:
     """A servo law of one joint, linear in its gains.
 
-    τ(t + S) = c·F + k_p (q_ref(t − T) − q) + k_d (v_ref(t − T) − v) + h·a + constant,
-    with F the torque fed forward: of the simulator along the command, its gravity, or
-    none; and with or without the commanded speed. h = k_d times the age of the speed
-    that the servo sees: it is filtered, or from differences.
+    τ(t + S) = c·F + k_p (q_ref(t − T) − q) + k_d (v_ref(t − T) − v) + h·a + constant.
+    The feed-forward torque F is that of the simulator along the command, its gravity,
+    or zero. The commanded speed v_ref may be absent. h is k_d times the delay of the
+    speed that the servo measures, which is filtered or a difference of positions.
 
     Attributes:
-        columns: Its columns in terms of a joint's signals, shape (9, p).
-        target: Torque to explain in terms of them, shape (9,).
-        scaled: Whether the first column is the torque fed forward, as a log may be off
-            by a factor; stiffness and damping follow, unless they are stated.
+        columns: The law's columns as combinations of a joint's signals, shape (9, p).
+        target: The torque to be explained as a combination of them, shape (9,).
+        scaled: Whether the first column is the feed-forward torque (with the declared
+            servo, where gains are given), for logs whose torque is off by a factor.
+            Stiffness and damping, where free, come next.
     """
 
     columns: Array
@@ -57,7 +55,7 @@ class Law:
 
 
 def laws(kp: float = np.nan, kd: float = np.nan) -> Iterator[Law]:
-    """Every law, with free gains or with stated ones.
+    """Yield every servo law, with free or with given stiffness and damping.
 
     Args:
         kp: Stiffness, [N·m/rad]; free if not given.
@@ -82,41 +80,42 @@ class ServoLog:
 
     Attributes:
         row: Samples of the gap, shape (M,).
-        t: Their time; each recording is apart from the next, shape (M,), [s].
-        own: Gravity, position, speed and acceleration there, shape (M, 4).
-        asked: Torque fed forward, position and speed commanded at any time.
-        torque: Torque logged at any time.
+        t: Their time, with a pause between recordings, shape (M,), [s].
+        own: Gravity torque, position, speed and acceleration, shape (M, 4).
+        asked: Feed-forward torque, commanded position and speed, as functions of time.
+        torque: Logged torque, as a function of time.
     """
 
-    row: Index
+    row: NDArray[np.intp]
     t: Array
     own: Array
     asked: CubicSpline
     torque: CubicSpline
 
     def signals(self, late: float, shift: float) -> Array:
-        """All signals with commands late by T and torque by S, [s], shape (M, 9)."""
+        """All signals at command latency T and torque delay S, [s], shape (M, 9)."""
         A = np.zeros((len(self.t), SIGNALS))
         weight, q, v, a = self.own.T
         A[:, [_FEED, _ERROR, _ASKED]] = self.asked(self.t - late)
         A[:, _ERROR] -= q
         A[:, _WEIGHT], A[:, _SPEED], A[:, _GROWTH], A[:, _ONE] = weight, v, a, 1.0
-        A[:, [_TORQUE, SLOPE]] = self._given(shift) if shift else self._in_step
+        A[:, [_TORQUE, SLOPE]] = self._logged(shift) if shift else self._unshifted
         return A
 
     def drift(self, late: float) -> Array:
-        """Change of all signals with T, shape (M, 9)."""
+        """Derivative of all signals with respect to T, shape (M, 9)."""
         A = np.zeros((len(self.t), SIGNALS))
         A[:, [_FEED, _ERROR, _ASKED]] = -self.asked(self.t - late, 1)
         return A
 
-    def _given(self, shift: float) -> Array:
+    def _logged(self, shift: float) -> Array:
+        """Logged torque, shifted by S, and its derivative, shape (M, 2)."""
         at = self.t + shift
         return np.stack([self.torque(at), self.torque(at, 1)], axis=1)
 
     @cached_property
-    def _in_step(self) -> Array:
-        return self._given(0.0)
+    def _unshifted(self) -> Array:
+        return self._logged(0.0)
 
     @cached_property
     def products(self) -> Array:
@@ -126,7 +125,7 @@ class ServoLog:
 
     @cached_property
     def thin(self) -> ServoLog:
-        """Some of the samples, enough to look for a start."""
+        """A subset of the samples, to find an initial guess."""
         k = max(1, len(self.row) // _ENOUGH)
         return replace(self, row=self.row[::k], t=self.t[::k], own=self.own[::k])
 
@@ -139,14 +138,10 @@ class ServoLog:
 def servo_logs(
     gap: Gap, recordings: Sequence[Recording | Motion]
 ) -> list[ServoLog | None]:
-    """Signals of each joint, of the recordings that have a command.
-
-    Args:
-        gap: The gap.
-        recordings: What it was measured from.
+    """Servo signals of each joint, from the recordings that have a command.
 
     Returns:
-        Nothing for joints that hardly move, or where no command was logged.
+        ``None`` for joints that hardly move, or where no command was logged.
     """
     clock, parts, rows = 0.0, [], []
     for k, recording in enumerate(recordings):
@@ -179,9 +174,9 @@ def servo_logs(
 def _signals(
     gap: Gap, k: int, recording: Recording
 ) -> tuple[Array, Array, Array, Array]:
-    """One recording: a longer clock, (N + 2P, 3, n) asked, torque, (M, 4, n) own."""
+    """Padded time, command (N + 2P, 3, n) and torque; own signals (M, 4, n)."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", HybridWarning)  # said when the gap was measured
+        warnings.simplefilter("ignore", HybridWarning)  # given with the gap already
         recording = resample(recording.in_order(gap.robot.joints))
     assert recording.command is not None
     motion, chain = gap.motions[k], gap.robot.chain
@@ -196,9 +191,9 @@ def _signals(
     held = int(np.ceil((_LATEST + MOST_SHIFT) * motion.rate)) + 1
     t = np.arange(-held, len(motion.t) + held) / motion.rate
 
-    def longer(x: Array) -> Array:
+    def padded(x: Array) -> Array:
         x = butterworth(x, rate=motion.rate, cutoff=gap.cutoff)
         return np.pad(x, ((held, held), *[(0, 0)] * (x.ndim - 1)), mode="edge")
 
     own = gap.samplers[k](np.stack([weight, motion.q, motion.v, motion.a], axis=1))
-    return t, longer(asked), longer(recording.tau), own
+    return t, padded(asked), padded(recording.tau), own

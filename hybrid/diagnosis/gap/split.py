@@ -1,4 +1,4 @@
-"""Which samples are learnt from, and which are kept for scoring."""
+"""Split of the samples into a training set and a test set."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import block_seconds
 
-_FAR_LARGER = 10.0  # times the mean squares
+_FAR_LARGER = 10.0  # times, of mean squares
 
 
 def split(gap: Gap) -> NDArray[np.bool_]:
-    """Samples to learn from, shape (M,); the others are for scoring only.
+    """Training samples, shape (M,); the others are the test set.
 
-    Every fourth trajectory is kept for scoring; of fewer than four, every fourth block
-    of time, less a sixth at both of its ends, which is used for nothing. It is others
-    if those alone hold what is far larger than anything that is left to learn from.
+    Every fourth trajectory is for testing. Where there are fewer than four, it is every
+    fourth block of time, less a part at both ends; see :func:`unseen_samples`. Another
+    split is taken where the test set alone holds squares that are far larger than all
+    of the training set.
     """
     part, count = gap.trajectory, gap.trajectory.max() + 1
     masks = [part % 4 != k for k in (3, 2, 1, 0)]
     if count < 4:
         part = gap.fold * count + gap.trajectory
-        # Not the same block of each: trajectories often end alike. Nor none at all.
+        # Another block of each trajectory, as trajectories often end alike.
         masks = [
             (gap.fold + turn * gap.trajectory + more) % 4 != 3
             for more in range(4) for turn in (1, 2, 0)
@@ -36,9 +37,9 @@ def split(gap: Gap) -> NDArray[np.bool_]:
 
 
 def _unusual(gap: Gap, part: NDArray[np.intp]) -> Array:
-    """Mean squares of a sample's part over those of a usual one, shape (M,).
+    """Mean squares of each sample's part over the median of all parts, shape (M,).
 
-    Of the joint at which that is most.
+    The joint with the largest ratio counts.
     """
     parts, own = np.unique(part, return_inverse=True)
     squares = np.where(gap.moving, gap.left, 0.0) ** 2
@@ -50,11 +51,13 @@ def _unusual(gap: Gap, part: NDArray[np.intp]) -> Array:
     return np.asarray((mean / usual).max(axis=1)[own])
 
 
-def between(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples too near to those learnt from to be scored."""
+def unseen_samples(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Test samples beside given training samples, shape (M,).
+
+    Whole trajectories are tested; blocks of one lose a sixth at both ends.
+    """
+    if gap.trajectory.max() >= 3:
+        return ~learn
     reach = round(block_seconds(gap.motions) / 6 * gap.rate)
     near = np.convolve(learn, np.ones(2 * reach + 1), mode="same") > 0
-    apart = np.ones(len(learn), dtype=bool)
-    if gap.trajectory.max() < 3:
-        apart = ~near
-    return apart
+    return ~learn & ~near

@@ -1,4 +1,4 @@
-"""Units at joints that turn and at joints that slide."""
+"""Units at revolute and at prismatic joints."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from hybrid.robot import Robot
 
-# What is written for a joint that turns, as it is at one that slides.
-_SLIDING = (("kg·m²", "kg"), ("(N·m)", "N"), ("N·m", "N"), ("rad", "m"))
+# Unit at a revolute joint -> unit at a prismatic joint.
+_PRISMATIC = (("kg·m²", "kg"), ("(N·m)", "N"), ("N·m", "N"), ("rad", "m"))
 
 
 def units(robot: Robot, joints: Sequence[int]) -> tuple[str, str]:
-    """Units of place and force: m and N if all of some joints slide, else rad and N·m.
+    """Units of position and torque: m and N if all joints are prismatic.
 
-    Of both kinds together figures are of mixed units, and go by the turning ones.
+    Otherwise they are rad and N·m, also for both kinds of joints together.
     """
     if len(joints) and not any(robot.chain.revolute[j] for j in joints):
         return "m", "N"
@@ -21,8 +21,8 @@ def units(robot: Robot, joints: Sequence[int]) -> tuple[str, str]:
 
 
 def unit_at(robot: Robot, joints: Sequence[int], unit: str) -> str:
-    """A unit that is stated for joints that turn, at some joints."""
+    """Convert a unit that is stated for revolute joints to that of some joints."""
     if units(robot, joints) == ("m", "N"):
-        for turning, sliding in _SLIDING:
-            unit = unit.replace(turning, sliding)
+        for revolute, prismatic in _PRISMATIC:
+            unit = unit.replace(revolute, prismatic)
     return unit

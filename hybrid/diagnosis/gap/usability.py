@@ -1,4 +1,4 @@
-"""Whether recordings give grounds for naming any cause."""
+"""Whether recordings suffice to name a cause."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import numpy as np
 
 from hybrid.diagnosis.gap.gap import Gap
 
-_FEWEST_SECONDS = 3.0
-_FEWEST_MOVING = 1.0  # s
+_SHORTEST = 3.0  # s, of all recordings together
+_SHORTEST_MOVING = 1.0  # s, for which a joint moves
 
 
-def too_little(gap: Gap) -> str | None:
-    """Why recordings say nothing at all; nothing if they say something."""
+def too_little_motion(gap: Gap) -> str | None:
+    """Say why recordings do not suffice for a diagnosis; ``None`` if they do."""
     seconds = sum(float(m.t[-1] - m.t[0]) for m in gap.motions)
-    if seconds < _FEWEST_SECONDS * (1 - 1e-3):
+    if seconds < _SHORTEST * (1 - 1e-3):
         return (
             f"{seconds:.3g} s of recording are too few to name a cause; valid are "
-            f"{_FEWEST_SECONDS:g} s or more"
+            f"{_SHORTEST:g} s or more"
         )
-    if gap.sampled.mask.sum() / gap.rate < _FEWEST_SECONDS / 2:
+    if gap.sampled.mask.sum() / gap.rate < _SHORTEST / 2:
         return "less than half of the recordings can be used"
-    moving = gap.moving.sum(axis=0) / gap.rate >= _FEWEST_MOVING
+    moving = gap.moving.sum(axis=0) / gap.rate >= _SHORTEST_MOVING
     fewest = min(2, gap.robot.size)
     if moving.sum() < fewest:
         names = ", ".join(np.array(gap.robot.joints)[moving]) or "no joint"
@@ -31,10 +31,10 @@ def too_little(gap: Gap) -> str | None:
     return None
 
 
-def unlike(gap: Gap) -> str | None:
-    """A warning where the simulator is no nearer to the arm than no simulator at all.
+def wrong_simulator(gap: Gap) -> str | None:
+    """Warn where the gap is larger than the measured torque; ``None`` elsewhere.
 
-    Squares add up over joints in N²·m², in which the joints that carry the arm count.
+    Squares are summed over joints in N²·m², so that the strong joints decide.
     """
     measured = np.where(gap.moving, gap.measured, 0.0)
     left = np.where(gap.moving, gap.left, 0.0)

@@ -1,4 +1,4 @@
-"""Unknown laws as causes: what each is of, its columns, and its prior."""
+"""Unknown laws as causes: their columns and priors."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from hybrid.diagnosis.evidence.candidates import Place
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.twist import twists
-from hybrid.diagnosis.explanations.unknown import WAVES, unknown_laws, waves
+from hybrid.diagnosis.explanations.joint_laws import WAVES, joint_laws, waves
+from hybrid.diagnosis.explanations.transmission_laws import transmission_laws
 from hybrid.diagnosis.gap.gap import Columns
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 
 
-class Laws:
-    """Unknown laws of all joints, whose columns are in the evidence.
+class UnknownLaws:
+    """Unknown laws of all joints.
 
     Args:
-        evidence: Cross-products of the gap.
-        rigid: Columns of the background, of whose residual waves are picked.
-        prior: What is believed before any recording.
+        evidence: Cross-products of the gap, to which their columns are added.
+        rigid: Columns of the background, from whose residual sinusoids are chosen.
 
     Attributes:
         all: The laws.
@@ -34,12 +33,8 @@ class Laws:
     def __init__(self, evidence: Evidence, rigid: Index, prior: Prior) -> None:
         self._evidence, self._prior, self._gap = evidence, prior, evidence.gap
         self._waves: dict[Place, Columns] = {}
-        found = evidence.solve(rigid)
-        left = [
-            evidence.residual(j, found.index, found.gains)
-            for j in range(len(evidence.rows))
-        ]
-        self.all = [law for j, x in enumerate(left) if len(x) for law in self._of(j, x)]
+        left = enumerate(evidence.residuals(rigid))
+        self.all = [law for j, x in left if len(x) for law in self._of(j, x)]
 
     def _of(self, joint: int, left: Array) -> Iterator[Cause]:
         for name, columns in self._without_waves(joint):
@@ -52,51 +47,46 @@ class Laws:
                 yield self._law(name, joint, {joint: x}, picked)
 
     def _without_waves(self, joint: int) -> Iterator[tuple[str, Columns]]:
-        for name, x in unknown_laws(self._gap, joint):
+        for name, x in joint_laws(self._gap, joint):
             yield name, {joint: x}
-        yield from twists(self._gap, joint)
+        yield from transmission_laws(self._gap, joint)
 
     def _law(self, name: str, joint: int, columns: Columns, cost: float) -> Cause:
-        seen = {j: x[self._evidence.rows[j]] for j, x in columns.items()}
+        used = {j: x[self._evidence.rows[j]] for j, x in columns.items()}
         sizes = [
             np.sqrt(np.mean(np.sum(x**2, axis=1))) / self._gap.scales[j].torque
-            for j, x in seen.items()
+            for j, x in used.items()
             if len(x)
         ]
-        std = np.full(columns[joint].shape[1], self._prior.size / (max(sizes) + 1e-12))
+        size = self._prior.unknown_size / (max(sizes) + 1e-12)
+        std = np.full(columns[joint].shape[1], size)
         (index,) = self._evidence.add([columns], [std])
-        rough = self._prior.misfit
-        if len(columns) > 1:  # known laws of where a link lies leave out more
+        rough = self._prior.real_law_error
+        if len(columns) > 1:  # known laws of the transmission have larger errors
             rough = max(x.rough for x in effect_classes().values())
         return Cause((name, (joint,)), index, cost, rough=rough)
 
     def columns(self, law: Cause) -> Columns:
-        """Torque per unit of each gain of a law at every sample, by joint."""
+        """Torque per unit of each gain of a law, by joint, shape (M, d) each."""
         if law.place in self._waves:
             return self._waves[law.place]
         (joint,) = law.place[1]
         return dict(self._without_waves(joint))[law.place[0]]
 
     def widened(self, base: Index, law: Cause) -> Cause:
-        """A law under as wide a prior as is most probable.
-
-        Args:
-            base: Columns that are in already.
-            law: One of the laws.
-        """
+        """A law with the most probable width of its prior."""
         columns, std = self.columns(law), self._evidence.precision[law.index] ** -0.5
         none = np.full(len(std), -np.inf)
-        wider = self._evidence.trial(base, columns, std, none).wider
-        if wider == 1.0:
+        factor = self._evidence.trial(base, columns, std, none).prior_factor
+        if factor == 1.0:
             return law
-        (index,) = self._evidence.add([columns], [wider * std])
-        return replace(law, index=index, cost=law.cost + float(np.log(wider)))
+        (index,) = self._evidence.add([columns], [factor * std])
+        return replace(law, index=index, cost=law.cost + float(np.log(factor)))
 
     def open(self, causes: Collection[Cause]) -> list[Cause]:
-        """Laws that are not among some causes, at joints where there are few yet."""
+        """Laws that may be added to some causes: new ones, and few at each joint."""
         there = [c.place for c in causes if c.candidate is None]
-        at = [joints for _, joints in there]
-        most = self._prior.repeated
+        at, most = [joints for _, joints in there], self._prior.most_repeated
         return [
             x for x in self.all if x.place not in there and at.count(x.place[1]) < most
         ]

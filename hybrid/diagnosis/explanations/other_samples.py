@@ -1,4 +1,4 @@
-"""An explanation on other samples than those that it was learnt from."""
+"""An explanation on other samples than those of its search."""
 
 from __future__ import annotations
 
@@ -14,42 +14,46 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.gap.background import background, clocks, rest
+from hybrid.diagnosis.gap.background import (
+    background,
+    friction_near_rest,
+    sampling_delays,
+)
 
 if TYPE_CHECKING:
     from hybrid.diagnosis.explanations.posterior import Posterior
 
 
-class Elsewhere:
-    """Background and causes of a search on other samples, each evaluated once.
+class OtherSamples:
+    """Background and causes of a search on other samples.
 
     Args:
-        search: The posterior whose samples others were learnt from.
         use: The samples, shape (M,).
 
     Attributes:
-        evidence: Their cross-products, weighed by the noise of the search.
+        evidence: Their cross-products, with the noise of the search.
         numbers: Columns of the file's numbers.
-        rigid: Columns of the background: these, and what is open of any log.
+        rigid: Columns of the background.
         use: The samples.
     """
 
     def __init__(self, search: Posterior, use: NDArray[np.bool_]) -> None:
-        # The search keeps this: together they would outlive their use.
+        # A reference would be a cycle, which keeps the search's memory alive.
         self._search, self.use, gap = proxy(search), use, search.gap
         self.evidence = Evidence(gap, use)
         self.evidence.noise = search.evidence.noise
-        self.evidence.weigh(search.covariances)
-        numbers, *more = (
-            self.evidence.add(*x) for x in (background(gap), rest(gap), clocks(gap))
+        self.evidence.set_covariances(search.covariances)
+        numbers = self.evidence.add(*background(gap))
+        others = self.evidence.add(*friction_near_rest(gap)) + self.evidence.add(
+            *sampling_delays(gap)
         )
         self.numbers = np.concatenate(numbers)
-        self.evidence.spread(self.numbers, search.off)
-        self.rigid = np.concatenate([self.numbers, *(x for part in more for x in part)])
+        self.evidence.scale_prior(self.numbers, search.file_error)
+        self.rigid = np.concatenate([self.numbers, *others])
         self._own: dict[Cause, Index] = {}
 
     def own(self, cause: Cause) -> Index:
-        """Columns of a cause."""
+        """Columns of a cause, which are evaluated once."""
         if cause not in self._own:
             columns = self._search.columns_of(cause)
             std = self._search.evidence.precision[cause.index] ** -0.5
@@ -61,13 +65,13 @@ class Elsewhere:
         return np.concatenate([self.rigid, *map(self.own, causes)])
 
     def squares(self, causes: Sequence[Cause]) -> Array:
-        """Squares that some causes leave as they were learnt, (n,), [N²·m²]."""
-        squares = self.evidence.squares(self.columns(causes), self._gains(causes))
-        return np.asarray(squares.sum(axis=1))
+        """Residual squares with the gains of the search, shape (n,), [N²·m²]."""
+        return self.evidence.squares(self.columns(causes), self._gains(causes))
 
-    def lost(self, causes: Sequence[Cause]) -> Array:
-        """The same squares weighed by noise, shape (n,)."""
-        return self.evidence.lost(self.columns(causes), self._gains(causes))
+    def weighted_squares(self, causes: Sequence[Cause]) -> Array:
+        """The same, weighted by the noise, shape (n,)."""
+        gains = self._gains(causes)
+        return self.evidence.weighted_squares(self.columns(causes), gains)
 
     def _gains(self, causes: Sequence[Cause]) -> Array:
         search = self._search
@@ -75,6 +79,5 @@ class Elsewhere:
 
     @cached_property
     def count(self) -> Array:
-        """Number of samples of each joint, shape (n,); not a number without any."""
-        count = self.evidence.count.sum(axis=1).astype(float)
-        return np.where(count > 0, count, np.nan)
+        """Number of samples of each joint, shape (n,); NaN where there is none."""
+        return np.where(self.evidence.count > 0, self.evidence.count, np.nan)

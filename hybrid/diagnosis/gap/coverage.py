@@ -1,4 +1,4 @@
-"""What the recordings do not show: joints, speeds, directions, positions."""
+"""Which joints, speeds, directions and positions the recordings do not cover."""
 
 from __future__ import annotations
 
@@ -10,40 +10,36 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.units import units
 
-_STILL = 0.005  # rad; what a joint at rest seems to move, by noise and servo
-_FEWEST_SECONDS = 0.2
+_STILL = 0.005  # rad; range of a joint at rest, by noise and servo
+_SHORTEST = 0.2  # s, in a condition
 _FEWEST_REVERSALS = 3
 _SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)  # rad/s
 _SLOW = 0.2  # of the highest speed visited
-_ENOUGH = 0.5  # of a limit
+_ENOUGH = 0.5  # of a limit of speed or position
 
 
 def not_excited(gap: Gap) -> tuple[str, ...]:
-    """Conditions that the recordings do not visit, in words.
+    """Conditions that the recordings do not cover, in words.
 
-    Nothing can be said of an effect there. What an arm needs to show most comes first:
-    joints that move, in both directions, slowly, with reversals, fast, and far.
-
-    Args:
-        gap: The gap.
+    The most important ones come first: joints that do not move, then missing
+    directions, slow motion, reversals, fast motion, and range.
 
     Returns:
         For example ``wrist does not move`` or ``elbow moving down``.
     """
-    lists = [list(_missing(gap, i)) for i in range(gap.robot.size)]
-    found = [entry for entries in lists for entry in entries]
+    found = [entry for i in range(gap.robot.size) for entry in _missing(gap, i)]
     return tuple(text for _, text in sorted(found, key=lambda entry: entry[0]))
 
 
 def _missing(gap: Gap, i: int) -> Iterator[tuple[int, str]]:
-    """What joint i does not visit, with a rank."""
+    """Yield what joint i does not cover, with its rank."""
     name, (unit, _) = gap.robot.joints[i], units(gap.robot, [i])
     usable = gap.sampled.mask
     q, v = gap.sampled.q[usable, i], gap.sampled.v[usable, i]
     if q.size == 0 or np.ptp(q) < _STILL:
         yield 0, f"{name} does not move"
         return
-    fewest, speed = _FEWEST_SECONDS * gap.rate, np.abs(v)
+    fewest, speed = _SHORTEST * gap.rate, np.abs(v)
     still = 0.01 * speed.max()
     for word, moving in (("up", v > still), ("down", v < -still)):
         if moving.sum() < fewest:
@@ -62,11 +58,11 @@ def _missing(gap: Gap, i: int) -> Iterator[tuple[int, str]]:
 
 
 def reversals(v: Array, still: float) -> int:
-    """How often a speed changes its sign, from beyond a threshold to beyond it.
+    """Count the changes of sign of a speed, without the samples at rest.
 
     Args:
         v: Speed, shape (N,), [rad/s].
-        still: Speed up to which a joint counts as standing, [rad/s].
+        still: Largest speed of a joint at rest, [rad/s].
     """
     sign = np.sign(v[np.abs(v) > still])
     return int(np.count_nonzero(sign[1:] != sign[:-1]))

@@ -1,7 +1,7 @@
-"""Laws that no library has of where a link lies beside its encoder.
+"""Unknown laws of a transmission: the link differs from its encoder by an angle φ.
 
-Play, a soft gear, an encoder off its centre: the link of a joint is elsewhere than the
-encoder says, by an unknown function of the motion. All drives that move it feel that,
+Examples are backlash, a soft gear, or an eccentric encoder. φ is an unknown function of
+the motion, and changes the torque of all drives that move the link,
 
     δτ = ∂τ/∂q φ + ∂τ/∂v dφ/dt + ∂τ/∂a d²φ/dt².
 """
@@ -13,17 +13,21 @@ from collections.abc import Iterator
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.explanations.unknown import filtered, past, smooth
-from hybrid.diagnosis.gap.gap import Columns, Gap
+from hybrid.diagnosis.explanations.joint_laws import (
+    lagged_differences,
+    low_passed,
+    smooth_features,
+)
+from hybrid.diagnosis.gap.gap import LOWER_BAND, Columns, Gap
 
-_CALM = 0.5  # of the cut-off, for what is differentiated twice
 _KNOTS = 8
 
 
-def twists(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
-    """What the place of a joint's link is a law of, and its torque per feature."""
-    # The load holds the noise of positions, and so does the residual.
-    load = filtered(gap, gap.load[:, joint], _CALM * gap.cutoff)
+def transmission_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
+    """Yield the name of each law, and its columns at all joints that φ reaches."""
+    low = LOWER_BAND * gap.cutoff
+    # The load and the residual contain the same noise of positions.
+    load = low_passed(gap, gap.load[:, joint], low)
     q = gap.sampled.q[:, joint]
     slopes = [
         np.stack(body.slopes(joint))[:, :: sampler.factor] for _, body, sampler in gap
@@ -32,10 +36,10 @@ def twists(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
     side = np.tanh(load / (np.sqrt(np.mean(load**2)) + 1e-12))
     features = {
         "load": np.hstack([
-            filtered(gap, _and_past(gap, side), gap.cutoff),
-            _and_past(gap, load),
+            low_passed(gap, _with_lags(gap, side), gap.cutoff),
+            _with_lags(gap, load),
         ]),
-        "position": filtered(gap, smooth(q, _KNOTS), _CALM * gap.cutoff),
+        "position": low_passed(gap, smooth_features(q, _KNOTS), low),
     }  # fmt: skip
     for name, x in features.items():
         speed = _derivative(gap, x)
@@ -49,11 +53,11 @@ def twists(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
         )
 
 
-def _and_past(gap: Gap, x: Array) -> Array:
-    return np.column_stack([x, past(gap, x)])
+def _with_lags(gap: Gap, x: Array) -> Array:
+    return np.column_stack([x, lagged_differences(gap, x)])
 
 
 def _derivative(gap: Gap, x: Array) -> Array:
-    """Per second, shape (M, d), in each recording."""
+    """Time derivative in each recording, shape (M, d)."""
     parts = [x[gap.trajectory == k] for k in range(len(gap.motions))]
     return np.concatenate([np.gradient(p, 1.0 / gap.rate, axis=0) for p in parts])
