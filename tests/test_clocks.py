@@ -11,7 +11,7 @@ from simulated import arm
 from test_convention import EULER, STEP, raw_logs
 
 from hybrid.diagnosis.answer.fixed import MODEL, write_fixed
-from hybrid.diagnosis.answer.replayed import replayed
+from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.convention import find_convention
 from hybrid.diagnosis.gap.measure import measure_gap
@@ -55,7 +55,7 @@ def test_a_time_that_all_joints_share_is_measured(time):
 def test_it_is_named_at_every_joint_with_whatever_else_is_there(rubs, tmp_path):
     """What else is there is late as well, so that it has to come first."""
     robot, logs = late_logs(rubs=rubs)
-    result = replayed(examine(robot, logs), np.random.default_rng(0))
+    result = with_motion_gap(examine(robot, logs), np.random.default_rng(0))
     diagnosis = result.diagnosis
     named = {f.effect: f for f in diagnosis.findings}
     assert set(named) == {"delay"} | ({GRIP.id} if rubs else set())

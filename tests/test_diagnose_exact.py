@@ -13,8 +13,12 @@ from hybrid.diagnosis.answer.findings import found_at
 from hybrid.diagnosis.answer.intervals import interval, shrink
 from hybrid.diagnosis.answer.links import joined
 from hybrid.diagnosis.answer.locate import locate
+from hybrid.diagnosis.answer.motion_gap import (
+    motion_shrink,
+    rollout_agrees,
+    with_motion_gap,
+)
 from hybrid.diagnosis.answer.replay import Replay, courses
-from hybrid.diagnosis.answer.replayed import motion_shrink, replayed, rollout_agrees
 from hybrid.diagnosis.diagnose import diagnose, examine
 from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap
@@ -173,7 +177,7 @@ def test_torque_of_another_clock_is_taken_back_and_named():
     assert [e.id for e in result.late] == ["delay", "delay"]
     assert any("late at every joint" in x for x in found.warnings)
     assert delay.shrink["torque"].after < 0.2 * delay.shrink["torque"].before
-    for f in replayed(result, np.random.default_rng(0)).diagnosis.findings:
+    for f in with_motion_gap(result, np.random.default_rng(0)).diagnosis.findings:
         assert f.shrink["motion"].removed > 0.8
 
 
@@ -269,7 +273,7 @@ class TestMotion:
 
     def test_it_falls_with_what_was_found(self, rubbing):
         rng = np.random.default_rng(0)
-        found = replayed(rubbing, rng).diagnosis
+        found = with_motion_gap(rubbing, rng).diagnosis
         (f,) = found.findings
         motion = f.shrink["motion"]
         assert motion.horizon_s == 0.5 and motion.unit == "rad"
@@ -293,7 +297,7 @@ class TestMotion:
         off = [np.sqrt(replay.squares_of(x).mean()) for x in ((), replay.effects)]
         assert off[1] < 0.1 * off[0]
         assert motion_shrink(replay, [0], rng).removed > 0.9
-        pick = replay.where([0])
+        pick = replay.windows_with([0])
         assert len(pick) > 3 and (np.diff(pick) > 0).all()
 
     def test_the_courses_keep_to_the_motion_where_all_is_known(self, rubbing):
@@ -307,21 +311,21 @@ class TestMotion:
 
     def test_what_moves_less_like_the_arm_is_denied(self, rubbing, run, monkeypatch):
         """Of effects between motor and link; others explain torque all the same."""
-        monkeypatch.setattr("hybrid.diagnosis.answer.replayed.Replay", lambda _: run)
+        monkeypatch.setattr("hybrid.diagnosis.answer.motion_gap.Replay", lambda _: run)
         said = {"coulomb": False}
         for shows, denied in ((False, False), (True, True)):
             monkeypatch.setattr(Coulomb, "shows_in_motion", shows)
             monkeypatch.setattr(
-                "hybrid.diagnosis.answer.replayed.rollout_agrees",
+                "hybrid.diagnosis.answer.motion_gap.rollout_agrees",
                 lambda *_: said["coulomb"],
             )
-            found = replayed(rubbing, np.random.default_rng(0)).diagnosis
+            found = with_motion_gap(rubbing, np.random.default_rng(0)).diagnosis
             assert any("do not take it" in x for x in found.warnings) == denied
             assert (found.verdict == "partly_explained") == denied
             assert (found.unexplained > 0.9) == denied
         for answer in (None, True):
             said["coulomb"] = answer
-            found = replayed(rubbing, np.random.default_rng(0)).diagnosis
+            found = with_motion_gap(rubbing, np.random.default_rng(0)).diagnosis
             assert not any("do not take it" in x for x in found.warnings)
 
 

@@ -9,14 +9,14 @@ from functools import cached_property
 import numpy as np
 
 from hybrid.diagnosis.advice.advise import advise
-from hybrid.diagnosis.answer.clocks import clocks_apart
+from hybrid.diagnosis.answer.clocks import delay_finding
 from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.findings import findings
-from hybrid.diagnosis.answer.links import joined
+from hybrid.diagnosis.answer.links import merged_links
 from hybrid.diagnosis.answer.locate import locate
-from hybrid.diagnosis.answer.replayed import replayed
+from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
 from hybrid.diagnosis.evidence.candidates import Candidate
@@ -101,7 +101,7 @@ def diagnose(
         seed=seed,
         progress=progress,
     )
-    result = replayed(result, rng, progress=progress)
+    result = with_motion_gap(result, rng, progress=progress)
     return replace(result.diagnosis, advice=advise(result, rng))
 
 
@@ -134,7 +134,7 @@ def examine(
     link = command_link(
         case.gap, case.recordings, rng, without=case.without, distorted=distorted
     )
-    diagnosis = joined(diagnosis, result.account, case.as_logged, link, rng)
+    diagnosis = merged_links(diagnosis, result.account, case.as_logged, link, rng)
     return replace(result, diagnosis=diagnosis, command=link.effects)
 
 
@@ -215,8 +215,8 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     if search.off > search.prior.file[1]:
         doubts.append(_FAR.format(search.off) if search.off < 1 else _PLACEHOLDERS)
     if logged.clocks and not case.doubts:
-        apart, others = clocks_apart(case.as_logged, scored, logged, rng)
-        causes, effects = apart.joined(causes, others), (*effects, *apart.effects)
+        apart, others = delay_finding(case.as_logged, scored, logged, rng)
+        causes, effects = apart.merged(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
     off = bool(far) or (not causes and search.off > search.prior.file[1])
     verdict = _verdict(gap, found, causes, left, off=off)

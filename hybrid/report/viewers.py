@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.answer.replay import courses
+from hybrid.diagnosis.answer.replay import simulated_positions
 from hybrid.errors import HybridError, RobotError
 from hybrid.excitation.clearance import frames
 from hybrid.extras import check_extra
@@ -123,7 +123,7 @@ def scene_of_diagnosis(result: Result) -> Scene:
     left = np.full_like(gap.left, np.nan)
     for i, seen in enumerate(scored.evidence.rows):
         left[seen, i] = scored.after[i]
-    before, after = courses(scored)
+    before, after = simulated_positions(scored)
     curves = {
         "position": {_MEASURED: gap.sampled.q, _FILE: before, _FOUND: after},
         "torque": {_MEASURED: gap.measured, _FILE: gap.measured - gap.left},

@@ -1,7 +1,7 @@
-"""Torque that is late at every joint: what stamping it by another clock accounts for.
+"""Score a delay of the measured torque that all joints share.
 
-It is taken back before anything else is looked for, since all torque is late, that of
-effects included. So it is no term of a search, and is scored here.
+Such a delay comes from time stamps of another clock. It is removed from the log before
+the search, as it delays the torque of all effects. So the search does not score it.
 """
 
 from __future__ import annotations
@@ -11,26 +11,32 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.answer.findings import Beside, fall, found_at, values
+from hybrid.diagnosis.answer.findings import (
+    ExtraFindings,
+    finding_of,
+    fitted_values,
+    torque_shrink,
+)
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects.delay import Delay
 
 
-def clocks_apart(
+def delay_finding(
     logged: Gap, scored: Explanation, convention: Convention, rng: np.random.Generator
-) -> tuple[Beside, float]:
-    """The finding that torque is late at every joint.
+) -> tuple[ExtraFindings, float]:
+    """Make the finding that torque is delayed at every joint.
 
     Args:
-        logged: The gap with the log taken at its word, of the same samples.
-        scored: What was found in the log without the delay.
-        convention: By how much torque is late.
-        rng: Draws of the bootstrap.
+        logged: The gap of the same samples, with the delay.
+        scored: The explanation of the gap without the delay.
+        convention: The delay.
+        rng: Random generator of the bootstrap.
 
     Returns:
-        It, and what the terms explain on the samples learnt from, in units of noise.
+        The finding, and the squares that the terms of the explanation explain on the
+        training samples, in units of noise.
     """
     gap = scored.gap
     moving = np.flatnonzero(logged.moving.any(axis=0)).tolist()
@@ -39,20 +45,20 @@ def clocks_apart(
     effects = tuple(Delay((j,), time, {"time": std}) for j in moving)
     change = logged.left - gap.left
 
-    def late(x: Explanation) -> list[Array]:
+    def with_delay(x: Explanation) -> list[Array]:
         pairs = enumerate(zip(x.evidence.rows, x.after, strict=True))
         return [left + change[rows, i] for i, (rows, left) in pairs]
 
-    learnt = scored.learnt or scored
+    train = scored.learnt or scored
     own, others = (
-        np.maximum([x @ x - y @ y for x, y in zip(left, learnt.after, strict=True)], 0)
-        / learnt.evidence.noise
-        for left in (late(learnt), learnt.before)
+        np.maximum([x @ x - y @ y for x, y in zip(left, train.after, strict=True)], 0)
+        / train.evidence.noise
+        for left in (with_delay(train), train.before)
     )
     names = [gap.robot.joints[j] for j in moving]
-    parameters = [v for e in effects for v in values(gap, e)]
+    parameters = [v for e in effects for v in fitted_values(gap, e)]
     finding = replace(
-        found_at(Delay, names, (), parameters),
-        shrink={"torque": fall(scored, late(scored), rng)},
+        finding_of(Delay, names, (), parameters),
+        shrink={"torque": torque_shrink(scored, with_delay(scored), rng)},
     )
-    return Beside((finding,), effects, own), float(others.sum())
+    return ExtraFindings((finding,), effects, own), float(others.sum())
