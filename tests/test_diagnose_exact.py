@@ -9,16 +9,16 @@ from pendulum import NOISE, RATE, pendulum, swings, with_torque
 
 from hybrid.diagnosis.answer.command import Link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region
-from hybrid.diagnosis.answer.findings import found_at
+from hybrid.diagnosis.answer.findings import finding_of
 from hybrid.diagnosis.answer.intervals import interval, shrink
-from hybrid.diagnosis.answer.links import joined
+from hybrid.diagnosis.answer.links import merged_links
 from hybrid.diagnosis.answer.locate import locate
 from hybrid.diagnosis.answer.motion_gap import (
     motion_shrink,
     rollout_agrees,
     with_motion_gap,
 )
-from hybrid.diagnosis.answer.replay import Replay, courses
+from hybrid.diagnosis.answer.replay import Replay, simulated_positions
 from hybrid.diagnosis.diagnose import diagnose, examine
 from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap
@@ -301,7 +301,7 @@ class TestMotion:
         assert len(pick) > 3 and (np.diff(pick) > 0).all()
 
     def test_the_courses_keep_to_the_motion_where_all_is_known(self, rubbing):
-        before, after = courses(rubbing.scored)
+        before, after = simulated_positions(rubbing.scored)
         q = rubbing.scored.gap.sampled.q
         assert before.shape == after.shape == q.shape
         known = np.isfinite(after).all(axis=1)
@@ -456,12 +456,12 @@ def test_regions_of_both_links_share_what_is_left():
     )  # fmt: skip
     excess = np.zeros((10, 2))
     excess[:, 1] = 30.0
-    late = found_at(CommandLatency, ["hinge_1"], (), ())
+    late = finding_of(CommandLatency, ["hinge_1"], (), ())
     link = Link((late,), (), np.array([0.0, 600.0]), excess)
     left = np.tile([np.sqrt(2.0), 1.0], (100, 1))  # 100 in units of noise
     gap = SimpleNamespace(moving=np.ones((100, 2), dtype=bool), left=left)
     account = SimpleNamespace(explained=np.zeros(2), missed=np.array([200.0, 0.0]))
-    found = joined(diagnosis, account, gap, link, np.random.default_rng(0))
+    found = merged_links(diagnosis, account, gap, link, np.random.default_rng(0))
     assert found.verdict == "partly_explained"
     assert found.unexplained == pytest.approx(200 / 800)
     assert [(r.joint, r.unit) for r in found.where] == [
@@ -473,9 +473,9 @@ def test_regions_of_both_links_share_what_is_left():
     (f,) = found.findings
     assert f.share == 1.0
     none = replace(link, findings=())
-    assert joined(diagnosis, account, gap, none, None) is diagnosis
+    assert merged_links(diagnosis, account, gap, none, None) is diagnosis
     first = replace(region, share=0.9, interval=(0.8, 1.0))
-    of_both = joined(
+    of_both = merged_links(
         replace(diagnosis, where=(first, replace(first, share=0.01)), findings=(late,)),
         SimpleNamespace(explained=np.array([200.0, 0.0]), missed=np.zeros(2)),
         gap, link, np.random.default_rng(0),

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from hybrid.diagnosis.answer import command
 from hybrid.diagnosis.answer.events import events_at_rest
-from hybrid.diagnosis.answer.findings import Beside, found_at, listed
+from hybrid.diagnosis.answer.findings import ExtraFindings, finding_of, listed
 from hybrid.diagnosis.answer.locate import (
     _decade_edges,
     _even_edges,
@@ -361,9 +361,10 @@ def test_names_are_listed_and_shares_are_of_all_that_is_explained():
     assert listed([]) == "" and listed(["a"]) == "a"
     assert listed(["a", "b"]) == "a and b" and listed("abc") == "a, b and c"
     one, other = (
-        replace(found_at(kind, ["a"], (), ()), share=1.0) for kind in (Coulomb, Viscous)
+        replace(finding_of(kind, ["a"], (), ()), share=1.0)
+        for kind in (Coulomb, Viscous)
     )
-    both = Beside((one,), (), np.array([1.0, 2.0])).joined([other], 9.0)
+    both = ExtraFindings((one,), (), np.array([1.0, 2.0])).merged([other], 9.0)
     assert [(f.effect, f.share) for f in both] == [
         ("viscous", pytest.approx(0.75)), ("coulomb", pytest.approx(0.25)),
     ]  # fmt: skip
@@ -392,7 +393,7 @@ def test_a_damping_that_noise_hides_part_of_is_not_wrong_by_that(
         covariance=np.diag([1.0, 1.0, 1e-4, 1e-6]),
     )  # fmt: skip
     monkeypatch.setattr(command, "blur", lambda *_: hidden)
-    assert command._wrong(found, gap, None, 0) == wrong
+    assert command._gains_differ(found, gap, None, 0) == wrong
 
 
 # --- regions --------------------------------------------------------------------------
