@@ -77,16 +77,7 @@ class Postures:
 def motion_figure(
     reference: Reference, joints: Sequence[str], limits: Limits | None = None
 ) -> Figure:
-    """Draw position and speed of every joint, with its limits.
-
-    Args:
-        reference: Motion of n joints.
-        joints: Joint names, length n.
-        limits: Limits to draw.
-
-    Returns:
-        Figure of 2n axes.
-    """
+    """Draw position and speed of every joint, with its limits."""
     figure, cells = panels(joints, height=2.1, ratios=(1.4, 1.0))
     for j, (above, below) in enumerate(cells):
         above.plot(reference.t, reference.q[:, j], color=BLUE, linewidth=1.2)
@@ -102,14 +93,7 @@ def motion_figure(
 
 
 def information_figure(design: Design) -> Figure:
-    """Draw singular values of the observation matrix, and predicted standard errors.
-
-    Args:
-        design: Designed motions.
-
-    Returns:
-        Figure of two axes.
-    """
+    """Draw singular values of the observation matrix, and predicted standard errors."""
     figure = new_figure(height=5.2)
     above, below = figure.subplots(2, 1, height_ratios=(1.0, 1.3))
     order = np.arange(1, design.observation.size + 1)
@@ -155,13 +139,7 @@ def postures_figure(
     *,
     count: int = 8,
 ) -> Figure:
-    """Draw the arm at equidistant times of a motion.
-
-    Args:
-        robot: The arm.
-        reference: Its motion.
-        count: Number of pictures.
-    """
+    """Draw the arm at equidistant times of a motion."""
     samples = np.linspace(0, len(reference.t) - 1, count).round().astype(int)
     postures = Postures.of(robot, reference.q[samples])
     rows = -(-count // _COLUMNS)

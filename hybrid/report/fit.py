@@ -155,12 +155,7 @@ def torque_figure(
 
 
 def excerpt_figure(model: DynamicModel, recording: Recording) -> Figure:
-    """Draw torque in the middle of a recording, and the predictions of models.
-
-    Args:
-        model: The model; plain least squares is drawn if it is among its simpler ones.
-        recording: A log of the arm.
-    """
+    """Draw torque in the middle of a recording, and the predictions of models."""
     motion, sampler = seen_by(model, recording)
     half = round(_EXCERPT_SECONDS * motion.rate / 2)
     middle = len(motion.t) // 2

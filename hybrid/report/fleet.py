@@ -209,16 +209,7 @@ def lead_sentence(fleet: Fleet) -> str:
 def write_fleet_pages(
     folder: Path, fleet: Fleet, *, provenance: Mapping[str, Any]
 ) -> Path:
-    """Write ``report.html``, a page for each arm with findings, and ``fleet.prom``.
-
-    Args:
-        folder: Folder of the files.
-        fleet: The fleet.
-        provenance: Versions and inputs; see :func:`hybrid.report.provenance`.
-
-    Returns:
-        Path of the report.
-    """
+    """Write ``report.html``, a page for each arm with findings, and ``fleet.prom``."""
     named = dict.fromkeys(x.arm for x in fleet.alarms)
     named |= dict.fromkeys(x.arm for x in fleet.states if x.unlike)
     named |= dict.fromkeys(arm for arm, _ in fleet.diagnoses)

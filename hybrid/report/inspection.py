@@ -139,11 +139,7 @@ def doubts_table(inspections: Sequence[Inspection]) -> Table:
 
 
 def log_figure(recording: Recording) -> Figure:
-    """Draw position and command of every joint over time, and torque or speed below.
-
-    Args:
-        recording: Joint log.
-    """
+    """Draw position and command of every joint over time, and torque or speed below."""
     joints, t = recording.joints, recording.t - recording.t[0]
     below = recording.tau if recording.has_torque else recording.v
     name = "torque\n[N·m]" if recording.has_torque else "speed\n[rad/s]"
@@ -178,13 +174,7 @@ def write_inspection(
     *,
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write the page of the inspection of some logs.
-
-    Args:
-        path: HTML file.
-        inspections: Inspections of the logs.
-        provenance: Versions and inputs; see :func:`hybrid.report.provenance`.
-    """
+    """Write the page of the inspection of some logs."""
     doubts = doubts_table(inspections)
     longest = max(inspections, key=lambda x: x.clock.duration).recording
     readings = readings_tables(inspections)

@@ -73,12 +73,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 
 def write_results(path: str | Path, content: Mapping[str, Any]) -> None:
-    """Write results as JSON; arrays become lists, NaN becomes null.
-
-    Args:
-        path: JSON file.
-        content: Nested mappings and sequences of numbers, strings and arrays.
-    """
+    """Write results as JSON; arrays become lists, NaN becomes null."""
     write_json(path, _plain(content))
 
 

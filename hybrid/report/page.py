@@ -95,13 +95,7 @@ def render_page(
 def render_template(
     name: str, *, provenance: Mapping[str, Any] | None = None, **content: Any
 ) -> str:
-    """Render a template; strings are escaped.
-
-    Args:
-        name: File name of the template.
-        provenance: Versions and inputs, for the foot of the page.
-        content: Variables of the template.
-    """
+    """Render a template; strings are escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(

@@ -65,12 +65,7 @@ def servos_table(fit: ServoFit) -> Table:
 
 
 def replay_figure(replay: ServoReplay, joints: Sequence[str]) -> Figure:
-    """Draw the position of every joint, measured and replayed.
-
-    Args:
-        replay: A log with its replays.
-        joints: Joint names.
-    """
+    """Draw the position of every joint, measured and replayed."""
     figure, cells = panels(joints, height=1.6)
     for j, (axes,) in enumerate(cells):
         lines = (
@@ -93,14 +88,7 @@ def write_servo_page(
     *,
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write the page of a servo fit.
-
-    Args:
-        path: HTML file.
-        fit: The servos.
-        replay: A held-out log with its replays.
-        provenance: Versions and inputs; see :func:`hybrid.report.provenance`.
-    """
+    """Write the page of a servo fit."""
     sections = [
         Section("How far replays miss", table=gap_table(fit)),
         Section(

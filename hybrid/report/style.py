@@ -46,11 +46,7 @@ def stage_inks(names: Sequence[str]) -> dict[str, str]:
 
 
 def new_figure(height: float) -> Figure:
-    """An empty figure of the page's width.
-
-    Args:
-        height: Height, in [inch].
-    """
+    """An empty figure of the page's width and a height in inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(WIDTH, height), layout="constrained")
@@ -113,13 +109,7 @@ def clean(axes: Axes, grid: Literal["x", "y", "both"]) -> None:
 
 
 def legend(figure: Figure, handles: Sequence[Any], *, enlarge: float = 3.0) -> None:
-    """Draw a legend above all axes.
-
-    Args:
-        figure: The figure.
-        handles: Lines to name.
-        enlarge: Size of markers in the legend over that in the figure.
-    """
+    """Draw a legend above all axes."""
     figure.legend(
         handles=handles,
         loc="outside upper left",

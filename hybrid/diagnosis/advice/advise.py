@@ -107,12 +107,7 @@ def advise(
 
 
 class Discriminations:
-    """The discrimination of each experiment of a menu, made on demand.
-
-    Args:
-        result: The diagnosis.
-        menu: The experiments.
-    """
+    """The discrimination of each experiment of a menu, made on demand."""
 
     def __init__(self, result: Result, menu: Menu) -> None:
         self._gap, self._menu = result.scored.gap, menu
@@ -123,12 +118,7 @@ class Discriminations:
         self._known: dict[Experiment, Discrimination] = {}
 
     def about(self, joint: int, *, warm: bool) -> list[Experiment]:
-        """Experiments that move a joint.
-
-        Args:
-            joint: The joint.
-            warm: Whether to include those with warm drives.
-        """
+        """Experiments that move a joint; those with warm drives only if ``warm``."""
         found = self._menu.about(joint)
         return [x for x in found if not x.gains and (warm or x.start == 0)]
 

@@ -68,13 +68,7 @@ class Rival:
 
 
 def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
-    """Fit a candidate in the place of a term to the samples of a search.
-
-    Args:
-        search: The search.
-        term: One of its terms.
-        candidate: The term's own candidate, or another one with fitted shapes.
-    """
+    """Fit a candidate in the place of a term to the samples of a search."""
     gap, evidence = search.gap, search.evidence
     others = [t.index for t in search.terms if t.index is not term.index]
     base = np.concatenate([search.rigid, *others])
@@ -204,12 +198,7 @@ class Discrimination:
 
 
 class _Shared:
-    """Columns that both rivals share, along all motions.
-
-    Args:
-        X: Columns at each joint, shape (R, s).
-        prior: Inverse prior variance of their gains, shape (s,).
-    """
+    """Columns X that both rivals share, (R, s) at each joint, with their precision."""
 
     def __init__(self, X: Sequence[Array], prior: Array) -> None:
         # Scaled by the prior, as columns differ by many orders of magnitude.
@@ -219,12 +208,7 @@ class _Shared:
 
 
 class _Data:
-    """Torque to be explained by shared columns and a candidate.
-
-    Args:
-        shared: The shared columns.
-        y: Torque at each joint, in units of noise, shape (R,).
-    """
+    """Torque y in units of noise, (R,) at each joint, with the shared columns."""
 
     def __init__(self, shared: _Shared, y: Sequence[Array]) -> None:
         self._shared, self._y = shared, y
@@ -246,11 +230,7 @@ class _Data:
 
 
 def required_evidence(evidence: float) -> float:
-    """Difference of evidence from which two explanations are distinguished, [nat].
-
-    Args:
-        evidence: Evidence of the better explanation, [nat]; its law may be inexact.
-    """
+    """Difference of evidence that distinguishes an explanation from another, [nat]."""
     prior = Prior()
     return float(max(-np.log(prior.alike), prior.inexact * evidence))
 

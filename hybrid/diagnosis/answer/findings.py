@@ -110,14 +110,7 @@ def finding_of(
     alternatives: Sequence[str],
     parameters: Sequence[Value],
 ) -> Finding:
-    """Make a finding with the whole share, with sentence and remedy of its effect.
-
-    Args:
-        law: The effect.
-        joints: Names of the joints where it acts.
-        alternatives: Ids of effects that explain as much.
-        parameters: Fitted parameters.
-    """
+    """Make a finding with the whole share, with sentence and remedy of its effect."""
     return Finding(
         effect=law.id,
         joints=tuple(joints),

@@ -96,13 +96,7 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
 
 
 def fixed_model(gap: Gap, robot: Robot, effects: Sequence[Effect]) -> DynamicModel:
-    """Make the torque model of the corrected arm: links, declared effects, findings.
-
-    Args:
-        gap: The gap.
-        robot: The corrected arm.
-        effects: Effects found.
-    """
+    """Make the torque model of the corrected arm: links, declared effects, findings."""
     base = stacked_base(robot.chain, (), ())
     inertial = robot.chain.inertial
     return DynamicModel(

@@ -27,13 +27,6 @@ def merged_links(
     """Add findings between command and torque to a diagnosis.
 
     Shares are of the squares of both links, in units of noise.
-
-    Args:
-        diagnosis: Diagnosis between torque and motion.
-        account: Squares that it explains and misses.
-        gap: Gap between torque and motion.
-        link: Findings between command and torque.
-        rng: Random generator of the bootstrap.
     """
     if not link.findings:
         return diagnosis

@@ -44,11 +44,6 @@ def with_motion_gap(
 
     A finding that should show in motion, such as an elasticity or a delay, is doubted
     if the simulator with it moves less like the arm.
-
-    Args:
-        result: A diagnosis in torque.
-        rng: Random generator of the bootstrap.
-        progress: Called with the name of each step.
     """
     if not result.effects:
         return result

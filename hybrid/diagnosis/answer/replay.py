@@ -58,12 +58,7 @@ class Replay:
         self._errors: dict[tuple[frozenset[int], float], Array] = {}
 
     def squares(self, terms: Iterable[int], *, step: float | None = None) -> Array:
-        """Mean square of the motion error with some terms, shape (W, n), [rad²].
-
-        Args:
-            terms: Indices of the terms that the simulator has.
-            step: Longest physics step, [s]; :attr:`step` by default.
-        """
+        """Mean square of the motion error with some terms, shape (W, n), [rad²]."""
         return _mean_squares(self._error_with(frozenset(terms), step or self.step))
 
     def squares_of(self, effects: Sequence[Effect]) -> Array:

@@ -19,12 +19,7 @@ _NOISE = 1.5  # times the squares of noise: noise may leave so much on held-out 
 
 
 def unseen(search: Search, found: Account) -> Unseen:
-    """Score the explanation of a search, and plain least squares, on held-out motions.
-
-    Args:
-        search: A search that has run.
-        found: Its account.
-    """
+    """Score the explanation of a search, and least squares, on held-out motions."""
     test = search.test
 
     def rms(squares: Array) -> tuple[float, ...]:
