@@ -27,7 +27,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     effects = "one effect accounts" if count == 1 else f"{count} effects account"
     part = "all" if explained >= 0.995 else f"{explained:.0%}"
     return {
-        "no_gap": "No gap: only noise is left, and errors that are usual in robot files.",
+        "no_gap": "No gap: only noise is left, and the usual errors of robot files.",
         "explained": f"Explained: {effects} for {part} of the gap above noise.",
         "partly_explained": f"Partly explained: {effects} for {part} of the gap above "
         "noise; what causes the rest is not known.",
