@@ -12,7 +12,7 @@ from hybrid.diagnosis.advice.menu import Experiment, gap_along
 from hybrid.diagnosis.answer.command import _gain_errors, _Servo
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.events import events_at_rest
-from hybrid.diagnosis.answer.intervals import shrink
+from hybrid.diagnosis.answer.intervals import shrunk
 from hybrid.diagnosis.answer.simulator import corrected
 from hybrid.diagnosis.evidence.contacts import _Clock
 from hybrid.diagnosis.evidence.shapes import nudges, shape_units
@@ -167,7 +167,7 @@ def test_chunks_of_time_follow_each_other_within_a_recording():
 
 
 def test_of_nothing_scored_no_gap_is_left():
-    found = shrink(np.zeros((2, 3)), 0, "N·m", np.random.default_rng(0))
+    found = shrunk(np.zeros((2, 3)), 0, "N·m", np.random.default_rng(0))
     assert (found.before, found.after, found.removed) == (0.0, 0.0, 0.0)
 
 

@@ -10,7 +10,7 @@ from pendulum import NOISE, RATE, pendulum, swings, with_torque
 from hybrid.diagnosis.answer.command import Link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region
 from hybrid.diagnosis.answer.findings import finding_of
-from hybrid.diagnosis.answer.intervals import interval, shrink
+from hybrid.diagnosis.answer.intervals import interval, shrunk
 from hybrid.diagnosis.answer.links import merged_links
 from hybrid.diagnosis.answer.locate import locate
 from hybrid.diagnosis.answer.motion_gap import (
@@ -392,7 +392,7 @@ def test_an_interval_is_that_of_the_mean_over_blocks():
 
 def test_a_fall_is_of_root_mean_squares():
     squares = np.array([[4.0] * 10, [1.0] * 10])
-    found = shrink(squares, 10, "N", np.random.default_rng(0))
+    found = shrunk(squares, 10, "N", np.random.default_rng(0))
     assert (found.before, found.after, found.removed) == (2.0, 1.0, 0.5)
     assert found.interval == pytest.approx((0.5, 0.5)) and found.unit == "N"
 

@@ -6,8 +6,6 @@ the search, as it delays the torque of all effects. So the search does not score
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from hybrid.arrays import Array
@@ -57,8 +55,6 @@ def delay_finding(
     )
     names = [gap.robot.joints[j] for j in moving]
     parameters = [v for e in effects for v in fitted_values(gap, e)]
-    finding = replace(
-        finding_of(Delay, names, (), parameters),
-        shrink={"torque": torque_shrink(scored, with_delay(scored), rng)},
-    )
+    shrink = torque_shrink(scored, with_delay(scored), rng)
+    finding = finding_of(Delay, names, (), parameters, shrink=shrink)
     return ExtraFindings((finding,), effects, own), float(others.sum())

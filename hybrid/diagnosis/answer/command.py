@@ -7,7 +7,7 @@ the torque that a servo law asks for.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Finding
 from hybrid.diagnosis.answer.findings import ExtraFindings, finding_of, fitted_values
-from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS, NORMAL, shrink
+from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS, NORMAL, shrunk
 from hybrid.diagnosis.explanations.servo_fit import (
     WORTH,
     Fit,
@@ -272,15 +272,13 @@ def _finding(
     scale = kind is ControllerGain and any(s.scale for s in servos)
     own = [e for s in servos for e in s.effects if isinstance(e, kind)]
     joints = [s.joint for s in servos]
-    return replace(
-        finding_of(
-            kind,
-            [gap.robot.joints[j] for j in joints],
-            ControllerGain.at_scale if scale else (),
-            [v for e in own for v in fitted_values(gap, e)],
-        ),
+    return finding_of(
+        kind,
+        [gap.robot.joints[j] for j in joints],
+        ControllerGain.at_scale if scale else (),
+        [v for e in own for v in fitted_values(gap, e)],
         share=sum(s.share(kind) for s in servos) / max(total, 1e-300),
-        shrink={"torque": shrink(squares, count, units(gap.robot, joints)[1], rng)},
+        shrink=shrunk(squares, count, units(gap.robot, joints)[1], rng),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Finding, Shrink, Value, listed
-from hybrid.diagnosis.answer.intervals import NORMAL, shrink
+from hybrid.diagnosis.answer.intervals import NORMAL, shrunk
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import part_of_range
 from hybrid.diagnosis.explanations.explanation import Explanation
@@ -91,16 +91,17 @@ def findings(
         ]
         replaced = dict.fromkeys(effects[k].id for k in declared)
         law, seen = effect_class(effect_id), scored.where_seen(members)
-        finding = finding_of(law, names, [a for k in own for a in kinds[k]], parameters)
         without = seen.left(seen.without(*members))
-        found.append(
-            replace(
-                finding,
-                share=float(parts[members].sum()),
-                shrink={"torque": torque_shrink(seen, without, rng)},
-                sentence=finding.sentence + "".join(map(_REPLACES.format, replaced)),
-            )
+        finding = finding_of(
+            law,
+            names,
+            [a for k in own for a in kinds[k]],
+            parameters,
+            share=float(parts[members].sum()),
+            shrink=torque_shrink(seen, without, rng),
         )
+        sentence = finding.sentence + "".join(map(_REPLACES.format, replaced))
+        found.append(replace(finding, sentence=sentence))
     return tuple(sorted(found, key=lambda f: -f.share))
 
 
@@ -109,15 +110,18 @@ def finding_of(
     joints: Sequence[str],
     alternatives: Sequence[str],
     parameters: Sequence[Value],
+    *,
+    share: float = 1.0,
+    shrink: Shrink | None = None,
 ) -> Finding:
-    """Make a finding with the whole share, with sentence and remedy of its effect."""
+    """Make a finding with sentence and remedy of its effect."""
     return Finding(
         effect=law.id,
         joints=tuple(joints),
         alternatives=tuple(dict.fromkeys((law.id, *alternatives))),
-        share=1.0,
+        share=share,
         parameters=tuple(parameters),
-        shrink={},
+        shrink={"torque": shrink} if shrink else {},
         sentence=law.sentence.format(joints=listed(joints)),
         remedy=law.remedy,
     )
@@ -142,7 +146,7 @@ def torque_shrink(
     ]
     count = sum(len(scored.after[i]) for i in joints)
     unit = units(scored.gap.robot, joints)[1]
-    return shrink(np.array(squares), count, unit, rng)
+    return shrunk(np.array(squares), count, unit, rng)
 
 
 def changed_joints(scored: Explanation, without: Sequence[Array]) -> list[int]:

@@ -35,7 +35,7 @@ def interval(
     return float(low), float(high)
 
 
-def shrink(squares: Array, count: int, unit: str, rng: np.random.Generator) -> Shrink:
+def shrunk(squares: Array, count: int, unit: str, rng: np.random.Generator) -> Shrink:
     """RMS of a gap before and after, and the part removed with its interval.
 
     Args:
