@@ -75,7 +75,7 @@ def test_it_is_named_at_every_joint_with_whatever_else_is_there(rubs, tmp_path):
     rms = np.sqrt(np.sum(np.where(moving, as_logged.left, 0) ** 2, 0) / moving.sum(0))
     np.testing.assert_allclose(diagnosis.rms, rms, rtol=1e-3)  # but for the end
     page = render_diagnosis(result)
-    assert "late at every joint was taken back before effects were tried" in page
+    assert "delay of torque that all joints share was removed before effects" in page
     cells = dict(evidence_matrix(result).rows)[Delay.id]
     assert [c.joints for c in cells] == list(robot.joints)
     assert all(c.named and min(c.alone, c.beside) > 1.0 for c in cells)
