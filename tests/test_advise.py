@@ -95,7 +95,7 @@ def pair():
     result, _ = poorly_recorded("load_friction", 0, 0.3)
     (term,) = [t for t in result.search.terms if t.place[1] == (0,)]
     own = fit_rival(result.search, term, term.candidate)
-    (other, *_) = next(x for t, x in result.alike.items() if t.index is term.index)
+    (other, *_) = next(x for t, x in result.rivals.items() if t.index is term.index)
     return result, own, fit_rival(result.search, term, other)
 
 

@@ -101,7 +101,7 @@ def test_two_causes_are_told_with_their_joints_sizes_and_shares():
     np.testing.assert_allclose(found.unseen.before, [1.0, 0.7], rtol=0.1)
     assert max(found.unseen.after) < 3 * LEFT
     assert {x.id for x in result.effects} == {"torque_offset", "coulomb"}
-    assert result.late == () and result.command == ()
+    assert result.delays == () and result.command == ()
     about = {(r.joint, r.variable) for r in found.where}
     assert ("hinge_1", "direction") not in about  # dry friction has both
     assert {r.joint for r in found.where} == {"hinge_0", "hinge_1"}
@@ -174,7 +174,7 @@ def test_torque_of_another_clock_is_taken_back_and_named():
     assert delay.joints == ("hinge_0", "hinge_1") and askew.joints == ("hinge_0",)
     assert [v.value for v in delay.parameters] == pytest.approx([0.034] * 2, abs=1e-3)
     assert delay.share + askew.share == pytest.approx(1.0)
-    assert [e.id for e in result.late] == ["delay", "delay"]
+    assert [e.id for e in result.delays] == ["delay", "delay"]
     assert any("late at every joint" in x for x in found.warnings)
     assert delay.shrink["torque"].after < 0.2 * delay.shrink["torque"].before
     for f in with_motion_gap(result, np.random.default_rng(0)).diagnosis.findings:

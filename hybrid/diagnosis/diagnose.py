@@ -227,7 +227,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         warnings=(*gap.notes, *logged.notes, *doubts),
     )
     return Result(diagnosis, case.as_logged, search, scored, found, effects,
-                  alike=alike, healthy=case.known)  # fmt: skip
+                  rivals=alike, baseline=case.known)  # fmt: skip
 
 
 def _believed(

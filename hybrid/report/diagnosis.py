@@ -80,7 +80,7 @@ def render_diagnosis(result: Result) -> str:
         laws={f.effect: known.get(f.effect) for f in diagnosis.findings},
         remainder=_remainder(result),
         matrix=matrix,
-        late=bool(result.late),
+        delays=bool(result.delays),
         data=_json_markup(drawn),
         provenance=diagnosis.provenance,
     )

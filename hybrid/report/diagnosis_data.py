@@ -235,7 +235,7 @@ def evidence_matrix(result: Result) -> Matrix:
         row = cells.setdefault(place[0], {})
         if column not in row or (cell.named, cell.alone) > _rank(row[column]):
             row[column] = cell
-    for effect in result.late:  # removed before the search
+    for effect in result.delays:  # removed before the search
         (j,) = effect.joints
         cells.setdefault(effect.id, {})[j] = _delay_cell(result, j)
     order = sorted(cells, key=lambda e: max(map(_rank, cells[e].values())))[::-1]

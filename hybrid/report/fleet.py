@@ -96,7 +96,7 @@ def unlike_table(fleet: Fleet) -> Table:
         (
             x.arm, x.joint, x.parameter.replace("_", " "),
             f"{x.baseline + x.level.value:.4g} ± {1.96 * x.level.std:.2g} {x.unit}",
-            f"{_fleet_mean(fleet, x):.4g} {x.unit}",
+            f"{_median_of_others(fleet, x):.4g} {x.unit}",
         )
         for x in fleet.states if x.unlike
     ]  # fmt: skip
@@ -105,7 +105,7 @@ def unlike_table(fleet: Fleet) -> Table:
     )
 
 
-def _fleet_mean(fleet: Fleet, state: State) -> float:
+def _median_of_others(fleet: Fleet, state: State) -> float:
     key = state.group, state.joint, state.parameter
     others = [
         x.pooled for x in fleet.states

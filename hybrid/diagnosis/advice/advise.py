@@ -136,7 +136,7 @@ class Discriminations:
 def _between(result: Result, discriminations: Discriminations) -> Iterator[Plan]:
     """An experiment for each pair of a term and a candidate that explains as much."""
     search, joints = result.search, result.gap.robot.joints
-    pairs = [(term, c) for term, others in result.alike.items() for c in others]
+    pairs = [(term, c) for term, others in result.rivals.items() for c in others]
     own: dict[int, Rival] = {}
     chosen: dict[int, list[Experiment]] = {}
     for term, other in pairs[:_MOST_PAIRS]:

@@ -61,7 +61,7 @@ def write_fixed(
         EffectError: An effect cannot be simulated.
     """
     robot, effects = fixed_simulator(result)
-    effects = (*result.healthy, *effects)
+    effects = (*result.baseline, *effects)
     folder = Path(directory)
     made = build_simulator(
         robot,

@@ -63,11 +63,11 @@ def _in_motion(result: Result, replay: Replay, rng: np.random.Generator) -> Diag
     unknown: list[str] = []
     for f in result.diagnosis.findings:
         members = result.scored.members(f.effect)
-        late = [e for e in result.late if e.id == f.effect]
+        delays = [e for e in result.delays if e.id == f.effect]
         once = result.scored.where_seen(members) is not result.scored
         # The measured torque drives the simulation: controller effects do not show.
-        if late or (members and not once):
-            shrink = motion_shrink(replay, members, rng, late=late)
+        if delays or (members and not once):
+            shrink = motion_shrink(replay, members, rng, delays=delays)
             if shrink is None:
                 unknown.append(f.effect)
             elif shrink.after >= _DIVERGED:
@@ -99,7 +99,7 @@ def motion_shrink(
     members: Sequence[int],
     rng: np.random.Generator,
     *,
-    late: Sequence[Effect] = (),
+    delays: Sequence[Effect] = (),
 ) -> Shrink | None:
     """Compare motion errors without and with some terms, all others present.
 
@@ -107,7 +107,7 @@ def motion_shrink(
         replay: Held-out windows.
         members: Indices of the terms.
         rng: Random generator of the bootstrap.
-        late: Delay of the log's torque, which is no term; instead of ``members``.
+        delays: Delays of the log's torque, which are no terms; instead of ``members``.
 
     Returns:
         RMS over joints and time, [rad], without and with the terms; median over the
@@ -118,9 +118,9 @@ def motion_shrink(
     """
     if replay.horizon is None:
         return None
-    if late:
-        joints = [j for e in late for j in e.joints]
-        again = [e.at({g.name: -e.values[g.name] for g in e.gains}) for e in late]
+    if delays:
+        joints = [j for e in delays for j in e.joints]
+        again = [e.at({g.name: -e.values[g.name] for g in e.gains}) for e in delays]
         without = replay.squares_of([*replay.effects, *again])
         found = replay.squares(replay.all_terms)
         before, after = (_rms(x, joints) for x in (without, found))

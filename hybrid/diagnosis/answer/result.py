@@ -26,10 +26,10 @@ class Result:
         scored: The same terms, scored on held-out samples.
         account: Squares explained and missed at each joint.
         effects: The effects found, with fitted values: those of the terms, then
-            :attr:`late`.
+            :attr:`delays`.
         command: The effects found between command and torque.
-        alike: For each term the candidates that explain as much in its place.
-        healthy: Effects of the healthy arm's model, already removed from the logs.
+        rivals: For each term the candidates that explain as much in its place.
+        baseline: Effects of the healthy arm's model, already removed from the logs.
     """
 
     diagnosis: Diagnosis
@@ -39,10 +39,10 @@ class Result:
     account: Account
     effects: tuple[Effect, ...]
     command: tuple[Effect, ...] = ()
-    alike: Mapping[Term, tuple[Candidate, ...]] = field(default_factory=dict)
-    healthy: tuple[Effect, ...] = ()
+    rivals: Mapping[Term, tuple[Candidate, ...]] = field(default_factory=dict)
+    baseline: tuple[Effect, ...] = ()
 
     @property
-    def late(self) -> tuple[Effect, ...]:
+    def delays(self) -> tuple[Effect, ...]:
         """Delay of torque at every joint, removed from the logs before the search."""
         return self.effects[len(self.scored.terms) :]
