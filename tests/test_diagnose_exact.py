@@ -12,12 +12,12 @@ from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region
 from hybrid.diagnosis.answer.findings import finding_of
 from hybrid.diagnosis.answer.intervals import interval, shrunk
 from hybrid.diagnosis.answer.links import merged_links
-from hybrid.diagnosis.answer.locate import locate
 from hybrid.diagnosis.answer.motion_gap import (
     motion_shrink,
     rollout_agrees,
     with_motion_gap,
 )
+from hybrid.diagnosis.answer.regions import locate
 from hybrid.diagnosis.answer.replay import Replay, simulated_positions
 from hybrid.diagnosis.diagnose import diagnose, examine
 from hybrid.diagnosis.gap.gap import simulated_torque

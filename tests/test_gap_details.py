@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from hybrid.diagnosis.answer import command
 from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.findings import ExtraFindings, finding_of, listed
-from hybrid.diagnosis.answer.locate import (
+from hybrid.diagnosis.answer.regions import (
     _decade_edges,
     _even_edges,
     _merged_edges,

@@ -10,8 +10,8 @@ from simulated import arm
 
 from hybrid.dynamics import inverse_dynamics
 from hybrid.inspect.coverage import coverage_of, excitation_of
+from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.inspection import clock_of
-from hybrid.inspect.leaps import doubts_of_rows
 from hybrid.inspect.physics import _doubt
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.reading import OtherReading, readings

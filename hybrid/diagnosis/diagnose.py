@@ -9,15 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from hybrid.diagnosis.advice.advise import advise
-from hybrid.diagnosis.answer.clocks import delay_finding
 from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.findings import findings
 from hybrid.diagnosis.answer.links import merged_links
-from hybrid.diagnosis.answer.locate import locate
 from hybrid.diagnosis.answer.motion_gap import with_motion_gap
+from hybrid.diagnosis.answer.regions import locate
 from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.answer.shared_delay import delay_finding
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
 from hybrid.diagnosis.evidence.candidates import Candidate
 from hybrid.diagnosis.evidence.convention import Convention

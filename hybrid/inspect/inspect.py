@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from hybrid.inspect.coverage import JointCoverage, coverage_of, excitation_of
 from hybrid.inspect.doubt import Doubt, raise_or_warn
+from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.inspection import Inspection, clock_of
-from hybrid.inspect.leaps import doubts_of_rows
 from hybrid.inspect.physics import doubts_of_magnitude, doubts_of_physics
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.samples import doubts_of_samples
