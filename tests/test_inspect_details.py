@@ -17,7 +17,11 @@ from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.reading import OtherReading, readings
 from hybrid.inspect.samples import doubts_of_samples
 from hybrid.inspect.scale import doubts_of_scale, scales
-from hybrid.inspect.speeds import doubts_of_pace, doubts_of_speeds, speeds_confirm_clock
+from hybrid.inspect.speeds import (
+    doubts_of_speed_limits,
+    doubts_of_speeds,
+    speeds_confirm_clock,
+)
 from hybrid.inspect.state import State, filtered_state
 from hybrid.recording import Recording
 
@@ -246,7 +250,7 @@ def test_a_joint_that_is_faster_than_its_drive_is_told(times, severity):
     v = times * np.outer(np.sin(T), robot.v_max)
     state = State(q, v, 0 * q, 0 * q, None, np.full(2, np.nan), robot.tau_max)
     recording = Recording(T, q, tau=None, joints=robot.joints)
-    found = list(doubts_of_pace(recording, robot, state))
+    found = list(doubts_of_speed_limits(recording, robot, state))
     assert [x.severity for x in found] == [severity] * 2 * (severity is not None)
     for doubt, limit in zip(found, robot.v_max, strict=False):
         assert f"up to {limit:.4g} rad/s" in doubt.remedy

@@ -13,7 +13,7 @@ from hybrid.inspect.physics import doubts_of_magnitude, doubts_of_physics
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.samples import doubts_of_samples
 from hybrid.inspect.scale import doubts_of_scale
-from hybrid.inspect.speeds import doubts_of_pace, doubts_of_speeds
+from hybrid.inspect.speeds import doubts_of_speed_limits, doubts_of_speeds
 from hybrid.inspect.state import State, filtered_state
 from hybrid.recording import Recording, resample, unbroken
 from hybrid.robot import Robot
@@ -24,7 +24,7 @@ _MOTION_CHECKS = (
     doubts_of_magnitude,
     doubts_of_physics,
     doubts_of_speeds,
-    doubts_of_pace,
+    doubts_of_speed_limits,
     doubts_of_scale,
 )
 

@@ -34,7 +34,7 @@ _UNITS = {
 }
 
 
-def doubts_of_pace(
+def doubts_of_speed_limits(
     recording: Recording, robot: Robot | None, state: State
 ) -> Iterator[Doubt]:
     """Find joints that move faster than any drive."""

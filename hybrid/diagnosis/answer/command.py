@@ -1,4 +1,4 @@
-"""Find effects of the controller: a late command, or gains that are not the declared.
+"""Find effects of the controller: a late command, or other gains than declared.
 
 They do not show between torque and motion. Here the measured torque is compared with
 the torque that a servo law asks for.
