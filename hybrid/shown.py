@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -48,3 +49,14 @@ class Shown:
         import pandas
 
         return pandas.DataFrame(Shown.views().rows(self))
+
+
+def plain(x: Any) -> Any:
+    """Content in types of JSON: lists for arrays, None for NaN and infinity."""
+    if isinstance(x, Mapping):
+        return {str(key): plain(value) for key, value in x.items()}
+    if hasattr(x, "tolist"):  # of NumPy
+        return plain(x.tolist())
+    if isinstance(x, (list, tuple)):
+        return [plain(value) for value in x]
+    return None if isinstance(x, float) and not isfinite(x) else x

@@ -13,7 +13,7 @@ from hybrid.inspect.coverage import Excitation, JointCoverage
 from hybrid.inspect.doubt import Doubt
 from hybrid.recording import Recording
 from hybrid.recording.clock import GAP
-from hybrid.shown import Shown
+from hybrid.shown import Shown, plain
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,10 @@ class Inspection(Shown):
 
     def save(self, path: str | Path) -> None:
         """Write the inspection to a JSON file."""
-        write_json(path, self.as_dict())
+        write_json(path, plain(self.as_dict()))
 
     def as_dict(self) -> dict[str, Any]:
-        """The inspection as JSON-ready content."""
+        """The inspection as names, numbers and lists."""
         return {
             "source": self.recording.source,
             "reading": self.recording.reading and self.recording.reading.as_dict(),

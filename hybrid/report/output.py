@@ -11,11 +11,10 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from hybrid import __version__
 from hybrid.errors import HybridError
 from hybrid.files import atomic_path, write_json
+from hybrid.shown import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,20 +73,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 def write_results(path: str | Path, content: Mapping[str, Any]) -> None:
     """Write results as JSON; arrays become lists, NaN becomes null."""
-    write_json(path, _plain(content))
-
-
-def _plain(x: Any) -> Any:
-    """Content in types of JSON."""
-    if isinstance(x, Mapping):
-        return {str(key): _plain(value) for key, value in x.items()}
-    if isinstance(x, (np.ndarray, np.generic)):
-        return _plain(x.tolist())
-    if isinstance(x, (list, tuple)):
-        return [_plain(value) for value in x]
-    if isinstance(x, float) and not np.isfinite(x):
-        return None
-    return x
+    write_json(path, plain(content))
 
 
 def provenance(**given: Any) -> dict[str, Any]:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
 from hybrid.diagnosis.answer.events import Event
 from hybrid.files import write_json
-from hybrid.shown import Shown
+from hybrid.shown import Shown, plain
 
 SCHEMA = "hybrid.diagnosis/1"
 
@@ -199,7 +198,7 @@ class Diagnosis(Shown):
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content by the schema ``hybrid.diagnosis/1``; NaN becomes None."""
-        content = _plain(asdict(self))
+        content = plain(asdict(self))
         gap = {x: content.pop(x) for x in ("rms", "relative", "noise_floor")}
         for name, values in gap.items():
             pairs = zip(values, self.rms, strict=True)
@@ -221,12 +220,3 @@ def listed(names: Sequence[str], last: str = "and") -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
-
-
-def _plain(x: Any) -> Any:
-    """Content with lists in place of tuples, and None in place of NaN and infinity."""
-    if isinstance(x, Mapping):
-        return {name: _plain(value) for name, value in x.items()}
-    if isinstance(x, (tuple, list)):
-        return [_plain(value) for value in x]
-    return None if isinstance(x, float) and not isfinite(x) else x
