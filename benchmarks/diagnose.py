@@ -36,7 +36,7 @@ import numpy as np
 
 from hybrid import Robot, read_recordings, simulate
 from hybrid.diagnosis.advice.advise import advise
-from hybrid.diagnosis.answer.replayed import replayed
+from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.diagnose import examine
 from hybrid.effects import Effect
 from hybrid.effects.stribeck import Stribeck
@@ -94,7 +94,7 @@ def diagnosed(folder: Path, profiled: bool) -> dict[str, Any]:
         return value
 
     result = measured("examine", lambda: examine(robot, recordings))
-    result = measured("replayed", lambda: replayed(result, rng))
+    result = measured("replayed", lambda: with_motion_gap(result, rng))
     advice = measured("advise", lambda: advise(result, rng))
     found["named"] = [[f.effect, *f.joints] for f in result.diagnosis.findings]
     found["replay"] = ["motion" in f.shrink for f in result.diagnosis.findings]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid import Effect, Recording, Robot
-from hybrid.diagnosis.advice.menu import loaded
+from hybrid.diagnosis.advice.menu import with_payload
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.diagnose import examine
@@ -55,7 +55,7 @@ def repeated(
     ask = Reference(table[:, 0], *np.split(table[:, 1:], 3, axis=1))
     carried = re.search(r"([\d.e-]+) kg", advice.experiment)
     if carried:  # to be diagnosed alone, by a simulator that has the mass
-        robot, logs = loaded(robot, float(carried[1])), []
+        robot, logs = with_payload(robot, float(carried[1])), []
     warm = WARM if "warm" in advice.experiment else 0.0
     if true.id == "thermal_friction":
         left = np.exp(-warm / true.values["time_constant"])

@@ -26,7 +26,6 @@ from hybrid.report.style import (
     GREY,
     RED,
     clean,
-    finish,
     legend,
     new_figure,
     panels,
@@ -234,20 +233,17 @@ def friction_figure(
     Returns:
         Figure of n axes.
     """
-    figure, cells = panels(len(joints), height=1.9)
+    figure, cells = panels(joints, height=1.9, label="speed [rad/s]")
     step = -(-len(v) // MOST_POINTS)
     for j, ((axes,), (speed, torque)) in enumerate(zip(cells, curves, strict=True)):
         clean(axes, grid="both")
+        axes.margins(x=0.05)
         axes.plot(
             v[::step, j], residual[::step, j], ".", color=GREY, markersize=2.5,
             alpha=0.5, markeredgewidth=0, rasterized=True,
             label="measured − other terms",
         )  # fmt: skip
         axes.plot(speed, torque, color=BLUE, linewidth=1.6, label="fitted law")
-        axes.set_title(
-            figure_text(joints[j]), loc="left", fontsize=9, fontweight="bold"
-        )
         axes.set_ylabel("torque [N·m]")
-    finish(figure, [axes for (axes,) in cells], "speed [rad/s]")
     legend(figure, cells[0][0].get_legend_handles_labels()[0])
     return figure

@@ -13,7 +13,7 @@ from diagnosis_acceptance_sysid import fit_by_sysid
 
 from hybrid import Robot, simulate
 from hybrid.diagnosis.answer.fixed import fixed_model, fixed_simulator
-from hybrid.diagnosis.answer.replayed import replayed
+from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import measure_gap
@@ -63,7 +63,7 @@ def run(kind: str, seed: int, quiet: bool) -> Run:
     start = process_time()
     result = examine(robot, [log])
     middle = process_time()
-    result = replayed(result, np.random.default_rng(seed))
+    result = with_motion_gap(result, np.random.default_rng(seed))
     seconds = middle - start, process_time() - middle
     gap = measure_gap(robot, [other], cutoff=result.gap.cutoff)
     joints = list(JOINTS[kind]) or list(range(robot.size))

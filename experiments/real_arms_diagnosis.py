@@ -33,7 +33,7 @@ from rich.console import Console
 
 from hybrid import Robot, read_recordings
 from hybrid.diagnosis.advice.advise import advise
-from hybrid.diagnosis.answer.replayed import replayed
+from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.errors import HybridWarning
@@ -50,7 +50,7 @@ def measure(arm: Arm, data: Path) -> Score:
     rng, start = np.random.default_rng(0), process_time()
     result = examine(robot, logs, cutoff=arm.cutoff)
     middle = process_time()
-    result = replayed(result, rng)
+    result = with_motion_gap(result, rng)
     diagnosis = replace(result.diagnosis, advice=advise(result, rng))
     seconds = middle - start, process_time() - middle
     learnt, gap = split(result.gap), result.gap

@@ -1,8 +1,9 @@
-"""Results that show themselves: as a table in a notebook, a picture, a data frame."""
+"""Results that show themselves as a table, a picture, a page or a data frame."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -13,10 +14,9 @@ if TYPE_CHECKING:
 
 
 class Shown:
-    """What every result can do for its reader: a fit, a diagnosis, a design, ...
+    """Base class of results: a fit, a diagnosis, a design, ...
 
-    The package puts the module that makes tables and pictures,
-    :mod:`hybrid.views`, into ``views``: imports point down only.
+    The package sets ``views`` to :mod:`hybrid.views`, as imports point down only.
     """
 
     views: ClassVar[Callable[[], Any]]
@@ -36,15 +36,11 @@ class Shown:
         return Shown.views().plot(self, ax)  # type: ignore[no-any-return]
 
     def to_html(self, path: str | Path) -> None:
-        """Write a page that opens offline.
-
-        Args:
-            path: HTML file; it appears whole or not at all.
-        """
+        """Write a self-contained HTML page."""
         Shown.views().write_page(self, path)
 
     def to_frame(self) -> Any:
-        """The result as a pandas data frame, one row for each unknown or joint.
+        """A pandas data frame with one row for each unknown or joint.
 
         Raises:
             HybridError: pandas is not installed.
@@ -53,3 +49,14 @@ class Shown:
         import pandas
 
         return pandas.DataFrame(Shown.views().rows(self))
+
+
+def plain(x: Any) -> Any:
+    """Content in types of JSON: lists for arrays, None for NaN and infinity."""
+    if isinstance(x, Mapping):
+        return {str(key): plain(value) for key, value in x.items()}
+    if hasattr(x, "tolist"):  # of NumPy
+        return plain(x.tolist())
+    if isinstance(x, (list, tuple)):
+        return [plain(value) for value in x]
+    return None if isinstance(x, float) and not isfinite(x) else x

@@ -1,6 +1,6 @@
-"""The results of the lower floors as tables, rows and pictures.
+"""Show results as tables, rows of numbers, pictures and pages.
 
-:func:`table`, :func:`rows` and :func:`draw` have one implementation for each kind of
+:func:`table`, :func:`rows` and :func:`draw` have an implementation for each kind of
 result; :class:`hybrid.shown.Shown` calls them.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import escape
 
 from hybrid import report
 from hybrid.calibration import Calibration
@@ -27,15 +27,7 @@ from hybrid.report.inspection import joints_table, write_inspection
 from hybrid.report.output import provenance
 from hybrid.report.page import Section
 from hybrid.report.servo import gap_table
-from hybrid.report.style import (
-    BEST,
-    BLUE,
-    GREY,
-    PALE,
-    clean,
-    new_figure,
-    stage_inks,
-)
+from hybrid.report.style import BEST, BLUE, GREY, PALE, clean, new_figure, stage_inks
 from hybrid.report.table import Table
 from hybrid.servo import ServoFit
 
@@ -48,13 +40,9 @@ _HEIGHT = 3.2  # inches
 def html(result: Any) -> str:
     """The table of a result as HTML; names in it are escaped."""
     shown = table(result)
-    head = Markup("").join(Markup("<th>{}</th>").format(x) for x in shown.header)
-    body = Markup("").join(
-        Markup("<tr>{}</tr>").format(
-            Markup("").join(Markup("<td>{}</td>").format(x) for x in row)
-        )
-        for row in shown.rows
-    )
+    head = "".join(f"<th>{escape(x)}</th>" for x in shown.header)
+    lines = ("".join(f"<td>{escape(x)}</td>" for x in row) for row in shown.rows)
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
     return (
         f"<table><caption>{escape(shown.caption)}</caption>"
         f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
@@ -62,7 +50,7 @@ def html(result: Any) -> str:
 
 
 def plot(result: Any, ax: Axes | None = None) -> Axes:
-    """Draw a result into axes, or into those of a new figure."""
+    """Draw a result into axes; by default into those of a new figure."""
     axes = new_figure(_HEIGHT).subplots() if ax is None else ax
     draw(result, axes)
     return axes
@@ -70,13 +58,13 @@ def plot(result: Any, ax: Axes | None = None) -> Axes:
 
 @singledispatch
 def table(result: Any) -> Table:
-    """The table that says most about a result."""
+    """The main table of a result."""
     raise NotImplementedError(type(result))
 
 
 @singledispatch
 def rows(result: Any) -> list[dict[str, Any]]:
-    """A result as rows of numbers in SI units, by column."""
+    """A result as rows of a data frame, in SI units."""
     raise NotImplementedError(type(result))
 
 
@@ -88,7 +76,7 @@ def draw(result: Any, ax: Axes) -> None:
 
 @singledispatch
 def write_page(result: Any, path: str | Path) -> None:
-    """Write a result as a page."""
+    """Write a result as an HTML page."""
     shown, figure = table(result), new_figure(_HEIGHT)
     draw(result, figure.subplots())
     title, kind = type(result).__name__, "What was found"
@@ -108,7 +96,7 @@ def _(fit: Fit) -> list[dict[str, Any]]:
         fit.labels, fit.units, fit.estimate.theta, fit.estimate.std, low, high,
         strict=True,
     )  # fmt: skip
-    names = ("unknown", "unit", "value", "std", "low", "high")
+    names = "unknown", "unit", "value", "std", "low", "high"
     return [dict(zip(names, row, strict=True)) for row in columns]
 
 
@@ -259,7 +247,7 @@ def _(diagnosis: Diagnosis, ax: Axes) -> None:
 def _bars(
     ax: Axes, groups: Mapping[str, Any], joints: Sequence[str], inks: Sequence[str]
 ) -> None:
-    """Bars of each group beside each other, at every joint."""
+    """Draw a bar of each group at every joint."""
     width = 0.84 / len(groups)
     for k, ((name, height), ink) in enumerate(zip(groups.items(), inks, strict=True)):
         left = np.arange(len(joints)) - 0.42 + k * width
@@ -270,7 +258,7 @@ def _bars(
 
 
 def _lines(ax: Axes, t: Any, x: Any, joints: tuple[str, ...], label: str) -> None:
-    """One line for each joint over time."""
+    """Draw a line for each joint over time."""
     for j, joint in enumerate(joints):
         ax.plot(t, x[:, j], linewidth=0.9, label=figure_text(joint))
     clean(ax, grid="y")

@@ -10,9 +10,14 @@ import pytest
 from simulated import arm
 
 from hybrid.diagnosis.advice.advise import advise, choose
-from hybrid.diagnosis.advice.along import Along, coarse
-from hybrid.diagnosis.advice.menu import Experiment, Menu, gap_along, joined
-from hybrid.diagnosis.advice.separation import Outlook, fit_rival, needed, shapes_of
+from hybrid.diagnosis.advice.menu import Experiment, Menu, concatenated, gap_along
+from hybrid.diagnosis.advice.separation import (
+    Discrimination,
+    fit_rival,
+    required_evidence,
+    tried_shapes,
+)
+from hybrid.diagnosis.advice.whitened import WhitenedColumns, decimated
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.candidates import candidates
@@ -90,7 +95,7 @@ def pair():
     result, _ = poorly_recorded("load_friction", 0, 0.3)
     (term,) = [t for t in result.search.terms if t.place[1] == (0,)]
     own = fit_rival(result.search, term, term.candidate)
-    (other, *_) = next(x for t, x in result.alike.items() if t.index is term.index)
+    (other, *_) = next(x for t, x in result.rivals.items() if t.index is term.index)
     return result, own, fit_rival(result.search, term, other)
 
 
@@ -103,8 +108,8 @@ def fast(result, seed=0):
 def outlook(result, ahead, scale=1.0):
     """What the recordings of a result and a motion would say together."""
     search, noise = result.search, scale * result.search.evidence.noise
-    recorded = Along(result.gap, noise, search.evidence.rows)
-    return Outlook(shapes_of(search), recorded, Along(ahead, noise))
+    recorded = WhitenedColumns(result.gap, noise, search.evidence.rows)
+    return Discrimination(tried_shapes(search), recorded, WhitenedColumns(ahead, noise))
 
 
 def test_separation_knows_no_order_and_none_from_itself():
@@ -123,7 +128,7 @@ def test_separation_is_in_units_of_noise_and_grows_with_time():
     path, ahead = fast(result)
     once = outlook(result, ahead).separation(first, second)
     assert outlook(result, ahead, scale=4.0).separation(first, second) < once
-    twice = gap_along(result.gap, Experiment("twice", joined([path, path])))
+    twice = gap_along(result.gap, Experiment("twice", concatenated([path, path])))
     assert once < outlook(result, twice).separation(first, second) < 1.5 * once
 
 
@@ -141,7 +146,8 @@ def test_what_is_told_is_what_a_search_on_all_data_would_find(white):
     result, first, second = pair()
     search, ahead = result.search, replace(fast(result)[1], cutoff=result.gap.cutoff)
     told = outlook(result, ahead).contrast(first, second)
-    moved, new = Along(ahead, search.evidence.noise), np.zeros_like(ahead.left)
+    moved = WhitenedColumns(ahead, search.evidence.noise)
+    new = np.zeros_like(ahead.left)
     stacked = first.stack(moved)
     for i, rows in enumerate(moved.rows):
         new[rows, i] = stacked[i] @ first.gains * np.sqrt(search.evidence.noise[i])
@@ -160,14 +166,15 @@ def test_what_is_told_is_what_a_search_on_all_data_would_find(white):
     fresh.evidence.precision[fresh.rigid] = search.evidence.precision[search.rigid]
     best = gain(fresh.evidence, fresh.base(), first.candidate)
     _, other = fresh.refine(fresh.base(), second.candidate)
-    assert told[0] == pytest.approx((best - other) / needed(best), rel=0.02, abs=0.02)
+    expected = (best - other) / required_evidence(best)
+    assert told[0] == pytest.approx(expected, rel=0.02, abs=0.02)
 
 
 @pytest.mark.study
 def test_decimated_motions_give_the_columns_of_all_samples():
     result = diagnosed.planar()
     gap = replace(result.gap, cutoff=RATE / 25)
-    few, effect = coarse(gap), effect_of("viscous", 1, 1.0)
+    few, effect = decimated(gap), effect_of("viscous", 1, 1.0)
     assert len(few.motions[0].t) < len(gap.motions[0].t) / 3
     there, here = gap.columns(effect)[1], few.columns(effect)[1]
     inside = gap.sampled.mask
@@ -178,7 +185,7 @@ def test_decimated_motions_give_the_columns_of_all_samples():
 
 def test_every_candidate_has_columns_along_decimated_motions():
     gap = diagnosed.planar().gap
-    few = coarse(gap)
+    few = decimated(gap)
     for c in candidates(gap):
         for j, x in few.columns(c.effect).items():
             assert x.shape == (len(gap.left), len(c.std)), (c.place, j)

@@ -11,7 +11,7 @@ from simulated import arm
 from test_convention import EULER, STEP, raw_logs
 
 from hybrid.diagnosis.answer.fixed import MODEL, write_fixed
-from hybrid.diagnosis.answer.replayed import replayed
+from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.convention import find_convention
 from hybrid.diagnosis.gap.measure import measure_gap
@@ -55,7 +55,7 @@ def test_a_time_that_all_joints_share_is_measured(time):
 def test_it_is_named_at_every_joint_with_whatever_else_is_there(rubs, tmp_path):
     """What else is there is late as well, so that it has to come first."""
     robot, logs = late_logs(rubs=rubs)
-    result = replayed(examine(robot, logs), np.random.default_rng(0))
+    result = with_motion_gap(examine(robot, logs), np.random.default_rng(0))
     diagnosis = result.diagnosis
     named = {f.effect: f for f in diagnosis.findings}
     assert set(named) == {"delay"} | ({GRIP.id} if rubs else set())
@@ -75,7 +75,7 @@ def test_it_is_named_at_every_joint_with_whatever_else_is_there(rubs, tmp_path):
     rms = np.sqrt(np.sum(np.where(moving, as_logged.left, 0) ** 2, 0) / moving.sum(0))
     np.testing.assert_allclose(diagnosis.rms, rms, rtol=1e-3)  # but for the end
     page = render_diagnosis(result)
-    assert "late at every joint was taken back before effects were tried" in page
+    assert "delay of torque that all joints share was removed before effects" in page
     cells = dict(evidence_matrix(result).rows)[Delay.id]
     assert [c.joints for c in cells] == list(robot.joints)
     assert all(c.named and min(c.alone, c.beside) > 1.0 for c in cells)

@@ -11,7 +11,7 @@ from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from simulated import arm, quiet
 
 from hybrid.diagnosis.advice.advise import advise
-from hybrid.diagnosis.answer.replayed import replayed
+from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.contacts import Contacts
 from hybrid.diagnosis.evidence.shapes import shape_derivatives, shape_units
@@ -834,7 +834,7 @@ def test_units_are_those_of_a_joint_that_slides(tmp_path):
     robot = Robot.load(path)
     plant = Plant(robot, [Viscous((1,), {"coefficient": 40.0})], nominal=robot)
     recordings = simulate(plant, trajectories=4, duration=6.0, seed=1)
-    result = replayed(examine(robot, recordings), np.random.default_rng(0))
+    result = with_motion_gap(examine(robot, recordings), np.random.default_rng(0))
     (finding,) = result.diagnosis.findings
     (value,) = finding.parameters
     assert value.unit == "N·s/m"

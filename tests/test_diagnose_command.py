@@ -11,8 +11,8 @@ from simulated import arm
 
 from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.fixed import MODEL, SIMULATOR, write_fixed
-from hybrid.diagnosis.answer.links import COMMAND_TO_TORQUE, joined
-from hybrid.diagnosis.answer.replayed import replayed
+from hybrid.diagnosis.answer.links import COMMAND_TO_TORQUE, merged_links
+from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.effects.actuator_lag import ActuatorLag
@@ -236,7 +236,7 @@ def test_the_law_is_that_of_the_simulated_loop(feeds):
 def test_both_links_make_one_diagnosis(tmp_path):
     robot, recordings = logged(LATE, Stribeck((1,), {"level": 1.5, "velocity": 0.1}))
     result = examine(robot, recordings)
-    diagnosis = replayed(result, np.random.default_rng(0)).diagnosis
+    diagnosis = with_motion_gap(result, np.random.default_rng(0)).diagnosis
     shares = [f.share for f in diagnosis.findings]
     assert sum(shares) == pytest.approx(1.0)
     assert shares == sorted(shares, reverse=True)
@@ -266,7 +266,7 @@ def test_a_late_command_explains_an_arm_without_any_other_gap():
     nothing = replace(nothing, unexplained=1.0)
     gap = result.gap
     link = command_link(gap, recordings, np.random.default_rng(0))
-    both = joined(nothing, result.account, gap, link, np.random.default_rng(0))
+    both = merged_links(nothing, result.account, gap, link, np.random.default_rng(0))
     assert both.verdict == "partly_explained"
     assert 0.0 <= both.unexplained < 1.0
 

@@ -9,10 +9,10 @@ import pytest
 from simulated import arm, quiet
 
 from hybrid.diagnosis.advice.menu import Experiment, gap_along
-from hybrid.diagnosis.answer.command import _off, _Servo
+from hybrid.diagnosis.answer.command import _gain_errors, _Servo
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.events import events_at_rest
-from hybrid.diagnosis.answer.intervals import shrink
+from hybrid.diagnosis.answer.intervals import shrunk
 from hybrid.diagnosis.answer.simulator import corrected
 from hybrid.diagnosis.evidence.contacts import _Clock
 from hybrid.diagnosis.evidence.shapes import shape_derivatives, shape_units
@@ -122,11 +122,13 @@ def test_gains_of_a_servo_are_off_by_their_part_however_small_they_are():
     gap, law = SimpleNamespace(robot=robot), SimpleNamespace(scaled=False)
     covariance = np.diag([1.0, 1.0, 25.0, 0.01])
     fit = SimpleNamespace(law=law, gains=[35.0, 0.6], covariance=covariance)
-    off, std = _off(fit, gap, 0)
+    off, std = _gain_errors(fit, gap, 0)
     np.testing.assert_allclose(off, [-0.3, 0.2])
     np.testing.assert_allclose(std, [0.1, 0.2])
     fit = SimpleNamespace(law=law, gains=[0.3, 0.6], covariance=covariance)
-    np.testing.assert_allclose(_off(fit, gap, 1)[0], [0.5, 0.0])  # it has no damping
+    np.testing.assert_allclose(
+        _gain_errors(fit, gap, 1)[0], [0.5, 0.0]
+    )  # it has no damping
 
 
 def test_numbers_of_the_file_are_corrected_in_their_order():
@@ -166,7 +168,7 @@ def test_chunks_of_time_follow_each_other_within_a_recording():
 
 
 def test_of_nothing_scored_no_gap_is_left():
-    found = shrink(np.zeros((2, 3)), 0, "N·m", np.random.default_rng(0))
+    found = shrunk(np.zeros((2, 3)), 0, "N·m", np.random.default_rng(0))
     assert (found.before, found.after, found.removed) == (0.0, 0.0, 0.0)
 
 

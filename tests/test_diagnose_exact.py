@@ -9,12 +9,16 @@ from pendulum import NOISE, RATE, pendulum, swings, with_torque
 
 from hybrid.diagnosis.answer.command import Link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region
-from hybrid.diagnosis.answer.findings import found_at
-from hybrid.diagnosis.answer.intervals import interval, shrink
-from hybrid.diagnosis.answer.links import joined
-from hybrid.diagnosis.answer.locate import locate
-from hybrid.diagnosis.answer.replay import Replay, courses
-from hybrid.diagnosis.answer.replayed import motion_shrink, replayed, rollout_agrees
+from hybrid.diagnosis.answer.findings import finding_of
+from hybrid.diagnosis.answer.intervals import interval, shrunk
+from hybrid.diagnosis.answer.links import merged_links
+from hybrid.diagnosis.answer.motion_gap import (
+    motion_shrink,
+    rollout_agrees,
+    with_motion_gap,
+)
+from hybrid.diagnosis.answer.regions import locate
+from hybrid.diagnosis.answer.replay import Replay, simulated_positions
 from hybrid.diagnosis.diagnose import diagnose, examine
 from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap
@@ -97,7 +101,7 @@ def test_two_causes_are_told_with_their_joints_sizes_and_shares():
     np.testing.assert_allclose(found.unseen.before, [1.0, 0.7], rtol=0.1)
     assert max(found.unseen.after) < 3 * LEFT
     assert {x.id for x in result.effects} == {"torque_offset", "coulomb"}
-    assert result.late == () and result.command == ()
+    assert result.delays == () and result.command == ()
     about = {(r.joint, r.variable) for r in found.where}
     assert ("hinge_1", "direction") not in about  # dry friction has both
     assert {r.joint for r in found.where} == {"hinge_0", "hinge_1"}
@@ -169,10 +173,10 @@ def test_torque_of_another_clock_is_taken_back_and_named():
     assert delay.joints == ("hinge_0", "hinge_1") and askew.joints == ("hinge_0",)
     assert [v.value for v in delay.parameters] == pytest.approx([0.034] * 2, abs=1e-3)
     assert delay.share + askew.share == pytest.approx(1.0)
-    assert [e.id for e in result.late] == ["delay", "delay"]
+    assert [e.id for e in result.delays] == ["delay", "delay"]
     assert any("late at every joint" in x for x in found.warnings)
     assert delay.shrink["torque"].after < 0.2 * delay.shrink["torque"].before
-    for f in replayed(result, np.random.default_rng(0)).diagnosis.findings:
+    for f in with_motion_gap(result, np.random.default_rng(0)).diagnosis.findings:
         assert f.shrink["motion"].removed > 0.8
 
 
@@ -268,7 +272,7 @@ class TestMotion:
 
     def test_it_falls_with_what_was_found(self, rubbing):
         rng = np.random.default_rng(0)
-        found = replayed(rubbing, rng).diagnosis
+        found = with_motion_gap(rubbing, rng).diagnosis
         (f,) = found.findings
         motion = f.shrink["motion"]
         assert motion.horizon_s == 0.5 and motion.unit == "rad"
@@ -292,11 +296,11 @@ class TestMotion:
         off = [np.sqrt(replay.squares_of(x).mean()) for x in ((), replay.effects)]
         assert off[1] < 0.1 * off[0]
         assert motion_shrink(replay, [0], rng).removed > 0.9
-        pick = replay.where([0])
+        pick = replay.windows_with([0])
         assert len(pick) > 3 and (np.diff(pick) > 0).all()
 
     def test_the_courses_keep_to_the_motion_where_all_is_known(self, rubbing):
-        before, after = courses(rubbing.scored)
+        before, after = simulated_positions(rubbing.scored)
         q = rubbing.scored.gap.sampled.q
         assert before.shape == after.shape == q.shape
         known = np.isfinite(after).all(axis=1)
@@ -306,21 +310,21 @@ class TestMotion:
 
     def test_what_moves_less_like_the_arm_is_denied(self, rubbing, run, monkeypatch):
         """Of effects between motor and link; others explain torque all the same."""
-        monkeypatch.setattr("hybrid.diagnosis.answer.replayed.Replay", lambda _: run)
+        monkeypatch.setattr("hybrid.diagnosis.answer.motion_gap.Replay", lambda _: run)
         said = {"coulomb": False}
         for shows, denied in ((False, False), (True, True)):
             monkeypatch.setattr(Coulomb, "shows_in_motion", shows)
             monkeypatch.setattr(
-                "hybrid.diagnosis.answer.replayed.rollout_agrees",
+                "hybrid.diagnosis.answer.motion_gap.rollout_agrees",
                 lambda *_: said["coulomb"],
             )
-            found = replayed(rubbing, np.random.default_rng(0)).diagnosis
+            found = with_motion_gap(rubbing, np.random.default_rng(0)).diagnosis
             assert any("do not take it" in x for x in found.warnings) == denied
             assert (found.verdict == "partly_explained") == denied
             assert (found.unexplained > 0.9) == denied
         for answer in (None, True):
             said["coulomb"] = answer
-            found = replayed(rubbing, np.random.default_rng(0)).diagnosis
+            found = with_motion_gap(rubbing, np.random.default_rng(0)).diagnosis
             assert not any("do not take it" in x for x in found.warnings)
 
 
@@ -387,7 +391,7 @@ def test_an_interval_is_that_of_the_mean_over_blocks():
 
 def test_a_fall_is_of_root_mean_squares():
     squares = np.array([[4.0] * 10, [1.0] * 10])
-    found = shrink(squares, 10, "N", np.random.default_rng(0))
+    found = shrunk(squares, 10, "N", np.random.default_rng(0))
     assert (found.before, found.after, found.removed) == (2.0, 1.0, 0.5)
     assert found.interval == pytest.approx((0.5, 0.5)) and found.unit == "N"
 
@@ -451,12 +455,12 @@ def test_regions_of_both_links_share_what_is_left():
     )  # fmt: skip
     excess = np.zeros((10, 2))
     excess[:, 1] = 30.0
-    late = found_at(CommandLatency, ["hinge_1"], (), ())
+    late = finding_of(CommandLatency, ["hinge_1"], (), ())
     link = Link((late,), (), np.array([0.0, 600.0]), excess)
     left = np.tile([np.sqrt(2.0), 1.0], (100, 1))  # 100 in units of noise
     gap = SimpleNamespace(moving=np.ones((100, 2), dtype=bool), left=left)
     account = SimpleNamespace(explained=np.zeros(2), missed=np.array([200.0, 0.0]))
-    found = joined(diagnosis, account, gap, link, np.random.default_rng(0))
+    found = merged_links(diagnosis, account, gap, link, np.random.default_rng(0))
     assert found.verdict == "partly_explained"
     assert found.unexplained == pytest.approx(200 / 800)
     assert [(r.joint, r.unit) for r in found.where] == [
@@ -468,9 +472,9 @@ def test_regions_of_both_links_share_what_is_left():
     (f,) = found.findings
     assert f.share == 1.0
     none = replace(link, findings=())
-    assert joined(diagnosis, account, gap, none, None) is diagnosis
+    assert merged_links(diagnosis, account, gap, none, None) is diagnosis
     first = replace(region, share=0.9, interval=(0.8, 1.0))
-    of_both = joined(
+    of_both = merged_links(
         replace(diagnosis, where=(first, replace(first, share=0.01)), findings=(late,)),
         SimpleNamespace(explained=np.array([200.0, 0.0]), missed=np.zeros(2)),
         gap, link, np.random.default_rng(0),

@@ -138,7 +138,7 @@ class TestPage:
         result = faultless()
         assert result.diagnosis.verdict == "no_gap"
         words = plain(render_diagnosis(result))
-        assert "No gap" in words and "Nothing needs a cause" in words
+        assert "No gap" in words and "only noise is left" in words
         assert "Remedy" not in words
 
     def test_without_a_cause_none_is_named(self):

@@ -10,8 +10,13 @@ from scipy.interpolate import CubicSpline
 
 from hybrid.diagnosis.answer import command
 from hybrid.diagnosis.answer.events import events_at_rest
-from hybrid.diagnosis.answer.findings import Beside, found_at, listed
-from hybrid.diagnosis.answer.locate import _even, _upto, _visited, time_since_reversal
+from hybrid.diagnosis.answer.findings import ExtraFindings, finding_of, listed
+from hybrid.diagnosis.answer.regions import (
+    _decade_edges,
+    _even_edges,
+    _merged_edges,
+    time_since_reversal,
+)
 from hybrid.diagnosis.evidence.bayes import heavy_tailed, log_bayes
 from hybrid.diagnosis.evidence.noise import noise_bound
 from hybrid.diagnosis.explanations.servo_fit import (
@@ -367,9 +372,10 @@ def test_names_are_listed_and_shares_are_of_all_that_is_explained():
     assert listed([]) == "" and listed(["a"]) == "a"
     assert listed(["a", "b"]) == "a and b" and listed("abc") == "a, b and c"
     one, other = (
-        replace(found_at(kind, ["a"], (), ()), share=1.0) for kind in (Coulomb, Viscous)
+        replace(finding_of(kind, ["a"], (), ()), share=1.0)
+        for kind in (Coulomb, Viscous)
     )
-    both = Beside((one,), (), np.array([1.0, 2.0])).joined([other], 9.0)
+    both = ExtraFindings((one,), (), np.array([1.0, 2.0])).merged([other], 9.0)
     assert [(f.effect, f.share) for f in both] == [
         ("viscous", pytest.approx(0.75)), ("coulomb", pytest.approx(0.25)),
     ]  # fmt: skip
@@ -398,7 +404,7 @@ def test_a_damping_that_noise_hides_part_of_is_not_wrong_by_that(
         covariance=np.diag([1.0, 1.0, 1e-4, 1e-6]),
     )  # fmt: skip
     monkeypatch.setattr(command, "hidden_damping", lambda *_: hidden)
-    assert command._wrong(found, gap, None, 0) == wrong
+    assert command._gains_differ(found, gap, None, 0) == wrong
 
 
 # --- regions --------------------------------------------------------------------------
@@ -419,7 +425,7 @@ def test_time_since_a_reversal_begins_anew_where_a_joint_turns_and_with_each_log
     [(-1.0, 1.0, 0.5), (0.0, 0.037, 0.005), (3.0, 40.0, 5.0), (-0.4, 0.5, 0.1)],
 )
 def test_bins_of_a_range_are_round_at_most_ten_and_hold_all_of_it(low, high, step):
-    edges = _even(np.array([low, high, (low + high) / 2]))
+    edges = _even_edges(np.array([low, high, (low + high) / 2]))
     np.testing.assert_allclose(np.diff(edges), step)
     assert edges[0] <= low < edges[1] and edges[-2] <= high < edges[-1]
     assert 5 <= len(edges) - 1 <= 11
@@ -427,14 +433,14 @@ def test_bins_of_a_range_are_round_at_most_ten_and_hold_all_of_it(low, high, ste
 
 def test_bins_from_zero_end_beyond_the_largest_value():
     np.testing.assert_array_equal(
-        _upto(np.array([0.01, 0.3])), [0, 0.02, 0.05, 0.1, 0.2, 0.5]
+        _decade_edges(np.array([0.01, 0.3])), [0, 0.02, 0.05, 0.1, 0.2, 0.5]
     )
-    np.testing.assert_array_equal(_upto(np.array([0.001])), [0, 0.02])
+    np.testing.assert_array_equal(_decade_edges(np.array([0.001])), [0, 0.02])
 
 
 def test_bins_that_hold_too_few_are_put_to_the_next():
     x = np.array([0.5] * 10 + [1.5] * 2 + [2.5] * 10 + [3.5])
     edges = np.arange(5.0)
-    np.testing.assert_array_equal(_visited(edges, x, 5), [0.0, 1.0, 4.0])
-    np.testing.assert_array_equal(_visited(edges, x, 1), edges)
-    np.testing.assert_array_equal(_visited(edges, x, 100), [0.0, 4.0])
+    np.testing.assert_array_equal(_merged_edges(edges, x, 5), [0.0, 1.0, 4.0])
+    np.testing.assert_array_equal(_merged_edges(edges, x, 1), edges)
+    np.testing.assert_array_equal(_merged_edges(edges, x, 100), [0.0, 4.0])

@@ -10,15 +10,19 @@ from simulated import arm
 
 from hybrid.dynamics import inverse_dynamics
 from hybrid.inspect.coverage import coverage_of, excitation_of
+from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.inspection import clock_of
-from hybrid.inspect.leaps import doubts_of_rows
 from hybrid.inspect.physics import _doubt
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.reading import OtherReading, readings
 from hybrid.inspect.samples import doubts_of_samples
 from hybrid.inspect.scale import doubts_of_scale, scales
-from hybrid.inspect.speeds import bear_out, doubts_of_pace, doubts_of_speeds
-from hybrid.inspect.state import State, sampled
+from hybrid.inspect.speeds import (
+    doubts_of_speed_limits,
+    doubts_of_speeds,
+    speeds_confirm_clock,
+)
+from hybrid.inspect.state import State, filtered_state
 from hybrid.recording import Recording
 
 T = np.arange(0.0, 5.0, 0.01)
@@ -232,7 +236,9 @@ def test_a_speed_that_is_not_that_of_its_position_is_told(spoil, says, severity)
     for doubt in found:
         assert says in doubt.text and doubt.severity == severity
     # Of three joints one that is wrong does not outvote the others.
-    assert bear_out(state) == (says is None or np.array_equal(spoil(v)[:, 0], v[:, 0]))
+    assert speeds_confirm_clock(state) == (
+        says is None or np.array_equal(spoil(v)[:, 0], v[:, 0])
+    )
 
 
 @pytest.mark.parametrize(
@@ -244,7 +250,7 @@ def test_a_joint_that_is_faster_than_its_drive_is_told(times, severity):
     v = times * np.outer(np.sin(T), robot.v_max)
     state = State(q, v, 0 * q, 0 * q, None, np.full(2, np.nan), robot.tau_max)
     recording = Recording(T, q, tau=None, joints=robot.joints)
-    found = list(doubts_of_pace(recording, robot, state))
+    found = list(doubts_of_speed_limits(recording, robot, state))
     assert [x.severity for x in found] == [severity] * 2 * (severity is not None)
     for doubt, limit in zip(found, robot.v_max, strict=False):
         assert f"up to {limit:.4g} rad/s" in doubt.remedy
@@ -327,7 +333,7 @@ def test_samples_of_a_log_have_the_speed_of_its_motion(count):
     """However few there are: steps are one less than samples."""
     t = np.linspace(0.0, 6.0, count)
     x = Recording(t, np.sin(t)[:, None], joints=("a",), source="log")
-    found = sampled(x, None)
+    found = filtered_state(x, None)
     assert found.v**2 + found.q**2 == pytest.approx(np.ones_like(found.q), abs=0.02)
     np.testing.assert_allclose(found.a, -found.q, atol=0.05)
 

@@ -38,6 +38,17 @@ def test_a_right_log_has_no_doubts_and_tells_its_motion():
         assert joint.torque == (log().tau[:, j].min(), log().tau[:, j].max())
 
 
+def test_a_log_with_a_joint_at_rest_is_saved(tmp_path):
+    q = log().q.copy()
+    q[:, 0] = 0.5
+    found = inspect_recording(replace(log(), q=q, v=None), arm())
+    assert found.joints[0].resolution == np.inf and np.isnan(found.doubts[0].evidence)
+    found.save(tmp_path / "log.json")
+    content = json.loads((tmp_path / "log.json").read_text(encoding="utf-8"))
+    assert content["joints"][0]["resolution"] is None
+    assert content["doubts"][0]["evidence"] is None
+
+
 def test_positions_follow_their_command_late():
     late, t = 0.08, log().t
     command = np.stack([np.interp(t + late, t, x) for x in log().q.T], axis=1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnosis.answer.locate import locate, time_since_reversal
+from hybrid.diagnosis.answer.regions import locate, time_since_reversal
 from hybrid.diagnosis.gap.coverage import not_excited, reversals
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.effects.coulomb import Coulomb

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import arm
 
-from hybrid.diagnosis.advice.menu import Experiment, Menu, gap_along, loaded
+from hybrid.diagnosis.advice.menu import Experiment, Menu, gap_along, with_payload
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.errors import ExcitationError
 from hybrid.plant import random_fourier
@@ -94,7 +94,7 @@ def test_links_that_come_too_close_are_refused():
 
 def test_a_carried_mass_weighs_at_the_centre_of_the_last_link():
     robot = arm("planar")
-    heavy = loaded(robot, 2.0)
+    heavy = with_payload(robot, 2.0)
     q, rest = np.array([[0.3, -0.4]]), np.zeros((1, 2))
     holding, before = (
         inverse_dynamics(x.chain, x.chain.inertial, q, rest, rest)

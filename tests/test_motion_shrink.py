@@ -8,12 +8,12 @@ import pytest
 from simulated import arm
 
 from hybrid.diagnosis.answer import replay as replaying
-from hybrid.diagnosis.answer.replay import HORIZONS, Replay, windows_of
-from hybrid.diagnosis.answer.replayed import (
+from hybrid.diagnosis.answer.motion_gap import (
     motion_shrink,
     rollout_agrees,
     step_warning,
 )
+from hybrid.diagnosis.answer.replay import HORIZONS, Replay, windows_of
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.explanations.explanation import explain
 from hybrid.diagnosis.explanations.search import Search
@@ -160,7 +160,7 @@ def test_a_term_that_is_not_there_does_not_pass():
 def test_only_windows_count_in_which_a_term_acts():
     scored = explained(("contact",), ("contact",))
     replay = Replay(scored)
-    pick = replay.where([0])
+    pick = replay.windows_with([0])
     t = [
         replay.motions[m].t[k] - replay.motions[m].t[0]
         for m, k in zip(

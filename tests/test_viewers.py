@@ -12,7 +12,7 @@ from diagnosed import faultless, planar
 from scipy.spatial.transform import Rotation
 
 from hybrid.cli import main
-from hybrid.diagnosis.answer.replay import courses
+from hybrid.diagnosis.answer.replay import simulated_positions
 from hybrid.excitation.clearance import frames
 from hybrid.report.viewers import Scene, scene_of_diagnosis, writer_of
 
@@ -45,7 +45,7 @@ def test_logs_shorter_than_a_replay_have_none():
     never = [replace(m, mask=m.mask & (np.arange(len(m.t)) < 20))
              for m in result.gap.motions]  # fmt: skip
     gap = replace(result.gap, motions=tuple(never))
-    for course in courses(replace(result.scored, gap=gap)):
+    for course in simulated_positions(replace(result.scored, gap=gap)):
         assert course.shape == gap.left.shape and np.isnan(course).all()
 
 

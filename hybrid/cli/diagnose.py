@@ -112,7 +112,7 @@ def _diagnose_torque(
 
     from hybrid.diagnosis.advice.advise import advise
     from hybrid.diagnosis.answer.fixed import MODEL, SIMULATOR
-    from hybrid.diagnosis.answer.replayed import replayed
+    from hybrid.diagnosis.answer.motion_gap import with_motion_gap
     from hybrid.diagnosis.diagnose import examine
     from hybrid.files import atomic_folder
     from hybrid.report.diagnosis import PAGE, write_diagnosis
@@ -124,7 +124,7 @@ def _diagnose_torque(
             simulator, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell
         )
         rng = np.random.default_rng(args.seed)
-        result = replayed(result, rng, progress=tell)
+        result = with_motion_gap(result, rng, progress=tell)
         tell("writing the report")
         with atomic_folder(args.out) as folder:
             advice = advise(result, rng, directory=folder)

@@ -38,7 +38,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace, screen: Screen) -> None:
     """Inspect, write and show; refuse what would mislead."""
     from hybrid.inspect import inspect_recording
-    from hybrid.inspect.doubt import is_error
     from hybrid.report.inspection import (
         clocks_table,
         doubts_table,
@@ -70,5 +69,6 @@ def run(args: Namespace, screen: Screen) -> None:
         screen.say(sentence)
     screen.say(verdict(found))
     for x in found:
-        for doubt in filter(is_error, x.doubts):
-            raise HybridError(f"{x.recording.source}: {doubt.line}")
+        for doubt in x.doubts:
+            if doubt.is_error:
+                raise HybridError(f"{x.recording.source}: {doubt.line}")

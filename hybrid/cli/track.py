@@ -50,7 +50,7 @@ def run(args: Namespace, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.inspect import inspect_recording
-    from hybrid.inspect.doubt import act_on
+    from hybrid.inspect.doubt import raise_or_warn
     from hybrid.online import OnlineIdentifier, Sample
     from hybrid.recording.write import write_columns, writer_of
 
@@ -60,9 +60,8 @@ def run(args: Namespace, screen: Screen) -> None:
     (recording,) = options.read_logs(args, screen, joints)
     recording = recording.in_order(joints)
     # The tracker leaves wrong rows out, and says so; a wrong column it believes.
-    act_on(
-        inspect_recording(recording, model.robot).doubts, recording.source, rows=False
-    )
+    doubts = inspect_recording(recording, model.robot).doubts
+    raise_or_warn(doubts, recording.source, rows=False)
     times, q, tau = recording.t, recording.q, recording.tau
     how = options.begin(args, [args.out])
     rate, prior = recording.rate, args.prior

@@ -9,15 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from hybrid.diagnosis.advice.advise import advise
-from hybrid.diagnosis.answer.clocks import clocks_apart
 from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.findings import findings
-from hybrid.diagnosis.answer.links import joined
-from hybrid.diagnosis.answer.locate import locate
-from hybrid.diagnosis.answer.replayed import replayed
+from hybrid.diagnosis.answer.links import merged_links
+from hybrid.diagnosis.answer.motion_gap import with_motion_gap
+from hybrid.diagnosis.answer.regions import locate
 from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.answer.shared_delay import delay_finding
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.evidence.convention import Convention
@@ -100,7 +100,7 @@ def diagnose(
         seed=seed,
         progress=progress,
     )
-    result = replayed(result, rng, progress=progress)
+    result = with_motion_gap(result, rng, progress=progress)
     return replace(result.diagnosis, advice=advise(result, rng))
 
 
@@ -133,7 +133,7 @@ def examine(
     link = command_link(
         case.gap, case.recordings, rng, without=case.without, distorted=distorted
     )
-    diagnosis = joined(diagnosis, result.account, case.as_logged, link, rng)
+    diagnosis = merged_links(diagnosis, result.account, case.as_logged, link, rng)
     return replace(result, diagnosis=diagnosis, command=link.effects)
 
 
@@ -211,8 +211,8 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     if error > typical:
         doubts.append(_FILE_ERRORS.format(error) if error < 1 else _PLACEHOLDERS)
     if logged.clocks and not case.doubts:
-        apart, others = clocks_apart(case.as_logged, scored, logged, rng)
-        causes, effects = apart.joined(causes, others), (*effects, *apart.effects)
+        apart, others = delay_finding(case.as_logged, scored, logged, rng)
+        causes, effects = apart.merged(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
     doubtful = bool(far) or (not causes and error > typical)
     verdict = _verdict(gap, found, causes, left, doubtful=doubtful)
@@ -224,7 +224,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     )
     healthy = case.healthy.model.effects if case.healthy else ()
     return Result(diagnosis, case.as_logged, search, scored, found, effects,
-                  alike=alike, healthy=healthy)  # fmt: skip
+                  rivals=alike, baseline=healthy)  # fmt: skip
 
 
 def _drop_improbable(

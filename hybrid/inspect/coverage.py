@@ -1,8 +1,9 @@
-"""What a log can tell: which joints move, how far and fast, and which masses they feel.
+"""What a log can tell: how each joint moves, and which parameters are identifiable.
 
-Torque of N samples is taken as linear in base parameters, rotors and friction. With
-the residual of each joint as its noise, ``C = (Wᵀ Σ⁻¹ W)⁻¹`` is the covariance of the
-parameters; one is told if it differs from zero by two standard errors.
+Torque is linear in base parameters, rotor inertia and friction, with columns ``W``.
+With the residual variance of each joint in ``Σ``, the covariance of the parameters is
+``C = (Wᵀ Σ⁻¹ W)⁻¹``. A parameter is identifiable if it differs from zero by 1.96
+standard errors.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ from hybrid.arrays import Array
 from hybrid.dynamics.base import base_parameters, inertial_labels
 from hybrid.dynamics.regressor import regressor
 from hybrid.dynamics.stacked import rich_motion
-from hybrid.inspect.masses import CREEP, direction
-from hybrid.inspect.samples import tick
+from hybrid.inspect.masses import CREEP, smooth_sign
+from hybrid.inspect.samples import resolution
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot.chain import Chain
 
-_SURE = 1.96  # standard errors
-_LATEST = 0.5  # s: no servo follows its command later
+_NORMAL = 1.96  # standard errors on either side of a 95 % interval
+_LONGEST_LAG = 0.5  # s, of a servo behind its command
 _DRIVES = ("Ia", "Fv", "Fc", "offset")
 
 
 @dataclass(frozen=True)
 class JointCoverage:
-    """What one joint does in a log.
+    """Motion and torque of one joint in a log.
 
     Attributes:
         joint: Name.
@@ -36,9 +37,9 @@ class JointCoverage:
         high: Highest position, [rad or m].
         fastest: Highest speed, [rad/s or m/s].
         moving: Share of the time in which it moves.
-        resolution: Smallest step of its position, [rad or m]; infinite without one.
+        resolution: Smallest step of its position, [rad or m]; infinite if it rests.
         torque: Lowest and highest torque, [N·m or N]; None without torque.
-        lag: Time by which its position follows its command, [s]; None without one.
+        lag: Delay of its position behind its command, [s]; None without a command.
     """
 
     joint: str
@@ -53,12 +54,12 @@ class JointCoverage:
 
 @dataclass(frozen=True)
 class Excitation:
-    """How well a log determines the masses and drives of an arm.
+    """How well a log determines inertia, rotors and friction of an arm.
 
     Attributes:
-        condition: Of the base columns, each of unit length, weighed by noise.
-        names: All base parameters, drives included.
-        untold: Those that do not differ from zero by two standard errors.
+        condition: Condition number of the whitened base columns, scaled to unit length.
+        names: All base parameters, those of the drives included.
+        untold: Parameters that do not differ from zero by 1.96 standard errors.
     """
 
     condition: float
@@ -67,7 +68,7 @@ class Excitation:
 
 
 def coverage_of(recording: Recording, state: State) -> tuple[JointCoverage, ...]:
-    """What every joint does in a log on a uniform clock."""
+    """Motion and torque of every joint in a log on a uniform clock."""
     fastest = np.abs(state.v).max(axis=0)
     moving = np.mean(np.abs(state.v) > CREEP * np.maximum(fastest, 1e-300), axis=0)
     found = []
@@ -76,46 +77,48 @@ def coverage_of(recording: Recording, state: State) -> tuple[JointCoverage, ...]
         if recording.has_torque:
             torque = float(recording.tau[:, j].min()), float(recording.tau[:, j].max())
         if recording.command is not None and np.ptp(recording.command[:, j]) > 0:
-            most = round(_LATEST * recording.rate)
+            most = round(_LONGEST_LAG * recording.rate)
             lag = _lag(recording.command[:, j], q, most) / recording.rate
         pace = (float(fastest[j]), float(moving[j])) if np.ptp(q) > 0 else (0.0, 0.0)
         ends = float(q.min()), float(q.max())
-        found.append(JointCoverage(joint, *ends, *pace, tick(q), torque, lag))
+        found.append(JointCoverage(joint, *ends, *pace, resolution(q), torque, lag))
     return tuple(found)
 
 
 def excitation_of(chain: Chain, state: State) -> Excitation:
-    """How well samples determine base parameters, rotors and friction."""
+    """Fit base parameters, rotors and friction; say which of them are identifiable."""
     names, columns = _base_columns(chain, state)  # (n, M, b)
     n, samples = chain.size, len(state.q)
     stacked, tau = columns.reshape(n * samples, -1), state.tau.T.reshape(-1)
     rows = np.repeat(np.arange(n), samples)
-    noise = np.ones(n)
-    for _ in range(2):  # plain, then weighed by what each joint leaves
-        weighed = stacked / noise[rows, None]
-        theta = np.linalg.lstsq(weighed, tau / noise[rows], rcond=None)[0]
-        rest = (tau - stacked @ theta).reshape(n, samples)
+    noise = np.ones(n)  # standard deviation at each joint
+    for _ in range(2):  # ordinary, then weighted least squares
+        whitened = stacked / noise[rows, None]
+        theta = np.linalg.lstsq(whitened, tau / noise[rows], rcond=None)[0]
+        residual = (tau - stacked @ theta).reshape(n, samples)
         size = np.sqrt((state.tau**2).mean(axis=0))
-        noise = np.maximum(np.sqrt((rest**2).mean(axis=1)), 1e-6 * size + 1e-12)
-    weighed = stacked / noise[rows, None]
-    length = np.maximum(np.linalg.norm(weighed, axis=0), 1e-300)
-    value = np.linalg.svd(weighed / length, compute_uv=False)
-    inverse = np.linalg.pinv(weighed / length, rcond=1e-12)
+        noise = np.maximum(np.sqrt((residual**2).mean(axis=1)), 1e-6 * size + 1e-12)
+    whitened = stacked / noise[rows, None]
+    length = np.maximum(np.linalg.norm(whitened, axis=0), 1e-300)
+    singular = np.linalg.svd(whitened / length, compute_uv=False)
+    inverse = np.linalg.pinv(whitened / length, rcond=1e-12)
     error = np.linalg.norm(inverse, axis=1) / length
-    seen = length > 1e-9 * length.max()
-    untold = ~seen | (np.abs(theta) < _SURE * error)
-    condition = float(value[0] / max(value[-1], 1e-300)) if seen.all() else np.inf
-    hidden = tuple(name for name, x in zip(names, untold, strict=True) if x)
-    return Excitation(condition, names, hidden)
+    excited = length > 1e-9 * length.max()
+    unknown = ~excited | (np.abs(theta) < _NORMAL * error)
+    condition = np.inf
+    if excited.all():
+        condition = float(singular[0] / max(singular[-1], 1e-300))
+    untold = tuple(name for name, x in zip(names, unknown, strict=True) if x)
+    return Excitation(condition, names, untold)
 
 
 def _base_columns(chain: Chain, state: State) -> tuple[tuple[str, ...], Array]:
-    """Names of base parameters, and their columns at each joint, (n, M, b)."""
+    """Names of the base parameters, and their columns at each joint, (n, M, b)."""
     n = chain.size
     drives = [f"{x}_{k + 1}" for k in range(n) for x in _DRIVES]
     labels = [*inertial_labels(n)[0], *drives]
     rich = rich_motion(chain)
-    # Rotors and friction first: links keep what only they can explain.
+    # Of dependent columns the first is kept: rotors and friction before links.
     order = [*range(10 * n, len(labels)), *range(10 * n)]
     stacked = _columns(chain, rich.q, rich.v, rich.a)[:, :, order]
     named = tuple(labels[k] for k in order)
@@ -125,30 +128,26 @@ def _base_columns(chain: Chain, state: State) -> tuple[tuple[str, ...], Array]:
 
 
 def _columns(chain: Chain, q: Array, v: Array, a: Array) -> Array:
-    """Torque per unit of every inertial and drive parameter, shape (n, M, 14n)."""
+    """Torque per unit of each inertial and drive parameter, shape (n, M, 14n)."""
     n, each = chain.size, np.arange(chain.size)
     drive = np.zeros((n, len(q), n, len(_DRIVES)))
-    own = np.stack([a, v, direction(v), np.ones_like(v)], axis=-1)  # (M, n, 4)
+    own = np.stack([a, v, smooth_sign(v), np.ones_like(v)], axis=-1)  # (M, n, 4)
     drive[each, :, each] = own.transpose(1, 0, 2)
     rigid = regressor(chain, q, v, a).transpose(1, 0, 2)
     return np.concatenate([rigid, drive.reshape(n, len(q), -1)], axis=2)
 
 
 def _lag(command: Array, q: Array, most: int) -> int:
-    """Samples, fewer than ``most``, by which a position follows its command best.
-
-    That is where their difference varies least: Var(q_k − c_{k−lag}).
-    """
+    """The lag below ``most`` samples that minimises Var(q_k − command_{k−lag})."""
     from scipy.signal import correlate
 
     x, y = command - command.mean(), q - q.mean()
     lags = np.arange(min(most, len(x) // 2))
     overlap = len(x) - lags
 
-    def sums(late: Array, early: Array) -> Array:
-        """Sums over the overlap of what follows and of what is followed."""
+    def overlap_sums(late: Array, early: Array) -> Array:
         return np.cumsum(late[::-1])[::-1][lags] + np.cumsum(early)[overlap - 1]
 
     products = correlate(y, x, mode="full")[len(x) - 1 :][lags]
-    spread = (sums(y * y, x * x) - 2 * products) / overlap
-    return int(np.argmin(spread - (sums(y, -x) / overlap) ** 2))
+    mean_square = (overlap_sums(y * y, x * x) - 2 * products) / overlap
+    return int(np.argmin(mean_square - (overlap_sums(y, -x) / overlap) ** 2))

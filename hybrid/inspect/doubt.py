@@ -20,13 +20,14 @@ class Doubt:
 
     Attributes:
         channel: Field of the recording: ``t``, ``q``, ``v``, ``tau`` or ``command``.
-        joints: Columns it is about, counted from 0; empty for all, and for the clock.
-        text: What the log looks like, and where, in words.
+        joints: Columns concerned, counted from 0; empty for all, and for the clock.
+        text: What the log looks like, and where.
         remedy: What is valid, or what to do.
-        severity: An ``error`` makes a wrong model of the log, a ``warning`` may.
-        evidence: How far what was read is off: a factor, a share or a count, as the
-            text says; NaN without one.
-        rows: Whether it is about single rows, which may be left out.
+        severity: With an ``error`` a model of the log is wrong, with a ``warning`` it
+            may be.
+        evidence: Size of the fault: a factor, a share or a count, as the text says;
+            NaN without one.
+        rows: Whether it concerns single rows, which may be left out.
     """
 
     channel: str
@@ -39,31 +40,31 @@ class Doubt:
 
     @property
     def line(self) -> str:
-        """The whole as one line."""
+        """Text and remedy in one line."""
         return f"{self.text}; {self.remedy}" if self.remedy else self.text
 
-
-def is_error(doubt: Doubt) -> bool:
-    """Whether a doubt forbids to use the log."""
-    return doubt.severity == "error"
-
-
-def error_if(wrong: bool) -> Severity:
-    """How serious a doubt is."""
-    return "error" if wrong else "warning"
+    @property
+    def is_error(self) -> bool:
+        """Whether the log must not be used."""
+        return self.severity == "error"
 
 
-def act_on(doubts: Sequence[Doubt], source: str, *, rows: bool = True) -> None:
-    """Refuse a log if one of its doubts is an error; warn of the others.
+def error_if(condition: bool) -> Severity:
+    """An error if the condition holds, else a warning."""
+    return "error" if condition else "warning"
+
+
+def raise_or_warn(doubts: Sequence[Doubt], source: str, *, rows: bool = True) -> None:
+    """Raise the first doubt that is an error; without one, warn of all.
 
     Args:
-        doubts: What was found, the weightiest first.
-        source: Where the log came from, for messages.
-        rows: Whether single rows that are wrong are reason enough to refuse it.
+        doubts: Doubts, most serious first.
+        source: Where the log comes from, for messages.
+        rows: Whether an error in single rows is raised as well.
     """
     place = source or "recording"
-    for doubt in filter(is_error, doubts):
-        if rows or not doubt.rows:
+    for doubt in doubts:
+        if doubt.is_error and (rows or not doubt.rows):
             raise RecordingError(f"{place}: {doubt.line}")
     for doubt in doubts:
         warnings.warn(f"{place}: {doubt.line}", HybridWarning, stacklevel=3)

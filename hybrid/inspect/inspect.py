@@ -1,34 +1,30 @@
-"""Check whether a log can come from this arm, for every verb.
-
-A log is held against physics: first each sample, then the motion, by a list of checks.
-"""
+"""Check a log against physics: first its samples, then its motion and torque."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
 
 from hybrid.inspect.coverage import JointCoverage, coverage_of, excitation_of
-from hybrid.inspect.doubt import Doubt, act_on, is_error
+from hybrid.inspect.doubt import Doubt, raise_or_warn
+from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.inspection import Inspection, clock_of
-from hybrid.inspect.leaps import doubts_of_rows
 from hybrid.inspect.physics import doubts_of_magnitude, doubts_of_physics
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.samples import doubts_of_samples
 from hybrid.inspect.scale import doubts_of_scale
-from hybrid.inspect.speeds import doubts_of_pace, doubts_of_speeds
-from hybrid.inspect.state import State, sampled
+from hybrid.inspect.speeds import doubts_of_speed_limits, doubts_of_speeds
+from hybrid.inspect.state import State, filtered_state
 from hybrid.recording import Recording, resample, unbroken
 from hybrid.robot import Robot
 
-# The surest cause first: an error may be why later checks would find one.
-OF_SAMPLES = (doubts_of_samples, doubts_of_rows, doubts_of_positions)
-OF_MOTION = (
+# The most reliable check first: the error that it finds may mislead later checks.
+_SAMPLE_CHECKS = (doubts_of_samples, doubts_of_rows, doubts_of_positions)
+_MOTION_CHECKS = (
     doubts_of_magnitude,
     doubts_of_physics,
     doubts_of_speeds,
-    doubts_of_pace,
+    doubts_of_speed_limits,
     doubts_of_scale,
 )
 
@@ -36,14 +32,14 @@ OF_MOTION = (
 def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspection:
     """Inspect a log: its clock, its excitation, and reasons to mistrust it.
 
-    Samples are looked at first, then positions against limits, then order, sign, unit
-    and clock against physics. Nothing is asked of physics where a sample is wrong.
+    Samples are checked first, then positions against limits, then order, sign, unit and
+    clock against rigid-body dynamics. An error ends the checks.
 
     Args:
         recording: Joint log; its columns may be in any order if its joints have the
             robot's names, and are taken in the robot's order if only numbered. A log
-            with gaps is looked at piece by piece.
-        robot: The arm; without it, physics is not asked.
+            with gaps is checked piece by piece.
+        robot: The arm; without it, dynamics is not checked.
 
     Returns:
         Clock, joints and doubts; no doubts if the log is in order.
@@ -56,9 +52,9 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
     """
     if robot is not None:
         recording = recording.in_order(robot.joints)
-    looked = [_examined(piece, robot) for piece in unbroken(recording)]
-    doubts = tuple(dict.fromkeys(x for look in looked for x in look.doubts))
-    longest = max(looked, key=lambda look: look.recording.duration)
+    pieces = [_checked(piece, robot) for piece in unbroken(recording)]
+    doubts = tuple(dict.fromkeys(doubt for piece in pieces for doubt in piece.doubts))
+    longest = max(pieces, key=lambda piece: piece.recording.duration)
     joints: tuple[JointCoverage, ...] = ()
     excitation = None
     if longest.state is not None:
@@ -69,15 +65,15 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
 
 
 def check_recordings(recordings: Sequence[Recording], robot: Robot) -> list[Recording]:
-    """Check logs for a verb, and refuse those that would mislead it.
+    """Check logs, and refuse those that lead to a wrong model.
 
     Args:
         recordings: Joint logs.
         robot: The arm.
 
     Returns:
-        Logs with the robot's joints in its order, on uniform clocks; one with gaps of
-        more than ten steps is several.
+        Logs with the robot's joints in its order, on uniform clocks; a log with gaps of
+        more than ten steps becomes several.
 
     Raises:
         RecordingError: A log is wrong: it says what, where, and what is valid.
@@ -85,34 +81,33 @@ def check_recordings(recordings: Sequence[Recording], robot: Robot) -> list[Reco
     Warns:
         HybridWarning: Something may be wrong; a log has gaps, or an irregular clock.
     """
-    return list(chain.from_iterable(_checked(x, robot) for x in recordings))
+    uniform = []
+    for recording in recordings:
+        for piece in unbroken(recording.in_order(robot.joints)):
+            checked = _checked(piece, robot)
+            raise_or_warn(checked.doubts, recording.source)
+            uniform.append(checked.recording)
+    return uniform
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class _Checked:
     doubts: list[Doubt]
-    recording: Recording  # on a uniform clock if its samples are right
-    state: State | None = None  # if they are
+    recording: Recording  # on a uniform clock if no sample is wrong
+    state: State | None = None  # None if a sample is wrong
 
 
-def _checked(recording: Recording, robot: Robot) -> Iterator[Recording]:
-    for piece in unbroken(recording.in_order(robot.joints)):
-        look = _examined(piece, robot)
-        act_on(look.doubts, recording.source)
-        yield look.recording
-
-
-def _examined(recording: Recording, robot: Robot | None) -> _Look:
-    """Doubts about a log without gaps."""
-    found: list[Doubt] = []
-    for of_samples in OF_SAMPLES:
-        found += of_samples(recording, robot)
-        if any(map(is_error, found)):
-            return _Look(found, recording)
+def _checked(recording: Recording, robot: Robot | None) -> _Checked:
+    """Check a log without gaps."""
+    doubts: list[Doubt] = []
+    for check_samples in _SAMPLE_CHECKS:
+        doubts += check_samples(recording, robot)
+        if any(doubt.is_error for doubt in doubts):
+            return _Checked(doubts, recording)
     uniform = resample(recording)
-    state = sampled(uniform, robot)
-    for of_motion in OF_MOTION:
-        found += of_motion(uniform, robot, state)
-        if any(map(is_error, found)):
+    state = filtered_state(uniform, robot)
+    for check_motion in _MOTION_CHECKS:
+        doubts += check_motion(uniform, robot, state)
+        if any(doubt.is_error for doubt in doubts):
             break
-    return _Look(found, uniform, state)
+    return _Checked(doubts, uniform, state)

@@ -1,4 +1,4 @@
-"""The result of an inspection: clock, excitation and doubts of a log."""
+"""The result of an inspection: clock, joints, excitation and doubts of a log."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 
 from hybrid.files import write_json
 from hybrid.inspect.coverage import Excitation, JointCoverage
-from hybrid.inspect.doubt import Doubt, is_error
+from hybrid.inspect.doubt import Doubt
 from hybrid.recording import Recording
 from hybrid.recording.clock import GAP
-from hybrid.shown import Shown
+from hybrid.shown import Shown, plain
 
 
 @dataclass(frozen=True)
@@ -21,12 +21,12 @@ class Clock:
     """How regular a log's clock is.
 
     Attributes:
-        samples: Number of samples N.
-        duration: From first to last, [s].
-        rate: From the median step, [Hz].
+        samples: Number of samples.
+        duration: Time from the first sample to the last, [s].
+        rate: Inverse of the median step, [Hz].
         jitter: Standard deviation of steps without holes, over the median step.
-        missing: Share of samples that a regular clock would have in addition.
-        holes: Steps of more than ten times the median.
+        missing: Number of samples missing from a regular clock, over ``samples``.
+        holes: Number of steps longer than ten median steps.
     """
 
     samples: int
@@ -39,15 +39,14 @@ class Clock:
 
 @dataclass(frozen=True)
 class Inspection(Shown):
-    """One log: its clock, what it can tell, and what speaks against it.
+    """What is known of a log before it is used.
 
     Attributes:
         recording: The log, its joints in the robot's order.
         clock: How regular its clock is.
-        joints: What each joint does; empty where samples are wrong.
-        excitation: How well it determines an arm; None without robot or torque.
-        doubts: What speaks against its columns being what they say; the likeliest
-            cause of others first.
+        joints: Motion and torque of each joint; empty if samples are wrong.
+        excitation: Which parameters it determines; None without robot or torque.
+        doubts: Reasons to mistrust it, most reliable first.
     """
 
     recording: Recording
@@ -59,14 +58,14 @@ class Inspection(Shown):
     @property
     def misleads(self) -> bool:
         """Whether a model of this log would be wrong."""
-        return any(map(is_error, self.doubts))
+        return any(doubt.is_error for doubt in self.doubts)
 
     def save(self, path: str | Path) -> None:
-        """Write all that is known of the log to a JSON file."""
-        write_json(path, self.as_dict())
+        """Write the inspection to a JSON file."""
+        write_json(path, plain(self.as_dict()))
 
     def as_dict(self) -> dict[str, Any]:
-        """The same as names, numbers and lists."""
+        """The inspection as names, numbers and lists."""
         return {
             "source": self.recording.source,
             "reading": self.recording.reading and self.recording.reading.as_dict(),
@@ -80,7 +79,7 @@ class Inspection(Shown):
 
 
 def clock_of(recording: Recording) -> Clock:
-    """How regular a log's clock is."""
+    """How regular the clock of a log is."""
     steps = np.diff(recording.t)
     step = float(np.median(steps))
     filled = steps <= GAP * step

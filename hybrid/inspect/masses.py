@@ -1,16 +1,13 @@
-"""How much of the torque an arm of real masses explains.
+"""Fit the torque of a log with masses that may exist, whatever the robot file says.
 
-Whatever the robot file says of its links, they consist of masses that are not
-negative, within reach of their joints; rotors have no negative inertia, and friction
-takes energy. Torque of a log that is read right is a sum with positive weights
+The torque of a log that is read right is a sum with non-negative weights
 
     τ = Σ m_p Y(q, v, a) u_p + J a + F_v v + F_c sgn v + k (q − q₀) + offset
 
-of what unit masses at fixed points of each link ask for (u_p holds the ten parameters
-of such a mass), of rotor and friction at each joint, and of a spring there, in the file
-or not: a cable is one. No spring is stronger than the drive that has to move it.
-Swapped columns, wrong signs and a wrong clock ask for negative masses, or leave torque
-that no mass explains.
+of unit masses at fixed points of each link (u_p holds the ten inertial parameters of
+such a mass), of rotor inertia and friction at each joint, and of a spring there, which
+may be a cable. No spring is stronger than the drive that moves it. Swapped columns,
+wrong signs and a wrong clock need negative masses, or leave a large residual.
 """
 
 from __future__ import annotations
@@ -22,14 +19,13 @@ from hybrid.arrays import Array
 from hybrid.inspect.state import State
 from hybrid.robot.chain import Chain
 
-SURE = 0.5  # gain in log volume; of logs that are right, no other reading reached 0.3
-CREEP = 0.02  # of the highest speed: below, dry friction changes its sign gradually
-_REACH = 0.25  # of the arm's length: how far masses of a link, or a tool, may be
-_OWN = 6  # columns of a drive: rotor, viscous, dry, spring, offset either way
-_OFFSET = 0.1  # of an offset counts as left over: gravity is likelier
-_LEAST = 1e-3  # of a torque's variance: less left is as good as nothing
-_RANK = 1e-4  # of the largest singular value: below, columns are not told apart
-_ROUNDS = 10  # times the number of weights
+CREEP = 0.02  # of the highest speed: width of the sign change of dry friction
+_REACH = 0.25  # of the arm's length: distance of masses from the origin of their link
+_DRIVE_COLUMNS = 6  # rotor, viscous, dry, spring, positive and negative offset
+_OFFSET_PENALTY = 0.1  # share of an offset that counts as residual: gravity is likelier
+_NEGLIGIBLE = 1e-3  # share of a torque's variance
+_RANK = 1e-4  # smallest singular value, over the largest
+_ITERATIONS = 10  # per weight
 _RIDGE = 1e-8  # of a column's square
 _TINY, _NONE = 1e-9, 1e-300
 
@@ -37,8 +33,8 @@ _TINY, _NONE = 1e-9, 1e-300
 def unit_masses(chain: Chain) -> Array:
     """Inertial parameters of masses of 1 kg at points of each link, shape (n, 10, 7).
 
-    The points of a link are its origin and the corners of an octahedron about it:
-    sums of them have any mass and centre, and any moments of inertia, within reach.
+    The points are the link's origin and the corners of an octahedron about it. Their
+    non-negative combinations cover any mass, centre and moments of inertia in reach.
     """
     lengths = np.linalg.norm(chain.translation, axis=1)
     arm = float(lengths.sum()) or 1.0
@@ -50,7 +46,7 @@ def unit_masses(chain: Chain) -> Array:
 
 
 class MassColumns:
-    """Torque per unit of every mass and drive along a motion, as normal equations.
+    """Columns of every mass and drive along a motion, as normal equations.
 
     Args:
         state: M samples.
@@ -61,14 +57,14 @@ class MassColumns:
     def __init__(self, state: State, masses: Array, Y: Array) -> None:
         (samples, n), each = state.q.shape, masses.shape[2]
         links = Y.transpose(1, 2, 0).reshape(n, n, 10, samples)
-        drives, count = _drives(state), n * (each + _OWN)
-        self._own, self._places = [], []
+        drives, count = _drive_columns(state), n * (each + _DRIVE_COLUMNS)
+        self._own, self._places = [], []  # columns at each joint, and their numbers
         self._normal = np.zeros((n, count, count))
         self._right = np.zeros((n, n, count))
-        for i in range(n):  # whom links before it do not move
+        for i in range(n):  # links before joint i do not load it
             rigid = masses[i:].transpose(0, 2, 1) @ links[i, i:]  # (n - i, P, M)
             own = np.concatenate([rigid.reshape(-1, samples), drives[i]])
-            drive = n * each + _OWN * i + np.arange(_OWN)
+            drive = n * each + _DRIVE_COLUMNS * i + np.arange(_DRIVE_COLUMNS)
             at = np.append(np.arange(i * each, n * each), drive)
             self._own.append(own)
             self._places.append(at)
@@ -76,34 +72,37 @@ class MassColumns:
             self._right[i][:, at] = (own @ state.tau).T
         size = np.sqrt(np.diagonal(self._normal.sum(axis=0)))
         self._scale = np.maximum(size, _TINY)
-        for i, at in enumerate(self._places):  # offsets are held to be left over
-            k = at[-2:]
-            self._normal[i][k, k] += _OFFSET**2 * samples
+        for i, at in enumerate(self._places):
+            offsets = at[-2:]
+            self._normal[i][offsets, offsets] += _OFFSET_PENALTY**2 * samples
         self._normal /= self._scale * self._scale[:, None] * samples
         self._right /= self._scale * samples
         self._torque = state.tau
         self._squares = (state.tau**2).mean(axis=0)
         self._size = np.maximum(state.tau.var(axis=0), _TINY * self._squares + _NONE)
         self._theta = np.zeros(count)
-        self._most = np.full(count, np.inf)
-        spring, reach = n * each + 3 + _OWN * np.arange(n), np.abs(drives[:, 3]).max(1)
-        self._most[spring] = state.rated / np.maximum(reach, _TINY)
-        self._most *= self._scale
+        self._upper = np.full(count, np.inf)
+        spring = n * each + 3 + _DRIVE_COLUMNS * np.arange(n)
+        travel = np.abs(drives[:, 3]).max(axis=1)
+        self._upper[spring] = state.rated / np.maximum(travel, _TINY)
+        self._upper *= self._scale
 
     @property
     def explained(self) -> Array:
-        """Torque by the weights found last, shape (M, n), [N·m]."""
+        """Torque by the last fit, shape (M, n), [N·m]."""
         theta = self._theta / self._scale
         pairs = zip(self._own, self._places, strict=True)
         return np.stack([theta[at] @ own for own, at in pairs], axis=1)
 
-    def left(self, order: NDArray[np.intp], factor: Array, *, rounds: int = 2) -> Array:
-        """Share of each torque's variance that the best positive weights leave, (n,).
+    def residual(
+        self, order: NDArray[np.intp], factor: Array, *, rounds: int = 2
+    ) -> Array:
+        """Share of each torque's variance that a non-negative fit leaves, shape (n,).
 
         Args:
-            order: Which column of torque is each joint's, shape (n,).
-            factor: What it is to be multiplied by, shape (n,).
-            rounds: Fits, from the second on with joints weighed by what the last left.
+            order: Torque column of each joint, shape (n,).
+            factor: Factor of each torque, shape (n,).
+            rounds: Number of fits; each weighs joints by the residual of the last.
         """
         each = np.arange(len(order))
         right = factor[:, None] * self._right[each, order]
@@ -113,16 +112,16 @@ class MassColumns:
         for _ in range(rounds):
             weight = 1.0 / (size * share)
             normal = np.tensordot(weight, self._normal, 1)
-            self._theta = theta = _bounded(normal, weight @ right, self._most)
+            self._theta = theta = _bounded(normal, weight @ right, self._upper)
             rest = squares + ((self._normal @ theta - 2 * right) * theta).sum(axis=1)
-            share = np.clip(rest / size, _LEAST, None)
+            share = np.clip(rest / size, _NEGLIGIBLE, None)
         return np.asarray(share, dtype=np.float64)
 
-    def left_alone(self) -> Array:
-        """Share of each column of torque that each joint's own columns leave, (n, n).
+    def residual_of_pairs(self) -> Array:
+        """Share of torque column c that the columns of joint i leave, shape (n, n).
 
-        Any weights are allowed, and joints have theirs apart: this asks which column
-        may be whose, not which way it counts. Entry (i, c) is of column c at joint i.
+        Row i is joint i. Weights have any sign, and differ from joint to joint: this
+        tests the order of torque columns, not their sign.
         """
         left = []
         for own, at in zip(self._own, self._places, strict=True):
@@ -131,37 +130,37 @@ class MassColumns:
             basis = basis[:, value > _RANK * value[0]]
             rest = self._torque - basis @ (basis.T @ self._torque)
             left.append((rest**2).mean(axis=0) / self._size)
-        return np.asarray(np.clip(left, _LEAST, 1.0))
+        return np.asarray(np.clip(left, _NEGLIGIBLE, 1.0))
 
 
-def direction(v: Array) -> Array:
-    """Sign of speeds, shape (M, n), that changes gradually where they creep."""
+def smooth_sign(v: Array) -> Array:
+    """Sign of speeds, shape (M, n), with a gradual change about zero."""
     fastest = np.maximum(np.abs(v).max(axis=0), _TINY)
     return np.asarray(np.tanh(v / (CREEP * fastest)))
 
 
-def _drives(state: State) -> Array:
-    """Columns of each joint's rotor, friction, spring and offset, shape (n, 6, M)."""
+def _drive_columns(state: State) -> Array:
+    """Columns of rotor, friction, spring and offset of each joint, shape (n, 6, M)."""
     free = np.isnan(state.relaxed)
     relaxed = np.where(free, state.q.mean(axis=0), state.relaxed)
-    dry, one = direction(state.v), np.ones_like(state.v)
+    dry, one = smooth_sign(state.v), np.ones_like(state.v)
     own = state.a, state.v, dry, state.q - relaxed, one, -one
     return np.stack([x.T for x in own], axis=1)
 
 
-def _bounded(normal: Array, right: Array, most: Array) -> Array:
-    """The same with upper bounds, shape (P,): what is beyond stays at them."""
-    weights = _positive(normal, right)
-    over = weights > most
+def _bounded(normal: Array, right: Array, upper: Array) -> Array:
+    """Solve normal equations by non-negative weights up to upper bounds, shape (P,)."""
+    weights = _non_negative(normal, right)
+    over = weights > upper
     if over.any():
-        weights[over], free = most[over], ~over
-        right = right[free] - normal[np.ix_(free, over)] @ most[over]
-        weights[free] = _positive(normal[np.ix_(free, free)], right)
+        weights[over], free = upper[over], ~over
+        right = right[free] - normal[np.ix_(free, over)] @ upper[over]
+        weights[free] = _non_negative(normal[np.ix_(free, free)], right)
     return weights
 
 
-def _positive(normal: Array, right: Array) -> Array:
-    """Solution of normal equations by weights that are not negative, shape (P,)."""
+def _non_negative(normal: Array, right: Array) -> Array:
+    """Solve normal equations by non-negative weights, shape (P,)."""
     from scipy.optimize import nnls
 
     size = np.sqrt(np.maximum(np.diagonal(normal), _NONE))
@@ -169,7 +168,7 @@ def _positive(normal: Array, right: Array) -> Array:
     root = np.linalg.cholesky(scaled)
     target = np.linalg.solve(root, right / size)
     try:
-        weights = nnls(root.T, target, maxiter=_ROUNDS * len(size))[0]
-    except RuntimeError:  # it went round in circles: near enough
+        weights = nnls(root.T, target, maxiter=_ITERATIONS * len(size))[0]
+    except RuntimeError:  # it did not converge
         weights = np.maximum(np.linalg.solve(root.T, target), 0.0)
     return np.asarray(weights / size)

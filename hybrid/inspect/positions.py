@@ -1,8 +1,7 @@
-"""Positions against joint limits: wrong unit, wrong order, or just outside.
+"""Compare positions with joint limits: wrong unit, wrong order, or outside.
 
-Another unit is told by going half a turn beyond a limit, or past two turns, while the
-value in that unit is plausible; another order by positions that fit the limits of other
-joints but not those of their own.
+A unit is wrong if a position is half a turn beyond its limit, or beyond two turns. An
+order is wrong if positions fit the limits of other joints but not their own.
 """
 
 from __future__ import annotations
@@ -17,14 +16,14 @@ from hybrid.inspect.doubt import Doubt, error_if
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 
-SLACK = 0.1  # rad or m: limits in robot files are rounded, encoders overshoot
-_TURNS = 4 * np.pi  # rad: an arm's joint does not go farther
-_TURNING = ((np.pi / 180, "degrees"), (1e-3, "milliradians"))
-_SLIDING = ((1e-3, "millimetres"),)
+SLACK = 0.1  # rad or m: limits in robot files are rounded
+_FARTHEST = 4 * np.pi  # rad, of a joint from zero
+_ANGLES = ((np.pi / 180, "degrees"), (1e-3, "milliradians"))
+_LENGTHS = ((1e-3, "millimetres"),)
 
 
 def doubts_of_positions(recording: Recording, robot: Robot | None) -> Iterator[Doubt]:
-    """Hold positions against the limits of their joints."""
+    """Compare positions with the limits of their joints."""
     if robot is None:
         return
     beyond = _beyond(recording.q, robot)
@@ -52,22 +51,22 @@ def doubts_of_positions(recording: Recording, robot: Robot | None) -> Iterator[D
 
 
 def _beyond(q: Array, robot: Robot) -> Array:
-    """How far column i goes beyond the limits of joint j, shape (n, n)."""
+    """Distance of column i beyond the limits of joint j, shape (n, n)."""
     low, high = q.min(axis=0)[:, None], q.max(axis=0)[:, None]
     over = np.maximum(high - robot.q_max, robot.q_min - low)
     return np.asarray(np.maximum(over, 0.0))
 
 
 def _units(recording: Recording, robot: Robot, own: Array) -> Iterator[Doubt]:
-    """Positions of turning, then of sliding joints, far outside what these can do."""
+    """Find a wrong unit of revolute, then of prismatic joints."""
     peak = np.max(np.abs(recording.q), axis=0)
-    turning = robot.chain.revolute
+    revolute = robot.chain.revolute
     reach = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
-    far = turning & ((own > np.pi) | (peak > _TURNS)), ~turning & (own > 10 * reach)
-    for suspect, kind, unit, smaller in (
-        (far[0], turning, "rad", _TURNING),
-        (far[1], ~turning, "m", _SLIDING),
+    for far, kind, unit, smaller in (
+        ((own > np.pi) | (peak > _FARTHEST), revolute, "rad", _ANGLES),
+        (own > 10 * reach, ~revolute, "m", _LENGTHS),
     ):
+        suspect = far & kind
         if not suspect.any():
             continue
         joint = int(np.argmax(np.where(suspect, peak, 0.0)))
@@ -77,24 +76,24 @@ def _units(recording: Recording, robot: Robot, own: Array) -> Iterator[Doubt]:
         text += f"looks like {names[0]}" if names else "is far outside the limits"
         low, high = robot.q_min[joint], robot.q_max[joint]
         remedy = f"valid are {unit} within {low:.6g} to {high:.6g}"
-        # What turns without a limit may have turned often.
+        # A joint without limits may have made many turns.
         severity = error_if(bool(names) or bool(np.isfinite(reach[joint])))
         joints = tuple(np.flatnonzero(suspect).tolist())
         yield Doubt("q", joints, text, remedy, severity, float(peak[joint]))
 
 
 def _fits(q: Array, robot: Robot, kind: NDArray[np.bool_]) -> bool:
-    """Whether positions of some joints are within limits and two turns."""
+    """Whether positions of some joints are within their limits and two turns."""
     within = np.diagonal(_beyond(q, robot)) <= SLACK
-    return bool((within & (np.abs(q).max(axis=0) <= _TURNS))[kind].all())
+    return bool((within & (np.abs(q).max(axis=0) <= _FARTHEST))[kind].all())
 
 
 def _fitting_order(beyond: Array) -> NDArray[np.intp] | None:
-    """Joint of each column if all positions then fit their limits, else None."""
+    """Joint of each column if an order exists in which all positions fit, else None."""
     from scipy.optimize import linear_sum_assignment
 
     misfit = beyond > SLACK
-    # Of the orders that fit, the one that moves the fewest columns.
+    # Of the orders that fit, take the one that moves the fewest columns.
     cost = 1000.0 * misfit + 1.0 - np.eye(len(beyond))
     columns, joints = linear_sum_assignment(cost)
     return None if misfit[columns, joints].any() else joints

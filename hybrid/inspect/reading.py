@@ -1,4 +1,4 @@
-"""Alternative readings of a log: other order, signs, units or clock."""
+"""List other readings of a log: other order, signs, units or clock."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class OtherReading:
     """One way to read a log.
 
     Attributes:
-        channels: What is read otherwise: ``q``, ``tau``, both, or ``t``.
-        joints: Columns that are, counted from 0.
-        looks_like: What is the matter with them if this is right, in words.
-        order: Which column is each joint's, shape (n,).
-        factor: What each column is to be multiplied by, shape (n,).
+        channels: Channels that are read differently: ``q``, ``tau``, both, or ``t``.
+        joints: Columns that are read differently, counted from 0.
+        looks_like: Fault of these columns if this reading is right.
+        order: Column of each joint, shape (n,).
+        factor: Factor of each column, shape (n,).
         clock: True time over logged time.
     """
 
@@ -55,27 +55,27 @@ class OtherReading:
 
     @property
     def motion(self) -> tuple[bytes, bytes, float]:
-        """What it makes of the motion; the same for readings that agree on that."""
+        """A key, equal for readings with the same motion."""
         if "q" in self.channels:
             return self.order.tobytes(), self.factor.tobytes(), self.clock
         return b"", b"", self.clock
 
     @property
     def torque(self) -> tuple[NDArray[np.intp], Array]:
-        """Which column of torque is each joint's, and its factor, (n,) each."""
+        """Torque column of each joint, and its factor, (n,) each."""
         if "tau" in self.channels:
             return self.order, self.factor
         return np.arange(len(self.order)), np.ones(len(self.order))
 
     def moved(self, state: State) -> State:
-        """The log with its motion by this reading, its torque as it was."""
+        """The log with its motion by this reading and its torque unchanged."""
         q, v, a = state.q, state.v / self.clock, state.a / self.clock**2
         if "q" in self.channels:
             q, v, a = (self.factor * x[:, self.order] for x in (q, v, a))
         return replace(state, q=q, v=v, a=a)
 
     def of(self, state: State) -> State:
-        """The log as it is by this reading."""
+        """The log with motion and torque by this reading."""
         order, factor = self.torque
         return replace(self.moved(state), tau=factor * state.tau[:, order])
 
@@ -83,12 +83,12 @@ class OtherReading:
 def readings(
     chain: Chain, moving: list[int], best: NDArray[np.intp]
 ) -> Iterator[OtherReading]:
-    """Other orders, signs, units and clocks that a log may be in, simple ones first.
+    """List orders, signs, units and clocks that a log may have, simple ones first.
 
     Args:
         chain: The arm.
-        moving: Joints that move; of others, positions say nothing.
-        best: Which column of torque suits each joint best, shape (n,).
+        moving: Joints that move; only their positions can be tested.
+        best: Torque column that fits each joint best, shape (n,).
     """
     n = chain.size
     kept, ones = np.arange(n), np.ones(n)
@@ -121,7 +121,7 @@ def readings(
 
 
 def _orders(chain: Chain, best: NDArray[np.intp]) -> list[tuple[str, NDArray[np.intp]]]:
-    """Orders in which columns are often written, and one that would suit; each once."""
+    """Common orders of columns and the best order, each once, with its name."""
     sorted_joints = sorted(chain.joints)
     place = np.array([sorted_joints.index(joint) for joint in chain.joints])
     names = ", ".join(chain.joints[k] for k in np.argsort(best))

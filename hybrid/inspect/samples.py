@@ -1,11 +1,10 @@
-"""Samples that no arm can have made: too few, dead, frozen, held, leaping, repeated."""
+"""Find samples that no arm produces: too few, too large, constant, frozen."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt
@@ -13,14 +12,14 @@ from hybrid.recording import Recording
 from hybrid.recording.recording import row_words
 from hybrid.robot import Robot
 
-SHORTEST = 1.0  # s: below, not even one slow move
+SHORTEST = 1.0  # s
 FEWEST = 100  # samples
-STILL = 1e-3  # rad: less travel is hum, not motion
-_SAGS = 0.1  # rad: how far loads may move a joint that is held
-SLOWEST = 1.0  # Hz: no log of a moving arm has a sample less often
-LARGEST = 1e9  # rad, rad/s, N·m: beyond any arm, and squares of it still are numbers
-LATEST = 1e19  # s: nanoseconds since 1970 are less, and told by their step
-_COARSEST = 0.01  # rad: no joint encoder resolves less
+STILL = 1e-3  # rad: a joint that travels less is at rest
+_SAG = 0.1  # rad: a load may move a held joint so far
+SLOWEST = 1.0  # Hz: lowest sampling rate of a moving arm
+LARGEST = 1e9  # rad, rad/s, N·m: beyond any arm, and its square is finite
+LATEST = 1e19  # s: more than the nanoseconds since 1970, which the step reveals
+_COARSEST = 0.01  # rad: worst resolution of a joint encoder
 _UNITS = (1e-3, "milli"), (1e-6, "micro"), (1e-9, "nano")
 _USUAL_RATE = 20.0, 2e4  # Hz
 
@@ -28,7 +27,7 @@ _USUAL_RATE = 20.0, 2e4  # Hz
 def doubts_of_samples(
     recording: Recording, robot: Robot | None = None
 ) -> Iterator[Doubt]:
-    """What is wrong with samples by themselves, errors first."""
+    """Find wrong samples, whatever the arm; errors first."""
     yield from _size(recording)
     yield from _clock(recording)
     yield from _motion(recording)
@@ -44,15 +43,12 @@ def longest_run(x: Array) -> tuple[int, int]:
     return int(lengths.max()), int(starts[np.argmax(lengths)])
 
 
-def usual_step(x: Array) -> float:
-    """Size of a large step of a position, shape (N,), between two samples.
-
-    Of a joint at rest, which mostly makes none, that of its encoder.
-    """
-    return max(float(np.quantile(np.abs(np.diff(x)), 0.99)), tick(x, _COARSEST))
+def large_step(x: Array) -> float:
+    """99 % quantile of the steps of a position, shape (N,); at least its resolution."""
+    return max(float(np.quantile(np.abs(np.diff(x)), 0.99)), resolution(x, _COARSEST))
 
 
-def tick(x: Array, coarsest: float = np.inf) -> float:
+def resolution(x: Array, coarsest: float = np.inf) -> float:
     """Resolution of the encoder of a position, shape (N,), from its smallest step."""
     steps = np.abs(np.diff(x))
     return float(np.min(steps[steps > 0], initial=coarsest))
@@ -93,39 +89,41 @@ def _motion(recording: Recording) -> Iterator[Doubt]:
         text = f"q: no joint moves more than {travel.max():.2g} rad"
         remedy = f"valid is a log in which the arm moves by {STILL:g} rad or more"
         yield Doubt("q", (), text, remedy, "error", float(travel.max()))
-    # That a joint rests is known where its command, or its speed, rests as well.
+    # A joint is at rest if its command or its speed is constant as well.
     others = [recording.command, recording.v]
     known = [np.ptp(x, axis=0) == 0 for x in others if x is not None]
     resting = np.any(known, axis=0) if known else np.zeros(recording.size, dtype=bool)
-    for joint in _indices((travel == 0) & ~resting):
+    for joint in np.flatnonzero((travel == 0) & ~resting).tolist():
         yield Doubt("q", (joint,), f"{recording.place('q', joint)} is constant")
-    moves = _indices(travel >= STILL)
+    moves = np.flatnonzero(travel >= STILL).tolist()
     if len(moves) == 1 < recording.size - 1:
         text = f"only {recording.place('q', moves[0])} moves"
         remedy = "masses that only the other joints feel are not told by this log"
         yield Doubt("q", (moves[0],), text, remedy, evidence=1)
-    for channel, least in (("v", STILL), ("command", _SAGS)):
+    for channel, least in (("v", STILL), ("command", _SAG)):
         x = recording.channels.get(channel)
         if x is None:
             continue
-        for joint in _indices((np.ptp(x, axis=0) == 0) & (travel > least)):
-            where = recording.place(channel, joint)
-            text = f"{where} is constant while the joint moves"
+        constant = (np.ptp(x, axis=0) == 0) & (travel > least)
+        for joint in np.flatnonzero(constant).tolist():
+            text = (
+                f"{recording.place(channel, joint)} is constant while the joint moves"
+            )
             yield Doubt(channel, (joint,), text)
 
 
 def _torque(recording: Recording) -> Iterator[Doubt]:
     tau = recording.tau
-    # A denormal number, squared, is zero.
-    dead = (np.ptp(tau, axis=0) == 0) | (np.abs(tau).max(axis=0) < 1 / LARGEST)
-    for joint in _indices(dead):
+    # The square of a denormal number is zero.
+    constant = (np.ptp(tau, axis=0) == 0) | (np.abs(tau).max(axis=0) < 1 / LARGEST)
+    for joint in np.flatnonzero(constant).tolist():
         text = f"{recording.place('tau', joint)} is constant ({tau[0, joint]:g})"
         remedy = "valid is a torque that was measured"
         yield Doubt("tau", (joint,), text, remedy, "error")
     for joint, x in enumerate(tau.T):
         for limit in (float(x.min()), float(x.max())):
             share = float(np.mean(x == limit))
-            # A peak that is visited is a sample or two; one that is cut off is flat.
+            # A real peak has a sample or two at its top; a saturated one is flat.
             if 0.01 < share and longest_run(np.where(x == limit, 0.0, x))[0] >= 3:
                 where = recording.place("tau", joint)
                 text = f"{where} stays at {limit:.6g} for {share:.1%}: saturated?"
@@ -148,15 +146,11 @@ def _frozen(recording: Recording) -> Iterator[Doubt]:
             yield Doubt("tau", (joint,), text, evidence=length)
     for joint, x in enumerate(recording.q.T):
         length, row = longest_run(x)
-        # An arm at rest repeats its position too, but it does not jump out of it.
+        # At rest a position repeats as well, but it does not jump afterwards.
         steps = np.abs(np.diff(x))
         ends = [k for k in (row - 1, row + length - 1) if 0 <= k < len(steps)]
         jump = max((float(steps[k]) for k in ends), default=0.0)
-        if length > 20 and jump > 5 * usual_step(x):
+        if length > 20 and jump > 5 * large_step(x):
             where = recording.place("q", joint, row)
             text = f"{where}: frozen for {length} samples, then it jumps"
             yield Doubt("q", (joint,), text, evidence=length)
-
-
-def _indices(condition: NDArray[np.bool_]) -> list[int]:
-    return [int(k) for k in np.flatnonzero(condition)]

@@ -1,7 +1,8 @@
-"""Infer the unit of torque from the weight of the robot file's links.
+"""Infer the unit of torque from the links in the robot file.
 
-Each torque is a sum of the file's, times a scale, and of friction, rotor and offset.
-Files are wrong by a factor of two or so, payloads add to it; units by ten or more.
+Each measured torque is fitted by the torque of the file's links, times a scale, plus
+friction, rotor inertia and an offset. Files are wrong by a factor of about two, and a
+payload adds to that; a wrong unit is a factor of ten or more.
 """
 
 from __future__ import annotations
@@ -13,104 +14,103 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.inspect.doubt import Doubt, error_if
-from hybrid.inspect.masses import direction
+from hybrid.inspect.masses import smooth_sign
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 
-_TELLS = 0.25  # of the variance that friction leaves: less, and the scale is no scale
-_ODD, _WRONG = 3.0, 10.0  # factors: beyond what files and tools do; beyond doubt
+_EXPLAINED = 0.25  # least share of the variance that determines a scale
+_ODD, _WRONG = 3.0, 10.0  # factors: more than files and payloads explain; an error
 _UNITS = {1e-3: "kN·m", 1e3: "mN·m"}
-_UNIT = 3.0  # factor by which a scale may miss a unit
-_FARTHEST = 5.0  # times the rating: gear or unit missing, not overload
-_GEARS = 500.0  # a higher ratio of a gear is rare
-_CONSTANTS = 30.0  # N·m/A at the joint: more is a rare drive
+_OVERLOAD = 5.0  # times the rating: more is a missing gear ratio or a wrong unit
+_LARGEST_GEAR = 500.0  # ratio
+_LARGEST_CONSTANT = 30.0  # N·m/A at the joint
 _VALID = "valid are N·m at the joint"
 
 
 def scales(robot: Robot, state: State) -> Array:
-    """Measured torque over that of the file's links, shape (n,); NaN if not told."""
+    """Scale of measured torque to the file's, shape (n,); NaN if not determined."""
     file = inverse_dynamics(
         robot.chain, robot.chain.inertial, state.q, state.v, state.a
     ) + robot.joint_torque(state.q, np.zeros_like(state.v), state.a)
-    found, dry = np.full(robot.size, np.nan), direction(state.v)
+    found, dry = np.full(robot.size, np.nan), smooth_sign(state.v)
     for j in range(robot.size):
         v, a = state.v[:, j], state.a[:, j]
-        beside = [np.ones_like(v), v, dry[:, j]]
+        drive = [np.ones_like(v), v, dry[:, j]]
         if not robot.chain.armature[j]:
-            beside.append(a)
-        basis = np.linalg.qr(np.stack(beside, axis=1))[0]
+            drive.append(a)
+        basis = np.linalg.qr(np.stack(drive, axis=1))[0]
         x, y = (z - basis @ (basis.T @ z) for z in (file[:, j], state.tau[:, j]))
         if x @ x > 1e-6 * (file[:, j] @ file[:, j]) and y @ y > 0:
-            tells = (x @ y) ** 2 / (x @ x) / (y @ y)
-            found[j] = x @ y / (x @ x) if tells > _TELLS else np.nan
+            explained = (x @ y) ** 2 / (x @ x) / (y @ y)
+            found[j] = x @ y / (x @ x) if explained > _EXPLAINED else np.nan
     return found
 
 
 def doubts_of_scale(
     recording: Recording, robot: Robot | None, state: State
 ) -> Iterator[Doubt]:
-    """Torques in another unit, or of the motor side."""
+    """Find torques in another unit, or of the motor side."""
     if robot is None or not recording.has_torque:
         return
     each = scales(robot, state)
-    told = int(np.sum(each > 0))
-    if not told:
+    known = int(np.sum(each > 0))
+    if not known:
         yield from _above_rating(recording, robot)
         return
     less, more = (each > 0) & (each < 1 / _ODD), each > _ODD
-    # A unit is of all joints. A tool adds a lot to what a wrist holds, and may make up
-    # there for one that is too small; a counterbalance takes from one joint alone.
-    if more.sum() == told or (2 * less.sum() > told and less.sum() >= min(told, 2)):
+    # All joints share a unit. A tool adds much load at the wrist, which may hide a unit
+    # that is too small; a counterbalance takes load from one joint only.
+    if more.sum() == known or (2 * less.sum() > known and less.sum() >= min(known, 2)):
         usual = float(np.median(each[less if less.any() else more]))
-        # Without gravity inertia alone tells, and it goes with the square of time.
+        # Without gravity only inertia is compared, which depends on the clock squared.
         remedy = (
             f"{_VALID}: check the unit of torque, the clock, and the masses of the "
             f"file{_constants(each)}"
         )
-        severity = error_if(max(usual, 1 / usual) > _WRONG and told > 1)
+        severity = error_if(max(usual, 1 / usual) > _WRONG and known > 1)
         yield Doubt("tau", (), _text("tau", usual), remedy, severity, usual)
         return
-    # A tool adds a lot to what a wrist holds; nothing takes so much away.
+    # A tool may add much load at one joint; nothing removes so much.
     for j in np.flatnonzero((each > 0) & (each < 1 / _WRONG)).tolist():
         text = _text(recording.place("tau", j), each[j])
         yield Doubt("tau", (j,), text, _VALID, "error", each[j])
 
 
 def _above_rating(recording: Recording, robot: Robot) -> Iterator[Doubt]:
-    """Torques far above the rating, where the file's links tell no scale."""
+    """Find torques far above the rating; for logs that determine no scale."""
     peak = np.max(np.abs(recording.tau), axis=0)
     rated = np.where(robot.tau_max > 0, robot.tau_max, np.inf)
-    far = np.flatnonzero(peak > _FARTHEST * rated).tolist()
+    far = np.flatnonzero(peak > _OVERLOAD * rated).tolist()
     if far:
         places = ", ".join(
             f"{recording.place('tau', k)} {peak[k]:.4g} of {rated[k]:.4g}" for k in far
         )
         text = (
-            f"torque above {_FARTHEST:g} times the rating ({places}): in milliamps? or "
+            f"torque above {_OVERLOAD:g} times the rating ({places}): in milliamps? or "
             "is the rating that of the motor side"
         )
         yield Doubt("tau", tuple(far), text, _VALID, evidence=float(max(peak / rated)))
 
 
 def _text(what: str, scale: float) -> str:
-    """What a scale looks like, in words."""
-    looks = [x for unit, x in _UNITS.items() if 1 / _UNIT < scale / unit < _UNIT]
+    """Describe a scale, with the unit that it suggests."""
+    looks = [x for unit, x in _UNITS.items() if 1 / _ODD < scale / unit < _ODD]
     if not looks:
-        if 1 / _CONSTANTS < scale < 1 / _ODD:
+        if 1 / _LARGEST_CONSTANT < scale < 1 / _ODD:
             looks.append("a motor current in A, which UR's ROS driver calls effort")
-        if 1 / _GEARS < scale < 1 / _WRONG:
+        if 1 / _LARGEST_GEAR < scale < 1 / _WRONG:
             looks.append(f"torque of the motor side of a gear 1:{1 / scale:.0f}")
     text = f"{what} is {scale:.3g} times what the robot file's links ask for"
     return f"{text}: it looks like {', or '.join(looks)}" if looks else text
 
 
 def _constants(each: Array) -> str:
-    """What to type if torques are currents, by the file's links."""
-    if not 1 / _CONSTANTS < np.nanmedian(each) < 1 / _ODD:
+    """Say which option to use if the torques are motor currents."""
+    if not 1 / _LARGEST_CONSTANT < np.nanmedian(each) < 1 / _ODD:
         return ""
-    told = ", ".join(f"{1 / x:.3g}" if x > 0 else "?" for x in each)
+    constants = ", ".join(f"{1 / x:.3g}" if x > 0 else "?" for x in each)
     return (
         "; a current takes --map FILE.yaml with tau: {unit: A, torque_constant: ...}: "
-        f"the file's links ask for {told} N·m/A at the joints"
+        f"the file's links ask for {constants} N·m/A at the joints"
     )

@@ -1,7 +1,7 @@
-"""Measured speed against the slope of positions.
+"""Compare measured speeds with the derivative of positions.
 
-Both are of one joint and one clock. A sensor may lag or be off by a few percent; a
-factor, a sign or another joint's speed are of the log.
+A sensor may lag, or be wrong by a few percent. A factor, a sign or the speed of another
+joint is a fault of the log.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 
-_WRONG, _ODD = 1.5, 1.1  # factors
-_FOLLOWS = 0.9  # correlation of a speed with the slope that it is of
-_STRANGE = 0.5  # correlation below which it is not
+_WRONG, _ODD = 1.5, 1.1  # factors: an error; worth a warning
+_CORRELATED, _UNRELATED = 0.9, 0.5  # correlation of a speed with its derivative
 _MOVES = 0.02  # rad or m
-_SAME = 1.05  # factor between joints that have one cause in common
-_PACE, _TOO_FAST = 3.0, 3.0  # times the limit; times that, and it is an error
-_FASTEST = 50.0  # rad/s or m/s, of a joint whose limit is not known
+_SAME = 1.05  # factor between joints with a common cause
+_TOO_FAST = 3.0  # times the limit; an error if times that once more
+_FASTEST = 50.0  # rad/s or m/s, of a joint without a known limit
 _TINY = 1e-300
 _UNITS = {
     180 / np.pi: ("v", "speeds look to be in degrees per second"),
@@ -35,16 +34,16 @@ _UNITS = {
 }
 
 
-def doubts_of_pace(
+def doubts_of_speed_limits(
     recording: Recording, robot: Robot | None, state: State
 ) -> Iterator[Doubt]:
-    """Joints that move faster than any drive does."""
+    """Find joints that move faster than any drive."""
     if robot is None:
         return
     fastest = np.abs(state.v).max(axis=0)
     limit = np.where(robot.v_max > 0, robot.v_max, np.inf)
-    usual = np.where(np.isfinite(limit), _PACE * limit, _FASTEST)
-    for j in np.flatnonzero(fastest > usual).tolist():
+    highest = np.where(np.isfinite(limit), _TOO_FAST * limit, _FASTEST)
+    for j in np.flatnonzero(fastest > highest).tolist():
         unit = "rad/s" if robot.chain.revolute[j] else "m/s"
         text = (
             f"{recording.place('q', j)} moves at {fastest[j]:.4g} {unit}: positions "
@@ -52,82 +51,88 @@ def doubts_of_pace(
         )
         valid = limit[j] if np.isfinite(limit[j]) else _FASTEST
         remedy = f"valid are speeds up to {valid:.4g} {unit}"
-        severity = error_if(fastest[j] > _TOO_FAST * usual[j])
+        severity = error_if(fastest[j] > _TOO_FAST * highest[j])
         yield Doubt("q", (j,), text, remedy, severity, float(fastest[j]))
 
 
 def doubts_of_speeds(
     recording: Recording, robot: Robot | None, state: State
 ) -> Iterator[Doubt]:
-    """Where measured speeds contradict the positions."""
-    moving, factor, alike = _against_slope(state)
+    """Find measured speeds that contradict the positions."""
+    moving, factor, correlation = _compared(state)
     if not len(moving):
         return
-    followed = np.abs(np.diagonal(alike)) > _FOLLOWS
-    far = followed & (np.maximum(np.abs(factor), 1 / np.abs(factor)) > _WRONG)
+    correlated = np.abs(np.diagonal(correlation)) > _CORRELATED
+    wrong = correlated & (np.maximum(np.abs(factor), 1 / np.abs(factor)) > _WRONG)
     logs = np.log(np.abs(factor))
-    common = far.all() and len(moving) > 1 and np.ptp(logs) < np.log(_SAME)
+    common = wrong.all() and len(moving) > 1 and np.ptp(logs) < np.log(_SAME)
     if common and (factor > 0).all():
-        yield _of_all(float(np.exp(logs.mean())))
+        yield _common_factor(float(np.exp(logs.mean())))
         return
     for k in range(len(moving)):
-        yield from _of_joint(recording, moving, k, float(factor[k]), alike[k])
+        yield from _of_joint(recording, moving, k, float(factor[k]), correlation[k])
 
 
-def bear_out(state: State) -> bool:
-    """Whether measured speeds confirm the clock."""
-    moving, factor, _ = _against_slope(state)
+def speeds_confirm_clock(state: State) -> bool:
+    """Whether measured speeds agree with positions over the clock."""
+    moving, factor, _ = _compared(state)
     return len(moving) > 0 and 1 / _ODD < float(np.median(factor)) < _ODD
 
 
-def _against_slope(state: State) -> tuple[NDArray[np.intp], Array, Array]:
-    """Joints whose position and measured speed both change, k of them.
+def _compared(state: State) -> tuple[NDArray[np.intp], Array, Array]:
+    """Compare measured speeds with derivatives of positions at k moving joints.
 
-    And the factor of each one's speed to its slope, (k,), and the correlation of each
-    speed with every slope, (k, k).
+    Returns:
+        The joints, (k,); factor of each speed to its derivative, (k,); correlation of
+        each speed with every derivative, (k, k).
     """
     logged = np.zeros_like(state.v) if state.logged is None else state.logged
     moves = (np.ptp(state.q, axis=0) > _MOVES) & (np.ptp(logged, axis=0) > 0)
-    slope, logged = state.v[:, moves], logged[:, moves]
-    squares = np.maximum((slope**2).sum(axis=0), _TINY)
+    derivative, logged = state.v[:, moves], logged[:, moves]
+    squares = np.maximum((derivative**2).sum(axis=0), _TINY)
     own = np.maximum((logged**2).sum(axis=0), _TINY)
-    alike = (logged.T @ slope) / np.sqrt(own[:, None] * squares)
-    factor = (logged * slope).sum(axis=0) / squares
-    return np.flatnonzero(moves), factor, alike
+    correlation = (logged.T @ derivative) / np.sqrt(own[:, None] * squares)
+    factor = (logged * derivative).sum(axis=0) / squares
+    return np.flatnonzero(moves), factor, correlation
 
 
-def _of_all(factor: float) -> Doubt:
-    """A factor that all joints have in common, in words."""
-    what = "t", "the clock or the speeds look scaled by that"
+def _common_factor(factor: float) -> Doubt:
+    """Describe a factor that all joints share."""
+    unknown = "t", "the clock or the speeds look scaled by that"
     near = [x for x in _UNITS if 1 / _SAME < factor / x < _SAME]
-    channel, looks = _UNITS[near[0]] if near else what
+    channel, looks = _UNITS[near[0]] if near else unknown
     text = f"v is {factor:.4g} times dq/dt at every joint: {looks}"
     remedy = "valid are s, rad and rad/s of one clock"
     return Doubt(channel, (), text, remedy, "error", factor)
 
 
 def _of_joint(
-    recording: Recording, moving: NDArray[np.intp], k: int, factor: float, alike: Array
+    recording: Recording,
+    moving: NDArray[np.intp],
+    k: int,
+    factor: float,
+    related: Array,
 ) -> Iterator[Doubt]:
-    """What is wrong with the speed of the k-th joint that moves, if anything."""
-    joint, own, other = int(moving[k]), alike[k], int(np.argmax(np.abs(alike)))
-    place, slope = recording.place("v", joint), f"dq{joint + 1}/dt"
-    off = max(factor, 1 / max(factor, _TINY))
-    if abs(own) < _FOLLOWS < abs(alike[other]):
+    """Compare the speed of the k-th moving joint with its derivative."""
+    joint, own, other = int(moving[k]), related[k], int(np.argmax(np.abs(related)))
+    place, derivative = recording.place("v", joint), f"dq{joint + 1}/dt"
+    ratio = max(factor, 1 / max(factor, _TINY))
+    if abs(own) < _CORRELATED < abs(related[other]):
         text = (
             f"{place} looks like the speed of {recording.joints[moving[other]]}: it "
-            f"follows dq{moving[other] + 1}/dt, not {slope}"
+            f"follows dq{moving[other] + 1}/dt, not {derivative}"
         )
         remedy = "valid are columns of q and v in one order"
-        yield Doubt("v", (joint,), text, remedy, "error", float(alike[other]))
-    elif abs(own) < _STRANGE:
-        text = f"{place} does not follow {slope} (correlation {own:.2f})"
+        yield Doubt("v", (joint,), text, remedy, "error", float(related[other]))
+    elif abs(own) < _UNRELATED:
+        text = f"{place} does not follow {derivative} (correlation {own:.2f})"
         yield Doubt("v", (joint,), text, evidence=float(own))
-    elif factor < 0 and own < -_FOLLOWS:
-        text = f"{place} is {factor:.3g} times {slope}: one counts the other way round"
+    elif factor < 0 and own < -_CORRELATED:
+        text = f"{place} is {factor:.3g} times {derivative}"
+        text += ": one counts the other way round"
         remedy = "valid are q and v of one sign"
         yield Doubt("v", (joint,), text, remedy, "error", factor)
-    elif off > _ODD and own > _FOLLOWS:
-        text = f"{place} is {factor:.3g} times {slope}"
+    elif ratio > _ODD and own > _CORRELATED:
+        text = f"{place} is {factor:.3g} times {derivative}"
         remedy = "valid are rad/s of the joint"
-        yield Doubt("v", (joint,), text, remedy, error_if(off > _WRONG), factor)
+        yield Doubt("v", (joint,), text, remedy, error_if(ratio > _WRONG), factor)

@@ -1,4 +1,4 @@
-"""A log as few samples of position, speed, acceleration and torque."""
+"""Filter, differentiate and decimate a log to a few hundred samples."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from hybrid.robot import Robot
 from hybrid.signals.cutoff import choose_cutoff
 from hybrid.signals.filters import butterworth, central_difference
 
-_MOST = 300  # samples: a hundred columns are told apart by a few times as many
-_PRETENDED = 500.0  # Hz
-_EDGE = 1.5  # periods of the cut-off
+_MOST_SAMPLES = 300  # enough to fit some hundred columns
+_ASSUMED_RATE = 500.0  # Hz
+_EDGE = 1.5  # periods of the cut-off: transient of the filter
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """M samples of a log, below the cut-off of its positions.
+    """M low-pass filtered samples of a log.
 
     Attributes:
         q: Positions, shape (M, n), [rad or m].
@@ -27,9 +27,9 @@ class State:
         a: Accelerations, shape (M, n), [rad/s² or m/s²].
         tau: Torques, shape (M, n), [N·m or N].
         logged: Measured speeds, shape (M, n), or None.
-        relaxed: Where springs of the robot file pull nothing, shape (n,), [rad or m];
+        relaxed: Rest position of the springs in the robot file, shape (n,), [rad or m];
             NaN at joints without one.
-        rated: What the drives can hold, by the robot file, shape (n,), [N·m or N].
+        rated: Rated torque in the robot file, shape (n,), [N·m or N].
     """
 
     q: Array
@@ -41,24 +41,23 @@ class State:
     rated: Array
 
 
-def sampled(recording: Recording, robot: Robot | None) -> State:
+def filtered_state(recording: Recording, robot: Robot | None) -> State:
     """Filter, differentiate and decimate a log on a uniform clock.
 
-    The clock itself is in question. The band of the motion is therefore sought as if
-    samples came at a usual rate, which gives the same samples whatever the unit of
-    time.
+    The unit of time may be wrong. The cut-off is therefore chosen at an assumed rate,
+    so that the same samples result in any unit.
     """
     samples = len(recording.t)
-    cutoff = choose_cutoff(replace(recording, t=np.arange(samples) / _PRETENDED))
+    cutoff = choose_cutoff(replace(recording, t=np.arange(samples) / _ASSUMED_RATE))
     rate = (samples - 1) / recording.duration
 
     def smooth(x: Array, cutoff: float) -> Array:
-        return butterworth(x, rate=_PRETENDED, cutoff=cutoff)
+        return butterworth(x, rate=_ASSUMED_RATE, cutoff=cutoff)
 
-    edge = min(samples // 10, int(_EDGE * _PRETENDED / cutoff) + 4)
-    rows = np.linspace(edge, samples - 1 - edge, min(_MOST, samples - 2 * edge))
+    edge = min(samples // 10, int(_EDGE * _ASSUMED_RATE / cutoff) + 4)
+    rows = np.linspace(edge, samples - 1 - edge, min(_MOST_SAMPLES, samples - 2 * edge))
     kept = np.unique(rows.astype(int))
-    # Wider than the torque's: differences follow, and all pass the same filter then.
+    # Positions are differentiated first; the torque's cut-off follows for all.
     q = smooth(recording.q, 2 * cutoff)
     v = central_difference(q, rate=rate)
     a = central_difference(v, rate=rate)

@@ -1,4 +1,4 @@
-"""What a kinematic calibration found: tables for people, content for other programs."""
+"""Show a kinematic calibration: tables, and content for JSON."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from hybrid.report.table import Table
 if TYPE_CHECKING:
     from hybrid.calibration import Calibration, Errors
 
-# What a reader reads: millimetres and milliradians.
+# Factor and unit of numbers in tables.
 _SHOWN = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/(N·m)": (1e6, "µrad/(N·m)")}
 _UNIT = {"position": "m", "orientation": "rad", "distance": "m"}
+_FRAME = "rotation", "translation"
 
 
 def errors_table(errors: Errors) -> Table:
-    """Median, RMS and largest error on poses left out, outliers among them."""
+    """Median, RMS and largest error on held-out poses, outliers included."""
     rows = []
     for kind, calibrated in errors.calibrated.items():
         factor, unit = _SHOWN[_UNIT[kind]]
@@ -33,7 +34,7 @@ def errors_table(errors: Errors) -> Table:
 
 
 def corrections_table(calibration: Calibration) -> Table:
-    """Corrections with half their 95 % intervals."""
+    """Corrections with the half-widths of their 95 % intervals."""
     low, high = calibration.interval()
     rows = []
     half_widths = (high - low) / 2
@@ -48,7 +49,7 @@ def corrections_table(calibration: Calibration) -> Table:
 def content_from_calibration(
     calibration: Calibration, errors: Errors
 ) -> dict[str, Any]:
-    """A calibration in words and numbers, for JSON; SI units."""
+    """Content of a calibration for JSON, in SI units."""
     low, high = calibration.interval()
     solution, robot = calibration.solution, calibration.setup.robot
     chain = calibration.robot.chain
@@ -79,18 +80,16 @@ def content_from_calibration(
         "iterations": solution.iterations,
         "evaluations": solution.evaluations,
         "converged": solution.converged,
-        "base": _frame(*calibration.base),
-        "tools": [_frame(*tool) for tool in calibration.tools],
+        "base": dict(zip(_FRAME, calibration.base, strict=True)),
+        "tools": [dict(zip(_FRAME, tool, strict=True)) for tool in calibration.tools],
         "stations": calibration.stations,
         "chain": [  # placement of each joint in its parent link
-            {"joint": joint} | _frame(chain.rotation[k], chain.translation[k])
-            for k, joint in enumerate(chain.joints)
+            {"joint": joint, "rotation": R, "translation": p}
+            for joint, R, p in zip(
+                chain.joints, chain.rotation, chain.translation, strict=True
+            )
         ],
     }
-
-
-def _frame(rotation: Any, translation: Any) -> dict[str, Any]:
-    return {"rotation": rotation, "translation": translation}
 
 
 def _sizes(sizes: Any) -> dict[str, float]:

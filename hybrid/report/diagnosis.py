@@ -1,4 +1,4 @@
-"""The report of a diagnosis: a page that opens anywhere, and its JSON."""
+"""Write the report of a diagnosis: a self-contained page, and JSON."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
 
 PAGE, CONTENT = "report.html", "diagnosis.json"
 
-_SMALL = 0.005  # a share that would be shown as 0%
+_SMALL = 0.005  # a smaller share is shown as 0 %
 
 _HATCHED = "repeating-linear-gradient(45deg,var(--grey) 0 3px,var(--faint) 3px 7px)"
-_BLUE, _GOLDEN = 255.0, 137.5  # degrees of hue: of the first colour, between two
-_LIGHTNESS = (0.52, 0.66)  # by turns, to tell colours apart without their hue
+_BLUE, _GOLDEN = 255.0, 137.5  # hue of the first colour, golden angle, [°]
+_LIGHTNESS = (0.52, 0.66)  # in turn, so that colours differ without their hue as well
 
 
 def write_diagnosis(result: Result, directory: str | Path) -> None:
     """Write ``report.html`` and ``diagnosis.json``.
 
     Args:
-        result: A diagnosis with what it was made from. Its provenance, if it has none,
-            becomes the versions of all packages.
+        result: A diagnosis with its intermediate results. Without a provenance it gets
+            the versions of all packages.
         directory: Folder; made if it is missing.
     """
     directory, diagnosis = Path(directory), result.diagnosis
@@ -55,8 +55,8 @@ def render_diagnosis(result: Result) -> str:
     """The page that :func:`write_diagnosis` writes."""
     diagnosis, matrix = result.diagnosis, evidence_matrix(result)
     curves = [joint_curves(result, i) for i in range(len(diagnosis.joints))]
-    rows, longest = _overview(result)
-    inks, known = _inks(len(diagnosis.findings)), effect_classes()
+    rows, longest = _gap_rows(result)
+    inks, known = _colours(len(diagnosis.findings)), effect_classes()
     drawn = {
         "joints": curves,
         "inks": {
@@ -80,21 +80,21 @@ def render_diagnosis(result: Result) -> str:
         laws={f.effect: known.get(f.effect) for f in diagnosis.findings},
         remainder=_remainder(result),
         matrix=matrix,
-        late=bool(result.late),
-        data=_embedded(drawn),
+        delays=bool(result.delays),
+        data=_json_markup(drawn),
         provenance=diagnosis.provenance,
     )
 
 
-def _overview(result: Result) -> tuple[list[dict[str, Any]], float]:
-    """Each joint's gap, as a part of the largest relative gap; and that."""
+def _gap_rows(result: Result) -> tuple[list[dict[str, Any]], float]:
+    """Gaps of each joint with widths of their bars, and the largest relative gap."""
     table, joints = rms_table(result), result.diagnosis.joints
     shares = [max(x["today"], x["after"]) / x["torque"] for x in table if x["torque"]]
     longest = max(shares, default=1.0) or 1.0
     rows: list[dict[str, Any]] = []
     for i, (joint, row) in enumerate(zip(joints, table, strict=True)):
         unit = units(result.gap.robot, [i])[1]
-        # Bars are relative to the torque: a wrist is as visible as a shoulder.
+        # Bars are relative to each joint's torque, so that small joints are visible.
         whole = longest * row["torque"] or np.inf
         width = {k: 100 * min(1.0, x / whole) for k, x in row.items()}
         above = np.sqrt(max(0.0, width["today"] ** 2 - width["noise"] ** 2)) / 100
@@ -105,7 +105,7 @@ def _overview(result: Result) -> tuple[list[dict[str, Any]], float]:
 
 
 def _arm(result: Result) -> dict[str, Any]:
-    """The arm as it stands first in the recordings, in [m]."""
+    """Joints and capsules of the arm at the first sample, [m]."""
     postures = Postures.of(result.gap.robot, result.gap.sampled.q[:1])
     return {
         "joints": postures.joints[0].round(4).tolist(),
@@ -115,7 +115,7 @@ def _arm(result: Result) -> dict[str, Any]:
 
 
 def _shares(diagnosis: Diagnosis, inks: Sequence[str]) -> list[tuple[str, str, float]]:
-    """Name, colour and part of the explainable gap: each finding's, and the rest."""
+    """Name, colour and share of the gap above noise, of each finding and the rest."""
     rest = diagnosis.unexplained
     found = zip(diagnosis.findings, inks, strict=True)
     parts = [(effect_name(f.effect), ink, f.share * (1 - rest)) for f, ink in found]
@@ -123,7 +123,7 @@ def _shares(diagnosis: Diagnosis, inks: Sequence[str]) -> list[tuple[str, str, f
 
 
 def _remainder(result: Result) -> list[tuple[str, float, str]]:
-    """Joints where structure is left: of the gap, and what it depends on."""
+    """Joints with an unexplained gap, their shares, and the variable it depends on."""
     found, joints = result.account, result.diagnosis.joints
     whole = float((found.explained + found.missed).sum())
     if not (whole > 0 and result.diagnosis.unexplained >= _SMALL):
@@ -132,16 +132,16 @@ def _remainder(result: Result) -> list[tuple[str, float, str]]:
     return sorted((x for x in parts if x[1] >= _SMALL), key=lambda x: -x[1])
 
 
-def _inks(count: int) -> list[str]:
-    """As many colours; steps of the golden angle keep their hues apart."""
+def _colours(count: int) -> list[str]:
+    """Distinct colours, with hues at steps of the golden angle."""
     return [
         f"oklch({_LIGHTNESS[k % 2]} 0.14 {(_BLUE + _GOLDEN * k) % 360:.0f})"
         for k in range(count)
     ]
 
 
-def _embedded(content: Mapping[str, Any]) -> Markup:
-    """JSON inside a script element; no name in it can end the element."""
+def _json_markup(content: Mapping[str, Any]) -> Markup:
+    """JSON for a script element, escaped so that no name can end the element."""
     text = json.dumps(
         content, allow_nan=False, ensure_ascii=False, separators=(",", ":")
     )

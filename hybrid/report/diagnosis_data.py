@@ -1,6 +1,6 @@
-"""What the page of a diagnosis shows: curves of each joint, and a matrix of evidence.
+"""Data of the page of a diagnosis: curves of each joint, and a matrix of evidence.
 
-Curves have few points, all on samples that no step of the diagnosis has seen.
+Curves have few points, all of held-out samples.
 """
 
 from __future__ import annotations
@@ -21,34 +21,33 @@ if TYPE_CHECKING:
     from hybrid.diagnosis.explanations.explanation import Explanation
     from hybrid.effects import Effect
 
-MOST_POINTS = 1500  # of a curve or a cloud
+MOST_POINTS = 1500  # of a curve or a scatter plot
 _DIGITS = 4
-_TOUCHES = 0.05  # of what a finding explains at its main joint
-_LITTLE = 3.0  # nats: a row with less is only named
+_LEAST_SHARE = 0.05  # of the squares that a finding explains at its main joint
+_LEAST_EVIDENCE = 3.0  # nat: a row with less is only named
 _DECADE = float(np.log(10.0))
-_DARKEST = 60.0  # per cent: black text is legible on it
+_DARKEST = 60.0  # per cent: black text on it is legible
 
 Index = NDArray[np.intp]
 
 
 def joint_curves(result: Result, i: int) -> dict[str, Any]:
-    """The gap of one joint over time and over what it may depend on.
+    """The gap of one joint over time, and over position, speed, acceleration and load.
 
     Args:
-        result: A diagnosis with what it was made from.
+        result: A diagnosis with its intermediate results.
         i: The joint.
 
     Returns:
         JSON-ready: ``name``, ``noise`` and its ``unit``; ``time``, abscissa and
-        gap, today and with the findings; ``marks``, where recordings begin; ``over``,
-        values of position, speed, acceleration and load; ``clouds``, one for each
-        finding that acts here: what is left without it, and its fitted law, at those
-        values.
+        gap, without and with the findings; ``marks``, where recordings begin; ``over``,
+        values of position, speed, acceleration and load; ``clouds``, for each finding
+        that acts here the residual without it and its fitted law, at those values.
     """
     gap, scored, m = result.gap, result.scored, result.gap.sampled
     order = np.argsort(scored.evidence.rows[i])
     rows = scored.evidence.rows[i][order]
-    t, marks = one_after_another(
+    t, marks = continuous_time(
         m.t, gap.trajectory, rows, [x.source for x in gap.motions]
     )
     spots = np.arange(0, len(rows), max(1, -(-len(rows) // MOST_POINTS)))
@@ -75,15 +74,15 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
 def thin(
     x: Array, curves: Sequence[Array], rows: Index, most: int = MOST_POINTS
 ) -> list[list[float | None]]:
-    """Curves with their ends and the lowest and the highest point of each stretch.
+    """Reduce curves to their ends and the lowest and highest point of each interval.
 
-    No peak is lost. Where samples are left out in between, ``None`` breaks the lines.
+    ``None`` breaks the lines where samples are missing.
 
     Args:
         x: Abscissa, shape (N,).
         curves: Ordinates, each of shape (N,).
-        rows: Number of each sample, shape (N,).
-        most: Most points that are kept of a curve.
+        rows: Index of each sample in the gap, shape (N,).
+        most: Largest number of points of a curve.
 
     Returns:
         The abscissa and each ordinate, at the same points.
@@ -105,10 +104,10 @@ def thin(
     return [xs, *ys]
 
 
-def one_after_another(
+def continuous_time(
     t: Array, trajectory: Index, rows: Index, sources: Sequence[str]
 ) -> tuple[Array, list[dict[str, Any]]]:
-    """Time that runs on from recording to recording, and where each begins, [s]."""
+    """Time with recordings one after another, and the start of each, [s]."""
     out, start, marks = np.zeros(len(rows)), 0.0, []
     of = trajectory[rows]
     for k in np.unique(of):
@@ -125,62 +124,44 @@ def _clouds(
 ) -> list[dict[str, Any]]:
     def cloud(effect: str, law: Array, shown: Array) -> dict[str, Any]:
         own = {"effect": effect, "y": _short(after + law), "law": _short(law)}
-        return {**own, "order": _clearest(over, shown)}
+        order = sorted(over, key=lambda name: _roughness(over[name], shown))
+        return {**own, "order": order}
 
     found, after = [], scored.after[i][spots]
-    for effect, members in _by_effect(scored).items():
-        here = [_weight(scored, members, j) for j in range(len(scored.after))]
-        if here[i] > _TOUCHES * max(here):
-            law = _law(scored, members, i)[spots]
-            found.append(cloud(effect, law, law))
+    for effect in dict.fromkeys(term.place[0] for term in scored.terms):
+        own = [k for k, term in enumerate(scored.terms) if term.place[0] == effect]
+        parts = [scored.contribution(k) for k in own]
+        laws = [np.sum(x, axis=0) for x in zip(*parts, strict=True)]  # at each joint
+        squares = [x @ x / n for x, n in zip(laws, scored.evidence.noise, strict=True)]
+        if squares[i] > _LEAST_SHARE * max(squares):
+            found.append(cloud(effect, laws[i][spots], laws[i][spots]))
     return found or [cloud("", np.zeros(len(after)), after)]
 
 
-def _clearest(over: Mapping[str, Array], y: Array) -> list[str]:
-    """Sort variables by how clearly y depends on them, the clearest first."""
-    return sorted(over, key=lambda name: _roughness(over[name], y))
-
-
 def _roughness(x: Array, y: Array) -> float:
-    """How far y is from a function of x: 0 if it is one, about 1 if unrelated.
+    """Distance of y from a function of x: 0 if it is one, about 1 if unrelated.
 
     Source: von Neumann 1941, doi 10.1214/aoms/1177731677 (mean square of successive
     differences over variance).
     """
     step = np.diff(y[np.argsort(x, kind="stable")])
-    spread = np.var(y)
-    return float(np.mean(step**2) / (2 * spread)) if len(step) and spread > 0 else 1.0
-
-
-def _by_effect(scored: Explanation) -> Mapping[str, list[int]]:
-    found: dict[str, list[int]] = {}
-    for k, term in enumerate(scored.terms):
-        found.setdefault(term.place[0], []).append(k)
-    return found
-
-
-def _law(scored: Explanation, members: Sequence[int], i: int) -> Array:
-    """Torque of some terms at a joint, [N·m]."""
-    return np.asarray(np.sum([scored.contribution(k)[i] for k in members], axis=0))
-
-
-def _weight(scored: Explanation, members: Sequence[int], i: int) -> float:
-    """Its squares in units of the joint's noise."""
-    law = _law(scored, members, i)
-    return float(law @ law / scored.evidence.noise[i]) if len(law) else 0.0
+    variance = np.var(y)
+    if not len(step) or variance == 0:
+        return 1.0
+    return float(np.mean(step**2) / (2 * variance))
 
 
 def _short(x: Array) -> list[float | None]:
-    """Numbers with four digits: a page shows no more."""
+    """Numbers with four digits, as a page shows."""
     return [float(f"{value:.{_DIGITS}g}") for value in x]
 
 
 def rms_table(result: Result) -> list[dict[str, float]]:
-    """RMS gap of each joint on samples that no step has seen, [N·m].
+    """RMS gap of each joint on held-out samples, [N·m].
 
     Returns:
-        For each joint ``today``, ``after``, ``noise``, and ``torque``,
-        the RMS of what was measured; zeros where no such sample moves.
+        For each joint the gap ``today`` and ``after``, the ``noise``, and the RMS of
+        the measured ``torque``; zeros where the joint does not move.
     """
     gap, scored = result.gap, result.scored
     return [
@@ -200,14 +181,14 @@ def _rms(x: Array) -> float:
 
 @dataclass(frozen=True)
 class Cell:
-    """One effect at one joint.
+    """Evidence of one effect at one joint, or at all joints.
 
     Attributes:
-        width: Number of joints that the cell stands for.
-        joints: Their names.
-        alone: Evidence for it when nothing else is added, factors of ten of the odds.
-        beside: Evidence for it beside the findings; for a finding what its removal
-            would lose.
+        width: Number of joints that the cell covers.
+        joints: Names of these joints.
+        alone: Evidence of the effect alone, as the decimal logarithm of the odds.
+        beside: Evidence of the effect in addition to the findings; for a finding the
+            evidence that its removal loses.
         named: Whether it is a finding.
     """
 
@@ -220,24 +201,20 @@ class Cell:
 
 @dataclass(frozen=True)
 class Matrix:
-    """Rows of cells, strongest first, and the effects without evidence."""
+    """Rows of cells by effect, strongest first, and the effects without evidence."""
 
     rows: tuple[tuple[str, tuple[Cell, ...]], ...]
     silent: tuple[str, ...]
 
     def shade(self, evidence: float) -> float:
-        """Darkness of a cell in per cent, by the logarithm: evidence spans decades."""
+        """Darkness of a cell in per cent, on a logarithmic scale."""
         cells = [cell for _, row in self.rows for cell in row]
         top = max(max(cell.alone, cell.beside) for cell in cells)
         return float(_DARKEST * np.log1p(evidence) / np.log1p(top)) if top else 0.0
 
 
 def evidence_matrix(result: Result) -> Matrix:
-    """Collect the evidence for every effect at every joint.
-
-    Args:
-        result: A diagnosis with the search that found its terms.
-    """
+    """Collect the evidence of every effect at every joint."""
     search, joints = result.search, result.gap.robot.joints
     found: dict[tuple[str, tuple[int, ...]], float] = {}
     for t in search.terms:  # several ripples may share a place
@@ -258,18 +235,18 @@ def evidence_matrix(result: Result) -> Matrix:
         row = cells.setdefault(place[0], {})
         if column not in row or (cell.named, cell.alone) > _rank(row[column]):
             row[column] = cell
-    for effect in result.late:  # taken back before the search
+    for effect in result.delays:  # removed before the search
         (j,) = effect.joints
-        cells.setdefault(effect.id, {})[j] = _late(result, j)
+        cells.setdefault(effect.id, {})[j] = _delay_cell(result, j)
     order = sorted(cells, key=lambda e: max(map(_rank, cells[e].values())))[::-1]
-    loud = [e for e in order if any(map(_speaks, cells[e].values()))]
-    rows = tuple((e, tuple(_filled(cells[e], len(joints)))) for e in loud)
-    silent = tuple(sorted(e for e in order if e not in loud))
+    shown = [e for e in order if any(map(_has_evidence, cells[e].values()))]
+    rows = tuple((e, tuple(_filled(cells[e], len(joints)))) for e in shown)
+    silent = tuple(sorted(e for e in order if e not in shown))
     return Matrix(rows, silent)
 
 
-def _late(result: Result, j: int) -> Cell:
-    """What speaks for torque that is late at every joint, at one of them."""
+def _delay_cell(result: Result, j: int) -> Cell:
+    """Evidence at one joint of a delay that all joints share."""
     scored = result.scored.learnt or result.scored
     rows, noise = scored.evidence.rows[j], scored.evidence.noise[j]
     change = (result.gap.left - result.search.gap.left)[rows, j]
@@ -291,11 +268,12 @@ def _rank(cell: Cell) -> tuple[bool, float]:
     return cell.named, cell.alone
 
 
-def _speaks(cell: Cell) -> bool:
-    return cell.named or max(cell.alone, cell.beside) > _LITTLE / _DECADE
+def _has_evidence(cell: Cell) -> bool:
+    return cell.named or max(cell.alone, cell.beside) > _LEAST_EVIDENCE / _DECADE
 
 
 def _filled(row: dict[int, Cell], size: int) -> Iterator[Cell]:
+    """The cells of a row, with empty ones where there is none."""
     column = 0
     while column < size:
         cell = row.get(column, Cell(1, "", 0.0, 0.0, False))

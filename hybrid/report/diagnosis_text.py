@@ -1,4 +1,4 @@
-"""A diagnosis in plain sentences, for a page and for a terminal."""
+"""Put a diagnosis into sentences, for a page and for a terminal."""
 
 from __future__ import annotations
 
@@ -6,21 +6,28 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Region, Shrink, Value
+from hybrid.diagnosis.answer.diagnosis import (
+    Diagnosis,
+    Finding,
+    Region,
+    Shrink,
+    Value,
+    listed,
+)
 
 MOST_LINES = 10
-_ABOVE = 1.2  # times its noise: a joint with less of a gap is not worth a word
+_ABOVE = 1.2  # times the noise: a smaller gap is not mentioned
 _TORQUE = "N·m"
-_BOUND = "\u00a0"  # between a number and its unit
+_NO_BREAK = "\u00a0"  # between a number and its unit
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
-    """The verdict of a diagnosis, in a sentence."""
+    """The verdict of a diagnosis in a sentence."""
     count, explained = len(diagnosis.findings), 1.0 - diagnosis.unexplained
     effects = "one effect accounts" if count == 1 else f"{count} effects account"
     part = "all" if explained >= 0.995 else f"{explained:.0%}"
     return {
-        "no_gap": "No gap: what is left is noise, and what any file is off by.",
+        "no_gap": "No gap: only noise is left, and the usual errors of robot files.",
         "explained": f"Explained: {effects} for {part} of the gap above noise.",
         "partly_explained": f"Partly explained: {effects} for {part} of the gap above "
         "noise; what causes the rest is not known.",
@@ -30,7 +37,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """The first effects with their joints, and what is left, in a few words."""
+    """The first effects with their joints, and the gap that is left, in a few words."""
     named = [
         f"{f.effect.replace('_', ' ')} at {joints_named(f.joints)}"
         for f in diagnosis.findings
@@ -45,7 +52,7 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def _rest(diagnosis: Diagnosis) -> str:
-    """What is left, and where most of it is."""
+    """The gap that is left, and the joint with most of it."""
     rest, unseen = diagnosis.unexplained, list(_unseen(diagnosis))
     if rest < 0.005:
         return "noise is left"
@@ -53,23 +60,23 @@ def _rest(diagnosis: Diagnosis) -> str:
         return f"{rest:.0%} of the gap is left"
     joint, end, x = max(unseen, key=lambda x: x[2]["after"] - x[2]["noise"])
     sizes = f"{number(x['after'])} of {number(x['before'])}"
-    return f"most is left at {joint}, {sizes}{end or _BOUND + _TORQUE}"
+    return f"most is left at {joint}, {sizes}{end or _NO_BREAK + _TORQUE}"
 
 
 def joints_named(names: Sequence[str]) -> str:
-    """Two joints by name, more by number."""
-    return words(names) if len(names) <= 2 else f"{len(names)} joints"
+    """Names of up to two joints, or the number of joints."""
+    return listed(names) if len(names) <= 2 else f"{len(names)} joints"
 
 
 def gap_joints(diagnosis: Diagnosis) -> list[str]:
-    """Joints with a gap, widest over its noise first."""
+    """Joints with a gap above noise, largest ratio first."""
     gaps = zip(diagnosis.rms, diagnosis.noise_floor, diagnosis.joints, strict=True)
     over = [(rms / max(noise, 1e-12), joint) for rms, noise, joint in gaps]
     return [joint for ratio, joint in sorted(over, reverse=True) if ratio > _ABOVE]
 
 
 def verdict_lines(diagnosis: Diagnosis) -> list[str]:
-    """The diagnosis in at most ten lines: what, where, how sure, what to run next."""
+    """The diagnosis in at most ten lines: verdict, gap, findings, advice."""
     places, left = _places(diagnosis), _left(diagnosis)
     begin = [verdict_sentence(diagnosis), *places, *left]
     end = list(_endings(diagnosis))
@@ -84,12 +91,10 @@ def verdict_lines(diagnosis: Diagnosis) -> list[str]:
 
 
 def _places(diagnosis: Diagnosis) -> Iterator[str]:
-    """The joints that have a gap, widest over its noise first, and under what."""
+    """Joints with a gap, and the conditions under which it is densest."""
     joints = diagnosis.joints
-    forces = diagnosis.units or (_TORQUE,) * len(joints)
     named = [
-        f"{joint} {number(diagnosis.rms[k])}"
-        f"{'' if forces[k] == _TORQUE else _BOUND + forces[k]} "
+        f"{joint} {number(diagnosis.rms[k])}{_other_unit(diagnosis, k)} "
         f"(noise {number(diagnosis.noise_floor[k])})"
         for joint, k in ((x, joints.index(x)) for x in gap_joints(diagnosis))
     ]
@@ -103,20 +108,29 @@ def _places(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def _unseen(diagnosis: Diagnosis) -> Iterator[tuple[str, str, dict[str, float]]]:
-    """Joint, end of a number, and the gaps on unseen motion; widest first."""
+    """Joint, its unit if not N·m, and its gaps on held-out motion; largest first."""
     unseen, joints = diagnosis.unseen, diagnosis.joints
     if unseen is None or not diagnosis.findings:
         return
-    units = diagnosis.units or (_TORQUE,) * len(joints)
     names = ("before", "after", "least_squares", "noise")
     for i in np.argsort(-np.nan_to_num(unseen.before)).tolist():
         if np.isfinite(unseen.after[i]):
-            end = "" if units[i] == _TORQUE else _BOUND + units[i]
-            yield joints[i], end, {name: getattr(unseen, name)[i] for name in names}
+            gaps = {name: getattr(unseen, name)[i] for name in names}
+            yield joints[i], _other_unit(diagnosis, i), gaps
+
+
+def _unit(diagnosis: Diagnosis, joint: int) -> str:
+    return diagnosis.units[joint] if diagnosis.units else _TORQUE
+
+
+def _other_unit(diagnosis: Diagnosis, joint: int) -> str:
+    """Unit of a joint's torque after a number; empty for N·m."""
+    unit = _unit(diagnosis, joint)
+    return "" if unit == _TORQUE else _NO_BREAK + unit
 
 
 def cautions(diagnosis: Diagnosis) -> list[str]:
-    """Where the findings leave a gap, or more than least squares alone, if anywhere."""
+    """Joints where the findings leave a gap, or more than least squares leaves."""
     named = {joint for f in diagnosis.findings for joint in f.joints}
     unknown, worse = list[str](), list[str]()
     for joint, end, x in _unseen(diagnosis):
@@ -129,7 +143,7 @@ def cautions(diagnosis: Diagnosis) -> list[str]:
 
 
 def _left(diagnosis: Diagnosis) -> Iterator[str]:
-    """What the findings leave on unseen motion, joint by joint, and where none is."""
+    """The gap of each joint with a finding on held-out motion, and the cautions."""
     named = {joint for f in diagnosis.findings for joint in f.joints}
     falls = [
         f"{joint} {number(x['before'])} → {number(x['after'])}{end}"
@@ -142,7 +156,7 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def _entry(number: int, f: Finding) -> Iterator[str]:
-    line = f"{number}. {effect_name(f.effect)} at {words(f.joints)}: "
+    line = f"{number}. {effect_name(f.effect)} at {listed(f.joints)}: "
     line += f"{f.share:.0%} of what is explained"
     if f.alternatives[1:]:
         line += f"; may as well be {effects_listed(f.alternatives[1:], 'or')}"
@@ -153,14 +167,14 @@ def _entry(number: int, f: Finding) -> Iterator[str]:
 
 
 def pushes(diagnosis: Diagnosis) -> Iterator[str]:
-    """What pushed the arm while it stood still, one sentence each."""
+    """A sentence on each push while the arm stood still."""
     for e in diagnosis.events:
         joint = int(np.argmax(np.abs(e.torque)))
-        unit = (diagnosis.units or (_TORQUE,) * len(diagnosis.joints))[joint]
+        torque = f"{number(e.torque[joint])}{_NO_BREAK}{_unit(diagnosis, joint)}"
         yield (
-            f"{e.recording}, {number(e.start)} to {number(e.end)}{_BOUND}s: "
-            f"{number(e.torque[joint])}{_BOUND}{unit} at {diagnosis.joints[joint]}, "
-            f"as of {number(float(np.linalg.norm(e.force[:3])))}{_BOUND}N"
+            f"{e.recording}, {number(e.start)} to {number(e.end)}{_NO_BREAK}s: "
+            f"{torque} at {diagnosis.joints[joint]}, "
+            f"as of {number(float(np.linalg.norm(e.force[:3])))}{_NO_BREAK}N"
         )
 
 
@@ -180,20 +194,20 @@ def _endings(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def shrink_sentence(kind: str, s: Shrink) -> str:
-    """How far a gap falls."""
+    """The gap without and with a finding, and the part removed."""
     over = f" over {s.horizon_s:g} s" if s.horizon_s is not None else ""
     change: tuple[float, ...] = (s.removed, *s.interval)
     if s.removed < 0:
         change = (-s.removed, *(-x for x in reversed(s.interval)))
     size, low, high = (f"{100 * x:.0f}".replace("-", "−") for x in change)
     return (
-        f"{kind} gap{over} {number(s.before)} → {number(s.after)}{_BOUND}{s.unit}, "
+        f"{kind} gap{over} {number(s.before)} → {number(s.after)}{_NO_BREAK}{s.unit}, "
         f"{size}% {'more' if s.removed < 0 else 'less'} (95% interval {low} to {high}%)"
     )
 
 
 def region_name(region: Region) -> str:
-    """A part of the gap: ``elbow, speed 0 to 0.1 rad/s``."""
+    """A region in words: ``elbow, speed 0 to 0.1 rad/s``."""
     if region.variable == "link":
         return f"{region.joint}, from {range_name(region)}"
     if region.variable == "direction":
@@ -202,7 +216,7 @@ def region_name(region: Region) -> str:
 
 
 def region_share(region: Region) -> str:
-    """Its share of the gap with the interval."""
+    """A region's share of the gap with its interval."""
     low, high = region.interval
     return f"{region.share:.0%} of the gap, 95% interval {low:.0%} to {high:.0%}"
 
@@ -214,26 +228,25 @@ def range_name(region: Region) -> str:
     if region.variable == "direction":
         return "moving down" if region.high <= 0 else "moving up"
     ends = f"{number(region.low)} to {number(region.high)}"
-    return f"{ends}{_BOUND}{region.unit}".rstrip(_BOUND)
+    return f"{ends}{_NO_BREAK}{region.unit}".rstrip(_NO_BREAK)
 
 
 def effect_name(effect_id: str) -> str:
-    """An effect's id in words, as the start of a sentence."""
+    """An effect's id in words, with a capital letter."""
     name = effect_id.replace("_", " ")
     return name[:1].upper() + name[1:]
 
 
 def effects_listed(effect_ids: Sequence[str], last: str) -> str:
-    """Effects in words, inside a sentence: ``coulomb, stribeck or presliding``."""
-    return words([x.replace("_", " ") for x in effect_ids], last)
+    """Effects in words: ``coulomb, stribeck or presliding``."""
+    return listed([x.replace("_", " ") for x in effect_ids], last)
 
 
 def value_cells(value: Value) -> tuple[str, str, str]:
-    """A parameter as ``value``, ``interval`` and ``unit``.
+    """A parameter as texts of its value, its interval and its unit.
 
-    The interval has two significant digits of its half-width, and the value as many
-    decimals; a shape that was only chosen has none. One of a value that the recordings
-    do not determine says so.
+    The half-width of the interval has two significant digits, and the value as many
+    decimals. Without a standard deviation the interval is a dash.
     """
     low, high = value.interval
     half = (high - low) / 2
@@ -243,20 +256,13 @@ def value_cells(value: Value) -> tuple[str, str, str]:
     mid, low_end, high_end = (
         f"{x:.{decimals}f}".replace("-", "−") for x in (value.value, low, high)
     )
-    open_ = "" if value.determined else ", not determined"
-    return mid, f"{low_end} to {high_end}{open_}", value.unit
+    note = "" if value.determined else ", not determined"
+    return mid, f"{low_end} to {high_end}{note}", value.unit
 
 
 def number(x: float, digits: int = 3) -> str:
-    """Some significant digits, with a true minus sign."""
+    """A number with some significant digits and a typographic minus sign."""
     return f"{x:.{digits}g}".replace("-", "−")
-
-
-def words(names: Sequence[str], last: str = "and") -> str:
-    """``a, b and c``."""
-    if len(names) < 2:
-        return "".join(names)
-    return f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
 def _few(texts: Sequence[str], most: int = 3, between: str = "; ") -> str:

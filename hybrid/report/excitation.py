@@ -1,4 +1,4 @@
-"""Figures of a designed motion: how it moves, what it reveals, the arm along it."""
+"""Figures of a designed motion: its course, its information, the arm along it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from hybrid.report.style import (
     OTHERS,
     RED,
     clean,
-    finish,
     legend,
     new_figure,
     panels,
@@ -41,10 +40,10 @@ class Postures:
     """K postures of an arm of n joints in the base frame.
 
     Attributes:
-        joints: Base and joint origins, shape (K, n + 1, 3), [m].
-        ends: End points of C capsules, shape (K, C, 2, 3), [m]; none of an arm whose
-            file holds no geometry.
-        radius: Their radii, shape (C,), [m].
+        joints: Origins of the base and the joints, shape (K, n + 1, 3), [m].
+        ends: End points of C capsules, shape (K, C, 2, 3), [m]; C is 0 if the robot
+            file has no geometry.
+        radius: Radii of the capsules, shape (C,), [m].
     """
 
     joints: Array
@@ -53,7 +52,7 @@ class Postures:
 
     @classmethod
     def of(cls, robot: Robot, q: Array) -> Postures:
-        """Place an arm.
+        """Compute the postures of an arm.
 
         Args:
             robot: The arm.
@@ -69,9 +68,8 @@ class Postures:
 
     @property
     def box(self) -> tuple[Array, float]:
-        """Middle and half width of a cube that holds all postures, [m]."""
-        parts = self.joints.reshape(-1, 3), self.ends.reshape(-1, 3)
-        points = np.concatenate(parts)
+        """Centre and half width of a cube around all postures, [m]."""
+        points = np.concatenate([self.joints.reshape(-1, 3), self.ends.reshape(-1, 3)])
         low, high = points.min(axis=0), points.max(axis=0)
         return (low + high) / 2, max(0.55 * float((high - low).max()), 1e-3)
 
@@ -79,46 +77,23 @@ class Postures:
 def motion_figure(
     reference: Reference, joints: Sequence[str], limits: Limits | None = None
 ) -> Figure:
-    """Position, and below it speed, of every joint, with its limits.
-
-    Args:
-        reference: Motion of n joints.
-        joints: Joint names, length n.
-        limits: Limits to draw.
-
-    Returns:
-        Figure of 2n axes.
-    """
-    figure, cells = panels(len(joints), height=2.1, ratios=(1.4, 1.0))
+    """Draw position and speed of every joint, with its limits."""
+    figure, cells = panels(joints, height=2.1, ratios=(1.4, 1.0))
     for j, (above, below) in enumerate(cells):
         above.plot(reference.t, reference.q[:, j], color=BLUE, linewidth=1.2)
         below.plot(reference.t, reference.v[:, j], color=OTHERS[0], linewidth=1.0)
-        for axes in (above, below):
-            clean(axes, grid="y")
-            axes.margins(x=0)
         if limits is not None:
             bounds = (limits.low[j], limits.high[j]), limits.speed[j]
             for axes, pair in ((above, bounds[0]), (below, (-bounds[1], bounds[1]))):
                 for level in pair:
                     axes.axhline(level, color=RED, linewidth=0.8, linestyle=":")
-        above.set_title(
-            figure_text(joints[j]), loc="left", fontsize=9, fontweight="bold"
-        )
         above.set_ylabel("position\n[rad]")
         below.set_ylabel("speed\n[rad/s]")
-    finish(figure, [below for _, below in cells], "time [s]")
     return figure
 
 
 def information_figure(design: Design) -> Figure:
-    """Singular values of the observation matrix, and predicted standard errors.
-
-    Args:
-        design: Designed motions.
-
-    Returns:
-        Figure of two axes.
-    """
+    """Draw singular values of the observation matrix, and predicted standard errors."""
     figure = new_figure(height=5.2)
     above, below = figure.subplots(2, 1, height_ratios=(1.0, 1.3))
     order = np.arange(1, design.observation.size + 1)
@@ -152,7 +127,7 @@ def information_figure(design: Design) -> Figure:
 
 
 def _short(label: str) -> str:
-    """``viscous.coefficient[elbow]`` as ``viscous, elbow``; others as they are."""
+    """``viscous, elbow`` from ``viscous.coefficient[elbow]``; others are unchanged."""
     effect, _, rest = label.partition(".")
     joint = rest.partition("[")[2].rstrip("]")
     return f"{effect}, {joint}" if joint else label
@@ -164,13 +139,7 @@ def postures_figure(
     *,
     count: int = 8,
 ) -> Figure:
-    """The arm at times evenly spread over a motion.
-
-    Args:
-        robot: The arm.
-        reference: Its motion.
-        count: Number of pictures.
-    """
+    """Draw the arm at equidistant times of a motion."""
     samples = np.linspace(0, len(reference.t) - 1, count).round().astype(int)
     postures = Postures.of(robot, reference.q[samples])
     rows = -(-count // _COLUMNS)
@@ -183,14 +152,14 @@ def postures_figure(
 
 
 def _draw(axes: Any, postures: Postures, k: int) -> None:
-    """Posture ``k`` on 3-D axes, in a box that holds them all."""
+    """Draw posture ``k`` on 3-D axes with the box of all postures."""
     center, size = postures.box
     inch = min(axes.get_position().size * axes.figure.get_size_inches())
     points_per_metre = 72 * inch / (2 * size)
     for body, radius in zip(postures.ends[k], postures.radius, strict=True):
-        thick = min(2 * radius * points_per_metre, _THICKEST)
+        width = min(2 * radius * points_per_metre, _THICKEST)
         axes.plot(
-            *body.T, color=GREY, alpha=0.35, linewidth=thick, solid_capstyle="round"
+            *body.T, color=GREY, alpha=0.35, linewidth=width, solid_capstyle="round"
         )
     axes.plot(*postures.joints[k].T, "o-", color=BLUE, linewidth=1.5, markersize=2.5)
     axes.plot(*postures.joints[k, -1:].T, "o", color=RED, markersize=3.5)

@@ -1,8 +1,4 @@
-"""What an identification found: tables, torque over time, content for programs.
-
-A figure is one of its own and leaves matplotlib's global state alone. Colours are told
-apart by colour-blind readers, and by their lightness in print.
-"""
+"""Show an identification: tables, torque over time, and content for JSON."""
 
 from __future__ import annotations
 
@@ -13,16 +9,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import HybridError
-from hybrid.names import figure_text
-from hybrid.report.style import (
-    BEST,
-    OTHERS,
-    PALE,
-    clean,
-    finish,
-    legend,
-    panels,
-)
+from hybrid.report.style import BEST, OTHERS, PALE, legend, panels
 from hybrid.report.table import Table, error_table
 from hybrid.signals import Motion, Sampler, motion_from_recording
 
@@ -33,20 +20,20 @@ if TYPE_CHECKING:
     from hybrid.identification import DynamicModel, Fit
     from hybrid.recording import Recording
 
-_EXCERPT_SECONDS = 3.0  # of a recording: more is not to be made out
+_EXCERPT_SECONDS = 3.0  # of a recording in a figure
 
 
 def held_out_table(fit: Fit) -> Table:
-    """RMS torque error of every stage on samples left out of its fit, [N·m]."""
+    """RMS torque error of every stage on held-out samples, [N·m]."""
     robot = fit.model.robot
     caption = f"Cross-validated RMS torque error on {robot.name}, N·m"
     return error_table(fit.held_out, robot.joints, caption)
 
 
 def effects_table(fit: Fit) -> Table:
-    """The effects found, by joint, with half-widths of 95 % intervals and units.
+    """The effects found at each joint, with half-widths of 95 % intervals and units.
 
-    Gains at zero without an interval were not found, and are left out.
+    Gains at zero without an interval are left out.
     """
     from scipy.special import stdtrit
 
@@ -68,7 +55,7 @@ def effects_table(fit: Fit) -> Table:
 
 
 def content_from_fit(fit: Fit) -> dict[str, Any]:
-    """An identification in words and numbers, for JSON."""
+    """Content of an identification for JSON."""
     robot, estimate = fit.model.robot, fit.estimate
     low, high = estimate.interval()
     return {
@@ -107,7 +94,7 @@ def content_from_fit(fit: Fit) -> dict[str, Any]:
 
 
 def _found(effect: Effect, factor: float) -> list[str]:
-    """Parameters in words; empty if every gain is zero and has no interval."""
+    """Parameters as texts; none if every gain is zero and has no interval."""
     gains = [
         _quantity(g.name, value, g.unit, factor * std)
         for g in effect.gains
@@ -133,7 +120,7 @@ def _quantity(name: str, value: float, unit: str, half: float = 0.0) -> str:
 def torque_figure(
     t: Array, measured: Array, predicted: Mapping[str, Array], joints: Sequence[str]
 ) -> Figure:
-    """Measured and predicted torque, and below each joint what is left.
+    """Draw measured and predicted torque of each joint, and the residual below.
 
     Args:
         t: Time, shape (N,), in [s].
@@ -155,45 +142,33 @@ def torque_figure(
         if torque.shape != shape:
             raise HybridError(f"{name} has shape {torque.shape}, valid is {shape}")
     inks = (*OTHERS[: len(predicted) - 1], BEST)
-    figure, cells = panels(len(joints), height=2.1, ratios=(2.2, 1.0))
+    figure, cells = panels(joints, height=2.1, ratios=(2.2, 1.0))
     for j, (above, below) in enumerate(cells):
         above.plot(t, measured[:, j], color=PALE, linewidth=2.2, label="measured")
         for (name, torque), ink in zip(predicted.items(), inks, strict=True):
             above.plot(t, torque[:, j], color=ink, linewidth=0.9, label=name)
             below.plot(t, measured[:, j] - torque[:, j], color=ink, linewidth=0.7)
-        for axes in (above, below):
-            clean(axes, grid="y")
-            axes.margins(x=0)
-        name = figure_text(joints[j])
-        above.set_title(name, loc="left", fontsize=9, fontweight="bold")
         above.set_ylabel("torque\n[N·m]")
         below.set_ylabel("residual\n[N·m]")
-    finish(figure, [below for _, below in cells], "time [s]")
     legend(figure, cells[0][0].get_legend_handles_labels()[0])
     return figure
 
 
 def excerpt_figure(model: DynamicModel, recording: Recording) -> Figure:
-    """Torque in the middle of a recording, and what models predict of it.
-
-    Args:
-        model: The model, with its plain version among the simpler ones.
-        recording: A log of the arm.
-    """
+    """Draw torque in the middle of a recording, and the predictions of models."""
     motion, sampler = seen_by(model, recording)
     half = round(_EXCERPT_SECONDS * motion.rate / 2)
     middle = len(motion.t) // 2
     part = slice(max(0, middle - half), middle + half)
-    torques = {"measured": motion.tau, "all stages": model.predict(motion)}
+    torques = {"all stages": model.predict(motion)}
     if "LS" in model.simpler:
-        plain = model.simpler["LS"].predict(motion)
-        torques = {"measured": motion.tau, "plain least squares": plain} | torques
+        torques = {"plain least squares": model.simpler["LS"].predict(motion)} | torques
     shown = {name: sampler(tau)[part] for name, tau in torques.items()}
-    measured = shown.pop("measured")
+    measured = sampler(motion.tau)[part]
     return torque_figure(motion.t[part], measured, shown, model.robot.joints)
 
 
 def seen_by(model: DynamicModel, recording: Recording) -> tuple[Motion, Sampler]:
-    """Motion as the identification sees it, and its filter without decimation."""
+    """Motion as the identification filters it, and its filter without decimation."""
     motion = motion_from_recording(recording, cutoff=2 * model.cutoff)
     return motion, Sampler(motion.rate, model.cutoff, 1)

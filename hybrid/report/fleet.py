@@ -1,4 +1,4 @@
-"""A fleet as pages and text: ranked list, heat map, timelines, and lines to monitor."""
+"""Show a fleet: ranked list, heat map, timelines, and gauges for Prometheus."""
 
 from __future__ import annotations
 
@@ -18,16 +18,7 @@ from hybrid.fleets import Fleet, State
 from hybrid.fleets.changes import MONTH, Change
 from hybrid.names import figure_text, file_stem
 from hybrid.report.page import Section, write_page
-from hybrid.report.style import (
-    BLUE,
-    GREY,
-    PALE,
-    RED,
-    clean,
-    finish,
-    new_figure,
-    panels,
-)
+from hybrid.report.style import BLUE, GREY, PALE, RED, new_figure, panels
 from hybrid.report.table import Table
 
 if TYPE_CHECKING:
@@ -35,25 +26,26 @@ if TYPE_CHECKING:
 
 _MOST_ROWS = 40  # arms of the heat map and of the list
 _MOST_PAGES = 100  # arms with a page of their own
-_DRAWN = 8  # changes drawn in the report
+_MOST_TIMELINES = 8  # in the report
 _TIMELINE = (
     "Deviation from the baseline, with 95 % intervals. Upright line: when a change "
     "began; band: 95 % interval of that; dotted: limits."
 )
 _CHANGED = "Diagnosed against the baseline"
 _DIAGNOSIS = "What hybrid diagnose --baseline says has changed since."
-_FAR = 6.0  # standard deviations between arms at which the colours end
+_MOST = 6.0  # standard deviations between arms, of the darkest colour
+_NEVER = 36500  # days
 
 
 def _day(ordinal: float) -> str:
-    """ISO date of an ordinal; the number of the log where dates are not known."""
+    """ISO date of an ordinal; the number of the log if dates are not known."""
     if ordinal < 366:
         return f"log {ordinal:.0f}"
     return date.fromordinal(int(ordinal)).isoformat()
 
 
 def change_sentence(state: State, change: Change) -> str:
-    """What changed, by how much, when, and when it was known."""
+    """Size of a change with its interval, its date, and the date of the alarm."""
     half = 1.96 * change.std
     if change.kind == "trend":
         size = (
@@ -71,24 +63,21 @@ def change_sentence(state: State, change: Change) -> str:
 
 
 def forecast_text(state: State) -> str:
-    """When a limit is passed, or that none is."""
+    """When a parameter will pass its limit; empty without a limit."""
     if not np.isfinite(state.limit):
         return ""
     median, early, late = state.crossing
     if median == 0.0:
         return "passed"
-    if not state.changes or not np.isfinite(median):
+    if not state.changes or not median < _NEVER:
         return "not foreseen"
-    end = _day(state.days[-1] + late) if late < 36500 else "never"
-    return (
-        f"{_day(state.days[-1] + median)} ({_day(state.days[-1] + early)} to {end})"
-        if median < 36500
-        else "not foreseen"
-    )
+    last = state.days[-1]
+    end = _day(last + late) if late < _NEVER else "never"
+    return f"{_day(last + median)} ({_day(last + early)} to {end})"
 
 
 def alarms_table(fleet: Fleet) -> Table:
-    """Changes of all arms, the surest first."""
+    """Changes of all arms, highest score first."""
     rows = [
         (
             x.arm, x.joint, x.parameter.replace("_", " "), f"{x.score:.1f}",
@@ -102,12 +91,12 @@ def alarms_table(fleet: Fleet) -> Table:
 
 
 def unlike_table(fleet: Fleet) -> Table:
-    """Arms that are not like the others, and in what."""
+    """Arms that differ from the others, with the parameter."""
     rows = [
         (
             x.arm, x.joint, x.parameter.replace("_", " "),
             f"{x.baseline + x.level.value:.4g} ± {1.96 * x.level.std:.2g} {x.unit}",
-            f"{_fleet_mean(fleet, x):.4g} {x.unit}",
+            f"{_median_of_others(fleet, x):.4g} {x.unit}",
         )
         for x in fleet.states if x.unlike
     ]  # fmt: skip
@@ -116,7 +105,7 @@ def unlike_table(fleet: Fleet) -> Table:
     )
 
 
-def _fleet_mean(fleet: Fleet, state: State) -> float:
+def _median_of_others(fleet: Fleet, state: State) -> float:
     key = state.group, state.joint, state.parameter
     others = [
         x.pooled for x in fleet.states
@@ -126,7 +115,7 @@ def _fleet_mean(fleet: Fleet, state: State) -> float:
 
 
 def diagnoses_table(fleet: Fleet, arm: str = "") -> Table:
-    """What has changed since the baseline: an arm's periods, or the last of each."""
+    """Diagnoses against the baseline: all of one arm, or the last of each arm."""
     shown = [x for x in fleet.diagnoses if x[0] == arm]
     if not arm:
         shown = list(
@@ -135,20 +124,20 @@ def diagnoses_table(fleet: Fleet, arm: str = "") -> Table:
     rows = []
     for key in shown:
         verdict, *findings = fleet.diagnoses[key]
-        said = " ".join(x["reason"] for x in findings)
-        rows.append((*key, verdict["reason"].replace("_", " "), said))
+        reasons = " ".join(x["reason"] for x in findings)
+        rows.append((*key, verdict["reason"].replace("_", " "), reasons))
     header = ("arm", "period", "verdict", "what was found")
     return Table(header, tuple(rows), words=True)
 
 
 def refused_table(fleet: Fleet) -> Table:
-    """Periods without a result, and why."""
+    """Periods without a result, with the reason."""
     rows = [(x["arm"], x["period"], x["status"], x["reason"]) for x in fleet.refused]
     return Table(("arm", "period", "", "why"), tuple(rows), words=True)
 
 
 def heat_figure(fleet: Fleet) -> Figure:
-    """How far each arm stands from the fleet in each parameter; dots are alarms."""
+    """Draw the deviation of each arm from the median arm; dots are changes."""
     columns = list(dict.fromkeys((x.joint, x.parameter) for x in fleet.states))
     worst: dict[str, float] = {}
     for x in fleet.states:
@@ -159,15 +148,15 @@ def heat_figure(fleet: Fleet) -> Figure:
     for k, column in enumerate(columns):
         own = [x for x in fleet.states if (x.joint, x.parameter) == column]
         level = np.array([x.level.value for x in own])
-        spread = median_abs_deviation(level, scale="normal")
-        spread = max(spread, float(np.median([x.level.std for x in own])), 1e-12)
-        for x, far in zip(own, (level - np.median(level)) / spread, strict=True):
+        std = median_abs_deviation(level, scale="normal")
+        std = max(std, float(np.median([x.level.std for x in own])), 1e-12)
+        for x, deviation in zip(own, (level - np.median(level)) / std, strict=True):
             if x.arm in arms:
-                values[arms.index(x.arm), k] = far
+                values[arms.index(x.arm), k] = deviation
                 dots += [(k, arms.index(x.arm))] if x.changes else []
     figure = new_figure(1.9 + 0.17 * len(arms))
     axes = figure.subplots()
-    image = axes.imshow(values, cmap="RdBu_r", vmin=-_FAR, vmax=_FAR, aspect="auto")
+    image = axes.imshow(values, cmap="RdBu_r", vmin=-_MOST, vmax=_MOST, aspect="auto")
     if dots:
         axes.plot(*np.array(dots).T, "o", color="black", mec="white", markersize=5)
     names = [
@@ -184,9 +173,11 @@ def heat_figure(fleet: Fleet) -> Figure:
 
 
 def timeline_figure(states: Sequence[State]) -> Figure:
-    """Parameters over time, with their changes and limits."""
-    figure, cells = panels(len(states), height=1.35)
+    """Draw parameters over time, with their changes and limits."""
     start = min(float(x.days[0]) for x in states)
+    titles = [f"{x.arm}: {x.joint}, {x.parameter.replace('_', ' ')}" for x in states]
+    label = f"days since {_day(start)}"
+    figure, cells = panels(titles, height=1.35, label=label, size=8)
     for (axes,), x in zip(cells, states, strict=True):
         days = x.days - start
         axes.errorbar(days, x.values, 1.96 * x.std, fmt=".", color=BLUE,
@@ -198,11 +189,8 @@ def timeline_figure(states: Sequence[State]) -> Figure:
         if np.isfinite(x.limit):
             for side in (-x.limit, x.limit):
                 axes.axhline(side, color=GREY, linewidth=0.8, linestyle=":")
-        clean(axes, grid="y")
-        name = f"{x.arm}: {x.joint}, {x.parameter.replace('_', ' ')}"
-        axes.set_title(figure_text(name), loc="left", fontsize=8, fontweight="bold")
+        axes.margins(x=0.05)
         axes.set_ylabel(figure_text(f"[{x.unit}]" if x.unit else "[–]"))
-    finish(figure, [axes for (axes,) in cells], f"days since {_day(start)}")
     return figure
 
 
@@ -221,16 +209,7 @@ def lead_sentence(fleet: Fleet) -> str:
 def write_fleet_pages(
     folder: Path, fleet: Fleet, *, provenance: Mapping[str, Any]
 ) -> Path:
-    """Write ``report.html``, a page for each arm with findings, and ``fleet.prom``.
-
-    Args:
-        folder: Where the files shall be.
-        fleet: The fleet.
-        provenance: With what it was made; see :func:`hybrid.report.provenance`.
-
-    Returns:
-        The report.
-    """
+    """Write ``report.html``, a page for each arm with findings, and ``fleet.prom``."""
     named = dict.fromkeys(x.arm for x in fleet.alarms)
     named |= dict.fromkeys(x.arm for x in fleet.states if x.unlike)
     named |= dict.fromkeys(arm for arm, _ in fleet.diagnoses)
@@ -242,18 +221,17 @@ def write_fleet_pages(
             f"{x.joint}, {x.parameter}: {change_sentence(x, c)}."
             for x in own for c in x.changes
         )  # fmt: skip
-        parts = list(_of_arm(fleet, arm, own))
+        parts = list(_arm_sections(fleet, arm, own))
         write_page(folder / page, arm, parts, lead=lead, provenance=provenance)
     path, lead = folder / "report.html", lead_sentence(fleet)
-    sections = list(_sections(fleet, pages))
+    sections = list(_fleet_sections(fleet, pages))
     write_page(path, "Fleet", sections, lead=lead, provenance=provenance)
     with atomic_path(folder / "fleet.prom") as temporary:
         temporary.write_text(prometheus_text(fleet), encoding="utf-8")
     return path
 
 
-def _of_arm(fleet: Fleet, arm: str, own: Sequence[State]) -> Iterator[Section]:
-    """What the page of one arm says."""
+def _arm_sections(fleet: Fleet, arm: str, own: Sequence[State]) -> Iterator[Section]:
     diagnoses = diagnoses_table(fleet, arm)
     if diagnoses.rows:
         yield Section(_CHANGED, _DIAGNOSIS, table=diagnoses)
@@ -261,8 +239,7 @@ def _of_arm(fleet: Fleet, arm: str, own: Sequence[State]) -> Iterator[Section]:
         yield Section("Over time", figure=timeline_figure(own), caption=_TIMELINE)
 
 
-def _sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]:
-    """What the page of the fleet says."""
+def _fleet_sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]:
     text = (
         f"False alarms that noise raises: {fleet.false_alarms:g} in 100 arm-months. A "
         "score is the size of a change over its standard deviation."
@@ -276,7 +253,7 @@ def _sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]:
         caption = "How far each arm stands from the fleet; dots are changes."
         yield Section("The fleet", figure=heat_figure(fleet), caption=caption)
     if fleet.alarms:
-        figure = timeline_figure(fleet.alarms[:_DRAWN])
+        figure = timeline_figure(fleet.alarms[:_MOST_TIMELINES])
         yield Section("The surest changes", figure=figure, caption=_TIMELINE)
     for title, text, table in (
         (
@@ -295,7 +272,7 @@ def _sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]:
 
 
 def _linked(table: Table, pages: Mapping[str, str]) -> Table:
-    """A table whose arms, in its first column, lead to their pages."""
+    """The table with a link to the page of each arm in its first column."""
     link, filled = Markup('<a href="{}">{}</a>'), table.filled()
     rows = [
         (link.format(pages[arm], arm) if arm in pages else arm, *rest)
@@ -305,17 +282,13 @@ def _linked(table: Table, pages: Mapping[str, str]) -> Table:
 
 
 def prometheus_text(fleet: Fleet) -> str:
-    """Gauges in the text format of Prometheus, for a textfile collector."""
-    gauges: dict[str, list[tuple[Mapping[str, str], float]]] = {
+    """Gauges in the text format of Prometheus."""
+    gauges: dict[str, list[tuple[dict[str, str], float]]] = {
         "value": [], "value_std": [], "changed_score": [], "unlike": [],
         "limit_days": [],
     }  # fmt: skip
     for x in fleet.states:
-        labels: Mapping[str, str] = {
-            "arm": x.arm,
-            "joint": x.joint,
-            "parameter": x.parameter,
-        }
+        labels = {"arm": x.arm, "joint": x.joint, "parameter": x.parameter}
         gauges["value"].append((labels, x.baseline + x.level.value))
         gauges["value_std"].append((labels, x.level.std))
         gauges["changed_score"].append((labels, x.score))

@@ -1,4 +1,4 @@
-"""Tables, figure and page of the inspection of logs."""
+"""Show the inspection of logs: tables, a figure and a page."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybrid.names import figure_text
 from hybrid.report.page import Section, write_page
-from hybrid.report.style import BLUE, GREY, PALE, clean, finish, legend, panels
+from hybrid.report.style import BLUE, GREY, PALE, legend, panels
 from hybrid.report.table import Table
 
 if TYPE_CHECKING:
@@ -20,11 +19,11 @@ if TYPE_CHECKING:
     from hybrid.recording import Recording
     from hybrid.recording.reading import Used
 
-_BINS = 1000  # of a line, each drawn from its lowest to its highest sample
+_BINS = 1000  # of a line; in each the lowest and the highest sample are drawn
 
 
 def readings_tables(inspections: Sequence[Inspection]) -> list[Table]:
-    """How the files were read: one table for all logs that were read alike."""
+    """How files were read; one table for all logs that were read in the same way."""
     alike: dict[tuple[Any, ...], list[str]] = {}
     for x in inspections:
         reading = x.recording.reading
@@ -43,7 +42,7 @@ def readings_tables(inspections: Sequence[Inspection]) -> list[Table]:
 
 
 def _unit(column: Used) -> tuple[str, str]:
-    """Unit of a column in its file, and what its numbers went through."""
+    """Unit of a column in its file, and how it was converted."""
     unit = column.unit if column.stated else f"{column.unit} (assumed)"
     if (column.factor, column.offset) == (1.0, 0.0):
         return unit, ""
@@ -52,7 +51,7 @@ def _unit(column: Used) -> tuple[str, str]:
 
 
 def clocks_table(inspections: Sequence[Inspection]) -> Table:
-    """One line a log: channels, size, clock, and what speaks against it."""
+    """One line per log: duration, clock, channels and number of doubts."""
     rows = []
     for x in inspections:
         clock = x.clock
@@ -77,11 +76,11 @@ def clocks_table(inspections: Sequence[Inspection]) -> Table:
 
 
 def joints_table(inspections: Sequence[Inspection]) -> Table:
-    """One line a joint: what it does in all logs together."""
-    looked = [x for x in inspections if x.joints]
+    """One line per joint: its motion and torque in all logs together."""
+    usable = [x for x in inspections if x.joints]
     rows = []
-    for each in zip(*(x.joints for x in looked), strict=True):
-        weights = [x.clock.duration for x in looked]
+    for each in zip(*(x.joints for x in usable), strict=True):
+        weights = [x.clock.duration for x in usable]
         moving = float(np.average([x.moving for x in each], weights=weights))
         step = min(x.resolution for x in each)
         torque = [x.torque for x in each if x.torque]
@@ -103,37 +102,35 @@ def joints_table(inspections: Sequence[Inspection]) -> Table:
 
 
 def untold_sentences(inspections: Sequence[Inspection]) -> list[str]:
-    """What these logs cannot tell, in words."""
-    looked = [x for x in inspections if x.joints]
-    if not looked:
+    """Sentences on what the logs do not determine."""
+    usable = [x for x in inspections if x.joints]
+    if not usable:
         return []
-    said = []
-    together = list(zip(*(x.joints for x in looked), strict=True))
+    sentences = []
+    together = list(zip(*(x.joints for x in usable), strict=True))
     still = [each[0].joint for each in together if not any(x.moving for x in each)]
     if still:
-        said.append(
+        sentences.append(
             f"No log moves {', '.join(still)}: friction and rotor there stay unknown."
         )
-    if not any(x.recording.has_torque for x in looked):
-        said.append(
+    if not any(x.recording.has_torque for x in usable):
+        sentences.append(
             "Without torque, masses and friction are known up to the servo's gain only."
         )
-    told = [x for x in looked if x.excitation]
-    if told:
-        best = min(told, key=lambda x: len(x.excitation.untold) if x.excitation else 0)
-        found = best.excitation
-        assert found is not None
-        said.append(
-            f"The best log alone, {Path(best.recording.source).name}: "
+    excited = [(x.excitation, x.recording.source) for x in usable if x.excitation]
+    if excited:
+        found, source = min(excited, key=lambda pair: len(pair[0].untold))
+        sentences.append(
+            f"The best log alone, {Path(source).name}: "
             f"{len(found.names) - len(found.untold)} of {len(found.names)} base "
             f"parameters and drives differ from zero, condition {found.condition:.0f}"
             + (f"; not {', '.join(found.untold)}." if found.untold else ".")
         )
-    return said
+    return sentences
 
 
 def doubts_table(inspections: Sequence[Inspection]) -> Table:
-    """What speaks against the logs, errors first."""
+    """All doubts about the logs, errors first."""
     found = [(Path(x.recording.source).name, d) for x in inspections for d in x.doubts]
     found.sort(key=lambda pair: pair[1].severity != "error")
     words = {"error": "wrong", "warning": "in doubt"}
@@ -142,37 +139,26 @@ def doubts_table(inspections: Sequence[Inspection]) -> Table:
 
 
 def log_figure(recording: Recording) -> Figure:
-    """Position and command of every joint over time, and torque below.
-
-    Args:
-        recording: Joint log.
-    """
+    """Draw position and command of every joint over time, and torque or speed below."""
     joints, t = recording.joints, recording.t - recording.t[0]
     below = recording.tau if recording.has_torque else recording.v
     name = "torque\n[N·m]" if recording.has_torque else "speed\n[rad/s]"
     ratios = (1.0, 1.0) if below is not None else (1.0,)
-    figure, cells = panels(len(joints), height=0.85 * len(ratios) + 0.3, ratios=ratios)
+    figure, cells = panels(joints, height=0.85 * len(ratios) + 0.3, ratios=ratios)
     for j, axes in enumerate(cells):
         if recording.command is not None:
             _line(axes[0], t, recording.command[:, j], PALE, "command", 2.0)
         _line(axes[0], t, recording.q[:, j], BLUE, "position", 0.9)
-        axes[0].set_title(
-            figure_text(joints[j]), loc="left", fontsize=9, fontweight="bold"
-        )
         axes[0].set_ylabel("position\n[rad]")
         if below is not None:
             _line(axes[1], t, below[:, j], GREY, name.split("\n")[0], 0.7)
             axes[1].set_ylabel(name)
-        for each in axes:
-            clean(each, grid="y")
-            each.margins(x=0)
-    finish(figure, [axes[-1] for axes in cells], "time [s]")
     legend(figure, [line for axes in cells[0] for line in axes.get_lines()])
     return figure
 
 
 def _line(axes: Any, t: Any, x: Any, ink: str, label: str, width: float) -> None:
-    """A line of every sample, or of the extremes of bins where there are too many."""
+    """Draw a line of all samples, or of the extremes of bins if there are too many."""
     per = len(t) // _BINS
     if per > 2:
         rows = len(t) // per * per
@@ -188,13 +174,7 @@ def write_inspection(
     *,
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write the page of the inspection of some logs.
-
-    Args:
-        path: HTML file.
-        inspections: The logs, looked at.
-        provenance: With what it was made; see :func:`hybrid.report.provenance`.
-    """
+    """Write the page of the inspection of some logs."""
     doubts = doubts_table(inspections)
     longest = max(inspections, key=lambda x: x.clock.duration).recording
     readings = readings_tables(inspections)
@@ -219,7 +199,7 @@ def write_inspection(
 
 
 def verdict(inspections: Sequence[Inspection]) -> str:
-    """Whether the logs may be used, in a sentence."""
+    """Say in a sentence whether the logs may be used."""
     wrong = [x for x in inspections if x.misleads]
     seconds = sum(x.clock.duration for x in inspections)
     logs = f"{len(inspections)} log{'s' * (len(inspections) > 1)}, {seconds:.0f} s"

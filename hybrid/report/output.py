@@ -1,4 +1,4 @@
-"""Write figures and JSON, whole or not at all; record versions and inputs."""
+"""Write figures and JSON atomically; record versions and inputs."""
 
 from __future__ import annotations
 
@@ -11,30 +11,28 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from hybrid import __version__
 from hybrid.errors import HybridError
 from hybrid.files import atomic_path, write_json
+from hybrid.shown import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Pixels per inch of PNG files and of point clouds inside SVG files.
-RESOLUTION = 150
+RESOLUTION = 150  # pixels per inch, of PNG files and of rasters inside SVG files
 
 
 def figure_bytes(figure: Figure, kind: str = "svg") -> bytes:
-    """A figure as a file's content; the same figure gives the same bytes.
+    """Content of a figure's file; the same figure gives the same bytes.
 
     Args:
         figure: Any figure.
         kind: ``svg``, ``png`` or ``pdf``.
 
     Raises:
-        HybridError: There is no such kind.
+        HybridError: The kind is unknown.
     """
-    # Without a date and with a fixed salt for its ids, a file depends on its data only.
+    # No date and a fixed salt for ids, so that the file depends on the data only.
     timeless = {"svg": {"Date": None}, "png": {}, "pdf": {"CreationDate": None}}
     if kind not in timeless:
         raise HybridError(
@@ -44,14 +42,14 @@ def figure_bytes(figure: Figure, kind: str = "svg") -> bytes:
 
     target = BytesIO()
     with rc_context({"svg.hashsalt": "hybrid"}), warnings.catch_warnings():
-        # A joint may have a name in any script; what the font lacks is a box.
+        # The font may lack a character of a joint's name, and draw a box instead.
         warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
         figure.savefig(target, format=kind, dpi=RESOLUTION, metadata=timeless[kind])
     return _palette(target) if kind == "png" else target.getvalue()
 
 
 def _palette(image: BytesIO) -> bytes:
-    """A PNG in 128 colours: figures have few inks, and it is a third of the size."""
+    """Reduce a PNG to 128 colours, which makes it a third of the size."""
     from PIL import Image
 
     target = BytesIO()
@@ -62,10 +60,10 @@ def _palette(image: BytesIO) -> bytes:
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure; the suffix, ``.svg``, ``.png`` or ``.pdf``, says which kind.
+    """Write a figure as ``.svg``, ``.png`` or ``.pdf``, by the suffix of the path.
 
     Raises:
-        HybridError: There is no such kind.
+        HybridError: The suffix is unknown.
     """
     path = Path(path)
     content = figure_bytes(figure, path.suffix.lstrip(".").lower())
@@ -74,52 +72,33 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 
 def write_results(path: str | Path, content: Mapping[str, Any]) -> None:
-    """Write results for other programs; arrays become lists, NaN becomes null.
-
-    Args:
-        path: JSON file.
-        content: Nested mappings and sequences of numbers, strings and arrays.
-    """
-    write_json(path, _plain(content))
-
-
-def _plain(x: Any) -> Any:
-    """The same in types that JSON knows."""
-    if isinstance(x, Mapping):
-        return {str(key): _plain(value) for key, value in x.items()}
-    if isinstance(x, (np.ndarray, np.generic)):
-        return _plain(x.tolist())
-    if isinstance(x, (list, tuple)):
-        return [_plain(value) for value in x]
-    if isinstance(x, float) and not np.isfinite(x):
-        return None
-    return x
+    """Write results as JSON; arrays become lists, NaN becomes null."""
+    write_json(path, plain(content))
 
 
 def provenance(**given: Any) -> dict[str, Any]:
     """Versions of this package, of Python and of every core dependency.
 
-    It holds no date, host or path, so the same run gives the same record.
+    There is no date, host or path, so that the same run gives the same record.
 
     Args:
-        **given: What else the result depends on: seeds, hashes of files, the command.
+        **given: Other inputs: seeds, hashes of files, the command.
 
     Returns:
-        JSON-ready; ``given`` comes first.
+        JSON-ready content; ``given`` comes first.
     """
-    names = _core_dependencies()
     return {
         **given,
         "hybrid": __version__,
         "python": platform.python_version(),
-        "packages": {name: _version(name) for name in names},
+        "packages": {name: _version(name) for name in _core_dependencies()},
     }
 
 
 def _core_dependencies() -> list[str]:
     try:
         lines = requires("hybrid-arm") or []
-    except PackageNotFoundError:  # run from the source tree, without an installation
+    except PackageNotFoundError:  # the source tree without an installation
         return ["numpy", "scipy", "scikit-learn", "mujoco"]
     return [re.split(r"[^\w.-]", line)[0] for line in lines if "extra ==" not in line]
 

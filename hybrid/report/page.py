@@ -1,4 +1,4 @@
-"""One self-contained HTML page: it opens anywhere, without a network, and prints."""
+"""Write a self-contained HTML page, which opens offline."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _TEMPLATES = Path(__file__).parent / "pages"
 
 @dataclass(frozen=True)
 class Section:
-    """One finding and its evidence; every part but the title may be left out.
+    """A section of a page; every part but the title is optional.
 
     Attributes:
         title: Heading.
-        text: Paragraphs, with an empty line between two; not markup.
-        table: Numbers.
-        figure: A drawing.
-        caption: What the figure shows; also read out to those who cannot see it.
-        html: Markup made elsewhere, which must load nothing.
-        command: What to type to get this section's numbers again.
+        text: Paragraphs, separated by empty lines; not markup.
+        table: A table.
+        figure: A figure.
+        caption: Caption of the figure, also for screen readers.
+        html: Markup, which must load nothing.
+        command: Command that reproduces the section.
     """
 
     title: str
@@ -43,15 +43,15 @@ class Section:
 
     @property
     def paragraphs(self) -> list[str]:
-        """The text, cut at empty lines."""
+        """Paragraphs of the text."""
         return [part.strip() for part in self.text.split("\n\n") if part.strip()]
 
     @property
     def image(self) -> str:
-        """The figure as an SVG data URI, or nothing."""
+        """The figure as an SVG data URI; empty without a figure."""
         if self.figure is None:
             return ""
-        # An image of its own, not inline SVG: ids of two figures cannot collide.
+        # Not inline SVG, where ids of two figures may be equal.
         content = b64encode(figure_bytes(self.figure)).decode("ascii")
         return f"data:image/svg+xml;base64,{content}"
 
@@ -64,14 +64,14 @@ def write_page(
     lead: str = "",
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a page; if this fails, an older page stays.
+    """Write a page atomically.
 
     Args:
         path: HTML file.
         title: Heading, and title of the window.
-        sections: What the page says, in order.
-        lead: The result in a sentence or two, under the heading.
-        provenance: With what it was made, for the foot of the page; see
+        sections: Sections, in order.
+        lead: Result in a sentence or two, under the heading.
+        provenance: Versions and inputs, for the foot of the page; see
             :func:`hybrid.report.provenance`.
     """
     content = render_page(title, sections, lead=lead, provenance=provenance)
@@ -95,13 +95,7 @@ def render_page(
 def render_template(
     name: str, *, provenance: Mapping[str, Any] | None = None, **content: Any
 ) -> str:
-    """A page from a template; strings are escaped.
-
-    Args:
-        name: File name of the template.
-        provenance: With what it was made, for the foot of the page.
-        content: What the template names.
-    """
+    """Render a template; strings are escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -116,17 +110,10 @@ def render_template(
 
 
 def _line(x: Any) -> str:
-    """A value for the foot of a page: names and what they stand for, or a list.
-
-    Of what is in a list, such as a file and its hash, the values suffice.
-    """
+    """A value for the foot of a page, in one line."""
     if isinstance(x, Mapping):
         return ", ".join(f"{name} {value}" for name, value in x.items())
     if isinstance(x, Sequence) and not isinstance(x, str):
-        return ", ".join(
-            " ".join(map(str, each.values()))
-            if isinstance(each, Mapping)
-            else str(each)
-            for each in x
-        )
+        values = (y.values() if isinstance(y, Mapping) else [y] for y in x)
+        return ", ".join(" ".join(map(str, y)) for y in values)
     return str(x)

@@ -1,4 +1,4 @@
-"""Tables, figure and page of servos that were fitted by replay."""
+"""Show servos that were fitted by replay: tables, a figure and a page."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybrid.names import figure_text
 from hybrid.report.page import Section, write_page
-from hybrid.report.style import BLACK, BLUE, PALE, RED, clean, finish, legend, panels
+from hybrid.report.style import BLACK, BLUE, PALE, RED, legend, panels
 from hybrid.report.table import Table
 from hybrid.servo.drive import QUANTITIES
 
@@ -21,14 +20,12 @@ if TYPE_CHECKING:
 
 
 def gap_table(fit: ServoFit) -> Table:
-    """Error of replays of unseen motion, per joint, in mrad."""
+    """Error of replays of held-out motion at each joint, [mrad]."""
     rows = []
-    joints = fit.robot.joints
-    for j, joint in enumerate(joints):
-        each = fit.before[j], fit.plain[j], fit.after[j], fit.floor[j]
-        rows.append((joint, *(f"{1000 * x:.2f}" for x in each)))
-    means = (x.mean() for x in (fit.before, fit.plain, fit.after, fit.floor))
-    rows.append(("mean", *(f"{1000 * x:.2f}" for x in means)))
+    errors = fit.before, fit.plain, fit.after, fit.floor
+    for j, joint in enumerate(fit.robot.joints):
+        rows.append((joint, *(f"{1000 * x[j]:.2f}" for x in errors)))
+    rows.append(("mean", *(f"{1000 * x.mean():.2f}" for x in errors)))
     caption = (
         f"RMS error of open-loop replays of {fit.seconds:.0f} s unseen motion, mrad"
     )
@@ -37,7 +34,7 @@ def gap_table(fit: ServoFit) -> Table:
 
 
 def findings_table(fit: ServoFit) -> Table:
-    """Wrong numbers of the robot's file, the most important first."""
+    """Wrong numbers in the robot's file, most important first."""
     rows = [
         (
             x.joint,
@@ -56,7 +53,7 @@ def findings_table(fit: ServoFit) -> Table:
 
 
 def servos_table(fit: ServoFit) -> Table:
-    """All numbers of all servos, with 95 % intervals."""
+    """All parameters of all servos, with 95 % intervals."""
     rows = []
     for k, each in enumerate(QUANTITIES):
         cells = []
@@ -68,14 +65,9 @@ def servos_table(fit: ServoFit) -> Table:
 
 
 def replay_figure(replay: ServoReplay, joints: Sequence[str]) -> Figure:
-    """Position of every joint, measured and replayed, before and after.
-
-    Args:
-        replay: One log beside its replays.
-        joints: Joint names.
-    """
-    figure, cells = panels(len(joints), height=1.6)
-    for j, ((axes,), joint) in enumerate(zip(cells, joints, strict=True)):
+    """Draw the position of every joint, measured and replayed."""
+    figure, cells = panels(joints, height=1.6)
+    for j, (axes,) in enumerate(cells):
         lines = (
             (replay.command, PALE, 1.8, "command"),
             (replay.before, RED, 0.8, "simulator, file"),
@@ -84,11 +76,7 @@ def replay_figure(replay: ServoReplay, joints: Sequence[str]) -> Figure:
         )
         for x, ink, width, name in lines:
             axes.plot(replay.t, x[:, j], color=ink, linewidth=width, label=name)
-        clean(axes, grid="y")
-        axes.margins(x=0)
-        axes.set_title(figure_text(joint), loc="left", fontsize=9, fontweight="bold")
         axes.set_ylabel("position [rad]")
-    finish(figure, [axes for (axes,) in cells], "time [s]")
     legend(figure, cells[0][0].get_legend_handles_labels()[0])
     return figure
 
@@ -100,14 +88,7 @@ def write_servo_page(
     *,
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write the page of a fit.
-
-    Args:
-        path: HTML file.
-        fit: The servos.
-        replay: An unseen log beside its replays.
-        provenance: With what it was made; see :func:`hybrid.report.provenance`.
-    """
+    """Write the page of a servo fit."""
     sections = [
         Section("How far replays miss", table=gap_table(fit)),
         Section(

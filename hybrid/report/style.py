@@ -1,10 +1,12 @@
-"""The style of all figures: few colours, small type, no box around the data."""
+"""The style of all figures: colours, sizes, panels and legends."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
+
+from hybrid.names import figure_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,7 +19,7 @@ PALE = "#bdbdbd"
 BLUE = "#0072b2"
 RED = "#d55e00"
 
-# Greys for the rigid body with plain friction, then blues, darker as the model grows.
+# Greys for the rigid body with plain friction, then blues, darker with each stage.
 STAGES = {
     "LS": "#d9d9d9",
     "WLS": "#b8b8b8",
@@ -26,91 +28,88 @@ STAGES = {
     "+ ripple": "#4a97c9",
     "+ remainder": "#08519c",
 }
-# Models to stand beside these, which have names of their own.
-_BESIDE = ("#cbc9e2", "#9e9ac8", "#6a51a3", "#3f007d")
-# On top of a broad grey line; the last prediction, the best one, is dark blue.
+_OTHER_MODELS = ("#cbc9e2", "#9e9ac8", "#6a51a3", "#3f007d")
+# Predictions on top of a broad grey line: the last one, the best, is dark blue.
 BEST = "#08519c"
 OTHERS = ("#e69f00", "#56b4e9")
 
 WIDTH = 7.2  # inches: the text width of a page
 _NAMES_A_LINE = 7  # of a legend, at most
+_GRID = "#e3e3e3"
 
 
 def stage_inks(names: Sequence[str]) -> dict[str, str]:
-    """A colour for each model, by name; the last is the best."""
+    """A colour for each model by name; the last model is the best."""
     others = [name for name in names[:-1] if name not in STAGES]
-    inks = dict(zip(others, cycle(_BESIDE), strict=False))
+    inks = dict(zip(others, cycle(_OTHER_MODELS), strict=False))
     return STAGES | inks | {names[-1]: BEST}
 
 
 def new_figure(height: float) -> Figure:
-    """An empty figure of the page's width.
-
-    Args:
-        height: Height, in [inch].
-    """
+    """An empty figure of the page's width and a height in inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(WIDTH, height), layout="constrained")
 
 
 def panels(
-    count: int, height: float, ratios: tuple[float, ...] = (1.0,)
+    titles: Sequence[str],
+    height: float,
+    ratios: tuple[float, ...] = (1.0,),
+    *,
+    label: str = "time [s]",
+    size: float = 9,
 ) -> tuple[Figure, list[list[Axes]]]:
-    """A figure of panels in two columns, one panel per joint.
+    """A figure of panels in two columns, usually one panel per joint.
 
     Args:
-        count: Number of panels.
+        titles: Title of each panel.
         height: Height of one panel, in [inch].
-        ratios: Heights of the axes of which a panel is made, from top to bottom.
+        ratios: Heights of the axes in a panel, from top to bottom.
+        label: Label of the horizontal axis, below each column.
+        size: Size of the titles, in [point].
 
     Returns:
-        The figure, and per panel its axes.
+        The figure, and the axes of each panel.
     """
-    columns = min(2, count)
-    rows = -(-count // columns)
+    columns = min(2, len(titles))
+    rows = -(-len(titles) // columns)
     figure = new_figure(0.3 + height * rows)
     # One grid for all axes, so that their left edges are in line.
     ratio = ratios * rows
     grid = figure.add_gridspec(len(ratio), columns, height_ratios=ratio)
     cells: list[list[Axes]] = []
-    for k in range(count):
+    for k, title in enumerate(titles):
         row, column = len(ratios) * (k // columns), k % columns
         cells.append([])
         for i in range(len(ratios)):
             shared = cells[k][0] if i else None
             axes = figure.add_subplot(grid[row + i, column], sharex=shared)
             axes.tick_params(labelbottom=i == len(ratios) - 1)
+            clean(axes, grid="y")
+            axes.margins(x=0)
             cells[k].append(axes)
+        name = figure_text(title)
+        cells[k][0].set_title(name, loc="left", fontsize=size, fontweight="bold")
+    for panel in cells[-2:]:
+        panel[-1].set_xlabel(label)
+    figure.align_ylabels()
     return figure, cells
 
 
 def clean(axes: Axes, grid: Literal["x", "y", "both"]) -> None:
-    """Take away the box and the ticks, and lay a faint grid behind the data."""
+    """Remove the box and the ticks, and draw a faint grid behind the data."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(GREY)
     axes.tick_params(labelsize=8, length=0, colors=BLACK)
-    axes.grid(axis=grid, color="#e3e3e3", linewidth=0.6)
+    axes.grid(axis=grid, color=_GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.xaxis.label.set_fontsize(8)
     axes.yaxis.label.set_fontsize(8)
 
 
-def finish(figure: Figure, bottom: Sequence[Axes], label: str) -> None:
-    """Name the horizontal axis once per column, and put vertical names in line."""
-    for axes in bottom[-2:]:
-        axes.set_xlabel(label)
-    figure.align_ylabels()
-
-
 def legend(figure: Figure, handles: Sequence[Any], *, enlarge: float = 3.0) -> None:
-    """Lines of names above all axes, mostly one.
-
-    Args:
-        figure: The figure.
-        handles: What is named.
-        enlarge: Size of markers against the figure's, whose dots are tiny.
-    """
+    """Draw a legend above all axes."""
     figure.legend(
         handles=handles,
         loc="outside upper left",

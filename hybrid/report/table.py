@@ -1,4 +1,4 @@
-"""The validation table: one row per stage, one column per joint."""
+"""Tables of results, as text for a page, a terminal or Markdown."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Table:
-    """A table as text; the first column holds names, the others usually numbers.
+    """A table of texts; the first column holds names, the others usually numbers.
 
     Attributes:
         header: Column titles.
-        rows: Cells, as many per row as there are titles.
-        caption: What the numbers are, with unit.
-        words: Whether cells hold words, to be set to the left and wrapped.
+        rows: Cells of each row, one per column.
+        caption: Meaning and unit of the numbers.
+        words: Whether cells hold words, which are aligned left and wrapped.
     """
 
     header: tuple[str, ...]
@@ -34,7 +34,7 @@ class Table:
     words: bool = False
 
     def filled(self) -> Table:
-        """The table without columns that say nothing."""
+        """The table without its empty columns."""
         kept = [
             k for k, column in enumerate(zip(*self.rows, strict=True)) if any(column)
         ]
@@ -45,10 +45,7 @@ class Table:
 
 
 def table_from_validation(validation: Validation) -> Table:
-    """RMS torque error [N·m] of every stage: per joint, mean, and against the first.
-
-    The noise floor, where it is known, is the last row.
-    """
+    """RMS torque error [N·m] of every stage, with the noise floor if it is known."""
     return error_table(
         {row.name: row.rms for row in validation.rows},
         validation.joints,
@@ -65,25 +62,22 @@ def error_table(
     *,
     noise_floor: Array | None = None,
 ) -> Table:
-    """Errors of models: per joint, mean, and against the first model.
+    """Errors of models: at each joint, their mean, and its change from the first model.
 
     Args:
-        rms: RMS torque error of each model, by name, shape (n,), [N·m].
+        rms: RMS torque error of each model by name, shape (n,), [N·m].
         joints: Joint names, length n.
-        caption: What the numbers are.
-        noise_floor: Errors that no model can get below, shape (n,), [N·m].
+        caption: Meaning and unit of the numbers.
+        noise_floor: RMS noise, which no model removes, shape (n,), [N·m].
     """
     rows = dict(rms) if noise_floor is None else {**rms, "noise floor": noise_floor}
     names = list(rows)
-    values = np.array(
-        [np.append(x, np.mean(x)) for x in rows.values()]
-    )  # (rows, n + 1)
+    values = np.array([[*x, np.mean(x)] for x in rows.values()])  # (rows, n + 1)
     first = values[0, -1]
     columns = [_cells(column) for column in values.T]
-    # The first row is what the others are compared with; the floor is no model.
     change = ["–", *(_change(mean, first) for mean in values[1:, -1])]
     if noise_floor is not None:
-        change[-1] = ""
+        change[-1] = ""  # it is no model
     return Table(
         header=("", *joints, "mean", f"vs {names[0]}"),
         rows=tuple(zip(names, *columns, change, strict=True)),
@@ -92,7 +86,7 @@ def error_table(
 
 
 def numbers_table(table: Table) -> RichTable:
-    """A table of numbers for a terminal; rows without a last cell are dim."""
+    """A table of numbers for a terminal; rows with an empty last cell are dim."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table as RichTable
     from rich.text import Text
@@ -113,13 +107,13 @@ def numbers_table(table: Table) -> RichTable:
         )
     for row in table.rows:
         is_model = bool(row[-1])
-        # As Text, so that a bracket in a joint's name is not taken for markup.
+        # As Text, where brackets in a joint's name are no markup.
         rich.add_row(*map(Text, row), style=None if is_model else "dim")
     return rich
 
 
 def markdown_table(table: Table) -> str:
-    """A table as Markdown, the first column to the left; the caption is left out."""
+    """A table as Markdown, its first column aligned left; without the caption."""
     rule = ["---", *["---:"] * (len(table.header) - 1)]
     lines = [table.header, rule, *table.rows]
     rows = ["| " + " | ".join(map(markdown, line)) + " |" for line in lines]
@@ -127,7 +121,7 @@ def markdown_table(table: Table) -> str:
 
 
 def _cells(column: Array) -> list[str]:
-    """Numbers with as many decimals as show three digits of the smallest."""
+    """Numbers with decimals for three digits of the smallest."""
     sizes = np.abs(column[np.isfinite(column) & (column != 0)])
     smallest = float(np.min(sizes, initial=np.inf))
     decimals = 2

@@ -1,6 +1,6 @@
-"""A diagnosis to scrub through: the arm beside its simulators, in Rerun and Foxglove.
+"""Write a diagnosis for Rerun and Foxglove: the arm beside its simulators over time.
 
-Arms are drawn with the capsules that cover their links, in the base frame, [m].
+Links are drawn as capsules, in the base frame, [m].
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.answer.replay import courses
+from hybrid.diagnosis.answer.replay import simulated_positions
 from hybrid.errors import HybridError, RobotError
 from hybrid.excitation.clearance import frames
 from hybrid.extras import check_extra
 from hybrid.files import atomic_path
-from hybrid.report.diagnosis_data import one_after_another
+from hybrid.report.diagnosis_data import continuous_time
 from hybrid.report.style import BLUE, GREY, RED
 from hybrid.robot.geometry import Capsules, capsules_from_robot
 from hybrid.robot.robot import Robot
@@ -31,19 +31,19 @@ if TYPE_CHECKING:
 _MEASURED, _FILE, _FOUND = "measured", "as the file stands", "with what was found"
 _INKS = {_MEASURED: GREY, _FILE: RED, _FOUND: BLUE}
 _BASE = "base"
-_SEEN_THROUGH = 0.6  # opacity
-_THIN = 0.02  # of the arm's length, where its file has no geometry
+_OPACITY = 0.6
+_RADIUS = 0.02  # of the arm's length, of links without geometry
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """An arm as it moved and as its simulators move, N samples.
+    """Measured and simulated motion of an arm, N samples.
 
     Attributes:
         robot: The arm.
         t: Time, shape (N,), [s].
-        curves: What is known of each joint by kind and name, shape (N, n): positions
-            by whose they are, [rad or m], torques and gaps, [N·m]; NaN where not known.
+        curves: Curves of the joints by kind and source, shape (N, n): positions,
+            [rad or m], torques and gaps, [N·m]; NaN where they are not known.
     """
 
     robot: Robot
@@ -64,7 +64,7 @@ class Scene:
     def poses(self, name: str) -> tuple[Array, Array]:
         """Quaternions (x, y, z, w) and origins of all links in the base frame.
 
-        A simulator that was not replayed stands where the arm was measured.
+        Where a simulator was not replayed, the measured position is taken.
 
         Returns:
             Shapes (n, N, 4) and (n, N, 3), [m].
@@ -76,54 +76,54 @@ class Scene:
         return turns.reshape(*R.shape[:2], 4), p
 
     def links(self) -> Iterator[tuple[int, Array, Array, Array, Array]]:
-        """Capsules of each link that has some, in its frame; −1 is the base.
+        """Capsules of each link in its frame; −1 is the base.
 
         Yields:
-            Link, end points (C, 2, 3) and radii (C,), [m], lengths (C,), [m], and
-            quaternions (x, y, z, w) that turn z along them, (C, 4).
+            Link, end points (C, 2, 3), radii (C,) and lengths (C,), [m], and
+            quaternions (x, y, z, w) that rotate z along the capsules, (C, 4).
         """
         capsules = self._capsules()
         for k in np.unique(capsules.link).tolist():
             own = capsules.link == k
             ends = capsules.ends[own]
-            way = ends[:, 1] - ends[:, 0]
-            length = np.linalg.norm(way, axis=1)
-            turns = np.array([_along(x) for x in way])
+            axis = ends[:, 1] - ends[:, 0]
+            length = np.linalg.norm(axis, axis=1)
+            turns = np.array([_rotation_to(x) for x in axis])
             yield k, ends, capsules.radius[own], length, turns
 
     def _capsules(self) -> Capsules:
         try:
             return capsules_from_robot(self.robot)
-        except RobotError:  # a file without geometry: from joint to joint
+        except RobotError:  # no geometry: capsules from joint to joint
             places = self.robot.chain.translation
             n = len(places)
             ends = np.stack([np.zeros((n, 3)), places], axis=1)
-            radius = _THIN * np.linalg.norm(places, axis=1).sum()
+            radius = _RADIUS * np.linalg.norm(places, axis=1).sum()
             return Capsules(np.arange(n) - 1, ends, np.full(n, radius), ("",) * n)
 
 
-def _along(way: Array) -> Array:
-    """Quaternion (x, y, z, w) that turns the z axis along a vector."""
-    turned = Rotation.identity()
-    if way.any():
-        turned, _ = Rotation.align_vectors([way], [[0.0, 0.0, 1.0]])
-    return np.asarray(turned.as_quat())
+def _rotation_to(axis: Array) -> Array:
+    """Quaternion (x, y, z, w) that rotates the z axis along a vector."""
+    rotation = Rotation.identity()
+    if axis.any():
+        rotation, _ = Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])
+    return np.asarray(rotation.as_quat())
 
 
 def scene_of_diagnosis(result: Result) -> Scene:
-    """All recordings one after another, and the simulator with and without findings.
+    """All recordings one after another, with simulators without and with findings.
 
-    What is left with the findings is known on samples that no step has seen.
+    The gap with the findings is known at held-out samples only.
     """
     gap, scored = result.gap, result.scored
     rows = np.arange(len(gap.left))
-    t, _ = one_after_another(
+    t, _ = continuous_time(
         gap.sampled.t, gap.trajectory, rows, [x.source for x in gap.motions]
     )
     left = np.full_like(gap.left, np.nan)
     for i, seen in enumerate(scored.evidence.rows):
         left[seen, i] = scored.after[i]
-    before, after = courses(scored)
+    before, after = simulated_positions(scored)
     curves = {
         "position": {_MEASURED: gap.sampled.q, _FILE: before, _FOUND: after},
         "torque": {_MEASURED: gap.measured, _FILE: gap.measured - gap.left},
@@ -133,16 +133,16 @@ def scene_of_diagnosis(result: Result) -> Scene:
 
 
 def scene_of_servos(robot: Robot, replay: ServoReplay) -> Scene:
-    """A log without torque beside its replays."""
+    """A log without torque, with its replays."""
     q = {_MEASURED: replay.q, _FILE: replay.before, _FOUND: replay.after}
     return Scene(robot, replay.t, {"position": q})
 
 
 def writer_of(path: Path) -> Callable[[Scene, Path], None]:
-    """The function that writes a kind of file.
+    """The function that writes a file, by its suffix.
 
     Raises:
-        HybridError: There is no such kind, or its library is not installed.
+        HybridError: The suffix is unknown, or its library is not installed.
     """
     kinds = {".rrd": ("rerun", write_rerun), ".mcap": ("foxglove", write_mcap)}
     if path.suffix not in kinds:
@@ -153,12 +153,7 @@ def writer_of(path: Path) -> Callable[[Scene, Path], None]:
 
 
 def write_rerun(scene: Scene, path: str | Path) -> None:
-    """Write a recording for Rerun's viewer, one tab of curves for each joint.
-
-    Args:
-        scene: What to show.
-        path: File, ``.rrd``.
-    """
+    """Write a recording for Rerun, with a tab of curves for each joint."""
     import rerun as rr
     import rerun.blueprint as rrb
 
@@ -199,7 +194,7 @@ def write_rerun(scene: Scene, path: str | Path) -> None:
 
 
 def _rerun_capsules(scene: Scene, name: str) -> dict[int, Any]:
-    """Shapes of each link that has some, −1 for the base."""
+    """Capsules of each link; −1 is the base."""
     import rerun as rr
 
     return {
@@ -215,7 +210,7 @@ def _rerun_capsules(scene: Scene, name: str) -> dict[int, Any]:
 
 
 def _rgb(name: str) -> tuple[int, int, int]:
-    """Colour of an arm and of its curves, 0 to 255."""
+    """Colour of an arm and its curves, 0 to 255."""
     ink = _INKS[name]
     return int(ink[1:3], 16), int(ink[3:5], 16), int(ink[5:7], 16)
 
@@ -223,12 +218,8 @@ def _rgb(name: str) -> tuple[int, int, int]:
 def write_mcap(scene: Scene, path: str | Path) -> None:
     """Write MCAP for Foxglove: transforms, a scene, and a message for each curve.
 
-    ``/position/measured.elbow``, ``/gap/as the file stands.elbow`` and so on are the
-    paths to plot; what is not known is null.
-
-    Args:
-        scene: What to show.
-        path: File, ``.mcap``.
+    Paths to plot are ``/position/measured.elbow``, ``/gap/as the file stands.elbow``
+    and so on; unknown values are null.
     """
     import foxglove
     from foxglove.channels import FrameTransformsChannel, SceneUpdateChannel
@@ -269,7 +260,7 @@ def _frame(scene: Scene, name: str, k: int) -> str:
 def _transforms(
     scene: Scene, name: str, turn: Array, place: Array, stamp: int
 ) -> list[Any]:
-    """Where each link is at one time, quaternions (n, 4) and origins (n, 3)."""
+    """Poses of the links at one time, from quaternions (n, 4) and origins (n, 3)."""
     from foxglove import messages as m
 
     return [
@@ -285,7 +276,7 @@ def _transforms(
 
 
 def _entities(scene: Scene, name: str) -> Iterator[Any]:
-    """The links of an arm: cylinders between balls, fixed to their frames."""
+    """The links of an arm: cylinders between spheres, fixed to their frames."""
     from foxglove import messages as m
 
     def pose(place: Array, turn: Array) -> Any:
@@ -295,7 +286,7 @@ def _entities(scene: Scene, name: str) -> Iterator[Any]:
         )
 
     red, green, blue = (x / 255 for x in _rgb(name))
-    color = m.Color(r=red, g=green, b=blue, a=_SEEN_THROUGH)
+    color = m.Color(r=red, g=green, b=blue, a=_OPACITY)
     for k, *parts in scene.links():
         spheres, cylinders = [], []
         for ends, radius, length, turn in zip(*parts, strict=True):
@@ -307,9 +298,9 @@ def _entities(scene: Scene, name: str) -> Iterator[Any]:
                     pose=middle, size=size, bottom_scale=1, top_scale=1, color=color
                 )
             )
-            ball = m.Vector3(x=wide, y=wide, z=wide)
+            sphere = m.Vector3(x=wide, y=wide, z=wide)
             spheres += [
-                m.SpherePrimitive(pose=pose(end, turn), size=ball, color=color)
+                m.SpherePrimitive(pose=pose(end, turn), size=sphere, color=color)
                 for end in ends
             ]
         yield m.SceneEntity(

@@ -1,1 +1,1 @@
-"""What to run next."""
+"""Experiments to run next."""

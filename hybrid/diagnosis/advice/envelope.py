@@ -1,4 +1,4 @@
-"""What an arm may safely do: its limits, and links that stay apart."""
+"""Safe motions of an arm: within its limits, with links that stay apart."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from hybrid.excitation.experiments import checked, path_from_reference
 from hybrid.plant.reference import Reference
 from hybrid.robot import Robot
 
-_ALIKE = 0.01  # rad or m, between postures that need no second look
+_SAME_POSTURE = 0.01  # rad or m
 _TRIES = 12
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """80 % of the limits of an arm's file, and the distance between its links.
+    """80 % of the limits in a robot file, and the clearance of its links.
 
     Attributes:
         robot: The arm.
         limits: The limits.
-        clearance: The links, 1 cm apart; nothing where the file holds no geometry.
+        clearance: Clearance of 1 cm between links; None if the file has no geometry.
     """
 
     robot: Robot
@@ -36,11 +36,10 @@ class Envelope:
 
     @classmethod
     def of(cls, robot: Robot) -> Envelope:
-        """Take it from the robot's file."""
+        """Make the envelope of a robot."""
         limits, clearance = Limits.of(robot), None
-        # Without geometry no link is known to touch another: limits are all there is.
-        with warnings.catch_warnings(), suppress(RobotError):
-            # Links that touch in most postures are left out here as well.
+        with warnings.catch_warnings(), suppress(RobotError):  # no geometry
+            # Links that touch in most postures are left out.
             warnings.simplefilter("ignore", HybridWarning)
             clearance = Clearance.of(robot, limits)
         return cls(robot, limits, clearance)
@@ -48,14 +47,14 @@ class Envelope:
     def first_safe(
         self, make: Callable[[int], Reference], robot: Robot | None = None
     ) -> Reference:
-        """The first of some motions that is safe.
+        """The first safe motion of some tries.
 
         Args:
-            make: Makes a motion from the number of the try, from 0.
-            robot: The arm as it will be, such as one that carries something.
+            make: Makes a motion from the number of the try, counted from 0.
+            robot: The arm with a payload; without one by default.
 
         Raises:
-            ExcitationError: None is.
+            ExcitationError: No try is safe.
         """
         for k in range(_TRIES):
             try:
@@ -69,7 +68,7 @@ class Envelope:
 
         Args:
             reference: A motion of the arm.
-            robot: The arm as it will be; as it is by default.
+            robot: The arm with a payload; without one by default.
 
         Raises:
             ExcitationError: A limit is exceeded, or two links come too close.
@@ -77,7 +76,7 @@ class Envelope:
         checked(robot or self.robot, reference, self.limits)
         if self.clearance is None or not len(self.clearance.pairs):
             return reference
-        postures = np.round(reference.q / _ALIKE)
+        postures = np.round(reference.q / _SAME_POSTURE)
         _, first = np.unique(postures, axis=0, return_index=True)
         worst = self.clearance.excess(path_from_reference(reference).at(first))
         if (worst > 0).any():

@@ -1,4 +1,4 @@
-"""A safe menu: experiments that an arm can run, as references within its limits."""
+"""Experiments that an arm can run safely, as reference motions within its limits."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ from hybrid.plant.reference import Reference, random_fourier
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 
-_EDGE = 0.2  # s, at both ends of a motion, that filters spoil
-_CUTOFF = 30.0  # Hz, of what is expected of experiments; none is that fast
-_CLOCK = 5.0  # samples per period of the cut-off
+_EDGE = 0.2  # s, at both ends of a motion: transient of the filter
+_CUTOFF = 30.0  # Hz, highest; experiments are slower
+_SAMPLES = 5.0  # per period of the cut-off
 _POSES, _FEWEST_POSES, _DRAWS = 8, 4, 60
-_PREVIEW = 50.0  # Hz, of moves that are only checked
-_SMALLER = 0.85  # from one try to the next
-_WARM = 1200.0  # s, after which a drive is warm
-_WARMER = 20.0  # K, by then
-_LIGHTER = (0.5, 0.25, 0.125)  # of a middling link, to be carried
+_CHECK_RATE = 50.0  # Hz, of moves that are only checked
+_SMALLER = 0.85  # amplitude of a try over that of the last
+_WARM_UP = 1200.0  # s
+_WARM_RISE = 20.0  # K, of the temperature of a drive
+_PAYLOADS = (0.5, 0.25, 0.125)  # times the median mass of a link
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A motion to run, and when and with what.
+    """A motion to run, with its conditions.
 
     Attributes:
-        name: What it is, as the words after "run".
+        name: Name, as it follows the word "run".
         reference: The motion.
         start: Time since the drives were switched on, [s].
-        mass: What the last link carries, at its centre of mass, [kg].
-        gains: Whether it is to be run with other gains of the servo as well.
+        mass: Payload at the centre of mass of the last link, [kg].
+        gains: Whether to run it with other servo gains as well.
     """
 
     name: str
@@ -57,21 +57,21 @@ class Experiment:
 
     @property
     def plain(self) -> bool:
-        """Whether it takes no more than to run the motion."""
+        """Whether the motion needs no preparation."""
         return self.start == 0 and self.mass == 0 and not self.gains
 
     def arm(self, robot: Robot) -> Robot:
-        """The arm as it is in the experiment."""
-        return loaded(robot, self.mass) if self.mass else robot
+        """The arm with the payload of the experiment."""
+        return with_payload(robot, self.mass) if self.mass else robot
 
 
 class Menu:
-    """Experiments about an arm, as far as its limits and its links allow them.
+    """Experiments with an arm that its limits and its links allow.
 
     Args:
         robot: The arm.
-        rng: Source of random motions.
-        rate: Samples of the references per second, [Hz].
+        rng: Random generator of motions.
+        rate: Samples per second of the references, [Hz].
     """
 
     def __init__(self, robot: Robot, rng: np.random.Generator, *, rate: float) -> None:
@@ -79,26 +79,27 @@ class Menu:
         self._of_joint: dict[int, tuple[Experiment, ...]] = {}
 
     def about(self, joint: int) -> tuple[Experiment, ...]:
-        """Experiments that tell something about a joint."""
+        """Experiments that move a joint."""
         if joint not in self._of_joint:
-            # A number from 1, as text, is the one name no joint can be taken for.
+            # Motions take a joint by its name, or by its number from 1 as text.
             robot, rate, number = self._robot, self._rate, str(joint + 1)
 
             def reversals(k: int) -> Reference:
                 posture = self._posture(k)
                 return micro_reversals(robot, number, rate=rate, posture=posture)
 
-            small = self._served(f"small reversals of {robot.joints[joint]}", reversals)
+            name = f"small reversals of {robot.joints[joint]}"
+            small = self._if_safe(name, reversals)
             self._of_joint[joint] = (*self.ladder(joint, longest=2.0), *small)
         return (*self._of_joint[joint], *self.of_all_joints)
 
     @cached_property
     def envelope(self) -> Envelope:
-        """What the arm may do."""
+        """Limits and clearance of the arm."""
         return Envelope.of(self._robot)
 
     def ladder(self, joint: int, *, longest: float = 4.0) -> tuple[Experiment, ...]:
-        """A joint forth and back at many speeds, if there is room for it.
+        """Motions of a joint at many speeds in both directions, if there is room.
 
         Args:
             joint: The joint.
@@ -113,7 +114,7 @@ class Menu:
             )
 
         name = f"a ladder of speeds of {robot.joints[joint]}, up and down"
-        return self._served(name, make)
+        return self._if_safe(name, make)
 
     @cached_property
     def of_all_joints(self) -> tuple[Experiment, ...]:
@@ -121,7 +122,7 @@ class Menu:
         robot, rng, rate = self._robot, self._rng, self._rate
 
         def speeds(k: int) -> Reference:
-            return joined(at_speeds(robot, self._path(10.0, 0.2, k)))
+            return concatenated(at_speeds(robot, self._path(10.0, 0.2, k)))
 
         def poses(_: int) -> Reference:
             return static_poses(robot, self._poses(), hold=0.5, rate=rate)
@@ -131,48 +132,48 @@ class Menu:
             return multisine(robot, fill=fill, posture=posture, seed=rng, rate=rate)
 
         return (
-            *self._served(
+            *self._if_safe(
                 "one path of all joints at 0.5, 1 and 2 times its speed", speeds
             ),
-            *self._served(
+            *self._if_safe(
                 "moves between poses all over the workspace, with a rest in each", poses
             ),
-            *self._served("a multisine of all joints from 0.2 to 5 Hz", tones),
-            *self._served(
+            *self._if_safe("a multisine of all joints from 0.2 to 5 Hz", tones),
+            *self._if_safe(
                 "a fast random motion of all joints over most of their range",
                 lambda k: self._path(20.0, 0.8, k),
             ),
-            *self._with_hands(),
+            *self._prepared(),
         )
 
-    def _with_hands(self) -> tuple[Experiment, ...]:
-        """Experiments for which something has to be prepared."""
+    def _prepared(self) -> tuple[Experiment, ...]:
+        """Experiments that need preparation: warm drives, other gains or a payload."""
         found = (
-            *self._served(
+            *self._if_safe(
                 "a random motion of all joints again when the drives are warm, after "
-                f"{_WARM / 60:.0f} minutes of work, logged by the same clock",
+                f"{_WARM_UP / 60:.0f} minutes of work, logged by the same clock",
                 self._random,
-                start=_WARM,
+                start=_WARM_UP,
             ),
-            *self._served(
+            *self._if_safe(
                 "a random motion of all joints twice, the second time with the gains "
                 "of the servo at half",
                 self._random,
                 gains=True,
             ),
         )
-        for part in _LIGHTER:
+        for part in _PAYLOADS:
             mass = float(f"{part * np.median(self._robot.chain.inertial[:, 0]):.1g}")
             carry = (
                 f"a random motion of all joints with a known mass of {mass:g} kg at "
                 "the last link, and diagnose that recording alone, with the mass in "
                 "the simulator's file"
             )
-            if mass > 0 and (heavy := self._served(carry, self._random, mass=mass)):
+            if mass > 0 and (heavy := self._if_safe(carry, self._random, mass=mass)):
                 return (*found, *heavy)
         return found
 
-    def _served(
+    def _if_safe(
         self,
         name: str,
         make: Callable[[int], Reference],
@@ -181,8 +182,8 @@ class Menu:
         mass: float = 0.0,
         gains: bool = False,
     ) -> tuple[Experiment, ...]:
-        """An experiment; nothing if the arm has no room, speed or torque for it."""
-        arm = loaded(self._robot, mass) if mass else self._robot
+        """The experiment, if the arm has enough room, speed and torque for it."""
+        arm = with_payload(self._robot, mass) if mass else self._robot
         try:
             reference = self.envelope.first_safe(make, arm)
         except HybridError:
@@ -193,7 +194,7 @@ class Menu:
         return self._path(20.0, 0.6, k)
 
     def _path(self, duration: float, fill: float, k: int) -> Reference:
-        """A random motion, smaller from try to try."""
+        """A random motion, smaller with each try ``k``."""
         return random_fourier(
             self._robot,
             duration=duration,
@@ -204,22 +205,23 @@ class Menu:
         )
 
     def _posture(self, k: int) -> Array | None:
-        """The middle of the range at first, and then any posture about it."""
-        return self._anywhere(0.6) if k else None
+        """The middle of the range in the first try, then random postures."""
+        return self._random_posture(0.6) if k else None
 
-    def _anywhere(self, part: float) -> Array:
+    def _random_posture(self, part: float) -> Array:
+        """A random posture within a part of the range about its middle."""
         x = self.envelope.limits
-        away = part * self._rng.uniform(-1, 1, self._robot.size)
-        return np.asarray((x.low + x.high + away * (x.high - x.low)) / 2)
+        offset = part * self._rng.uniform(-1, 1, self._robot.size)
+        return np.asarray((x.low + x.high + offset * (x.high - x.low)) / 2)
 
     def _poses(self) -> Array:
-        """Poses between which the arm can go straight, back to the first one too."""
+        """Poses with safe straight moves from each to the next, and to the first."""
         first = self.envelope.first_safe(
-            lambda k: self._move(self._anywhere(0.6 if k else 0.0))
+            lambda k: self._move(self._random_posture(0.6 if k else 0.0))
         )
         poses = [first.q[0]]
         for _ in range(_DRAWS):
-            goal = self._anywhere(0.85)
+            goal = self._random_posture(0.85)
             try:
                 self.envelope.checked(self._move(poses[-1], goal))
                 self.envelope.checked(self._move(goal, poses[0]))
@@ -230,18 +232,18 @@ class Menu:
                 break
         if len(poses) < _FEWEST_POSES:
             raise HybridError("too few poses can be reached safely")
-        return np.array([*poses, poses[0]])  # so that it can be run again
+        return np.array([*poses, poses[0]])
 
     def _move(self, *poses: Array) -> Reference:
         walk = Walk(poses[0])
         for goal in poses[1:]:
             walk.move(goal, self.envelope.limits)
         walk.wait(0.1)
-        return walk.reference(_PREVIEW)
+        return walk.reference(_CHECK_RATE)
 
 
-def loaded(robot: Robot, mass: float) -> Robot:
-    """An arm that carries a mass at the centre of mass of its last link, [kg]."""
+def with_payload(robot: Robot, mass: float) -> Robot:
+    """The arm with a payload at the centre of mass of its last link, [kg]."""
     inertial = robot.chain.inertial.copy()
     x, y, z = inertial[-1, 1:4] / max(inertial[-1, 0], 1e-9)
     squares = [y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]
@@ -250,36 +252,37 @@ def loaded(robot: Robot, mass: float) -> Robot:
 
 
 def gap_along(gap: Gap, experiment: Experiment) -> Gap:
-    """What a gap would be along an experiment without any gap: all zeros.
+    """A gap of zero along an experiment, to compute columns of effects there.
 
     Args:
-        gap: A gap that was measured, for the simulator and its speeds.
-        experiment: The experiment, taken to be followed perfectly.
+        gap: A measured gap, for the simulator and its speeds.
+        experiment: The experiment; the arm is assumed to follow it exactly.
     """
     cutoff = min(gap.cutoff, _CUTOFF)
     r, robot = experiment.reference, experiment.arm(gap.robot)
-    step = max(1, int(r.rate / (_CLOCK * cutoff)))
+    step = max(1, int(r.rate / (_SAMPLES * cutoff)))
     q, v, a = (x[::step] for x in (r.q, r.v, r.a))
     edge, mask = round(_EDGE * r.rate / step), np.zeros(len(q), dtype=bool)
     mask[edge:-edge] = True
-    warmth, logged = None, gap.sampled.temperature
+    temperature, logged = None, gap.sampled.temperature
     if logged is not None:
-        warm = logged.max(axis=0) + _WARMER if experiment.start else logged.min(axis=0)
-        warmth = np.broadcast_to(warm, q.shape).copy()
+        warm = logged.max(axis=0) + _WARM_RISE
+        level = warm if experiment.start else logged.min(axis=0)
+        temperature = np.broadcast_to(level, q.shape).copy()
     t = experiment.start + r.t[::step]
-    motion = Motion(t, q, v, a, 0 * q, mask, warmth, robot.joints)
+    motion = Motion(t, q, v, a, 0 * q, mask, temperature, robot.joints)
     body = RigidBody(robot.chain, motion)
     motion = replace(motion, tau=simulated_torque(robot, motion, body))
     sampler = Sampler.for_rate(motion.rate, cutoff)
     v = v[:: sampler.factor]
     moving = np.abs(v) > STANDING * np.abs(gap.sampled.v).max(axis=0)
     moving &= sampler.keep(mask)[:, None]
-    of, left = np.zeros(len(v), dtype=np.intp), np.zeros_like(v)
-    return Gap(robot, (motion,), (body,), cutoff, left, moving, of, of)
+    zero, left = np.zeros(len(v), dtype=np.intp), np.zeros_like(v)
+    return Gap(robot, (motion,), (body,), cutoff, left, moving, zero, zero)
 
 
-def joined(references: Sequence[Reference]) -> Reference:
-    """References that end where the next one starts, at rest, one after the other."""
+def concatenated(references: Sequence[Reference]) -> Reference:
+    """References one after the other; each ends at rest where the next one starts."""
     whole = references[0]
     for r in references[1:]:
         t = np.append(whole.t, whole.t[-1] + r.t[1:])

@@ -1,9 +1,9 @@
-"""How far a new motion would set two explanations of the same data apart.
+"""Predict how well a new motion discriminates between two rival explanations.
 
-Each explanation has been fitted to the recordings there are. If one of them is true,
-the new motion's torque is what it predicts; the other is fitted to that anew, held by
-what the old recordings say of its parameters. What it cannot follow is the separation,
-in units of noise: half its square is the evidence that the motion is expected to bring.
+Each rival has been fitted to the recordings. If one is true, it predicts the torque of
+the new motion. The other is fitted to that torque, with a prior from the recordings.
+The norm of its residual is the separation, in units of noise; half its square is the
+expected evidence of the new motion.
 
 Source: Atkinson and Fedorov 1975, doi 10.1093/biomet/62.1.57 (T-optimality).
 """
@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.advice.along import Along
+from hybrid.diagnosis.advice.whitened import WhitenedColumns
 from hybrid.diagnosis.evidence.bayes import heavy_tailed
 from hybrid.diagnosis.evidence.candidates import (
     Candidate,
@@ -31,21 +32,22 @@ from hybrid.diagnosis.gap.gap import Columns
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects import Effect
 
-_EXACT_PASSES = 4
+_ITERATIONS = 4  # of the gain of a linearised effect
 _LONG_WAVES = 6  # per turn
 
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """One explanation, fitted to the recordings there are.
+    """One of two explanations, fitted to the recordings.
 
     Attributes:
-        candidate: What is special in it, with its fitted gains.
-        others: What all explanations share.
-        gains: Background, others, effect and small changes of its shapes, shape (k,).
-        precision: What is known of them: inverse covariance, shape (k, k).
-        prior: Inverse variance of what is shared before any recording, shape (s,).
-        evidence: What it adds to what is shared, on the recordings, [nat].
+        candidate: The effect in which it differs, with fitted gains.
+        others: The effects that both rivals share.
+        gains: Gains of the background, of the shared effects and of its own effect, and
+            small changes of its shapes, shape (k,).
+        precision: Inverse posterior covariance of these, shape (k, k).
+        prior: Inverse prior variance of what both share, shape (s,).
+        evidence: Log evidence of its own effect on the recordings, [nat].
     """
 
     candidate: Candidate
@@ -57,26 +59,20 @@ class Rival:
 
     @property
     def effect(self) -> Effect:
-        """What is special in it, with its fitted gains."""
+        """The effect in which it differs, with fitted gains."""
         return self.candidate.effect
 
-    def stack(self, along: Along) -> list[Array]:
+    def stack(self, motions: WhitenedColumns) -> list[Array]:
         """Columns of all its gains along motions, shape (R, k) at each joint."""
-        return along.stack([*self.shared(along), *along.own(self.effect)])
+        return motions.stack([*self.shared(motions), *motions.with_shapes(self.effect)])
 
-    def shared(self, along: Along) -> list[Columns]:
-        """Columns of what all explanations share."""
-        return [*along.background, *(along.kept(c) for c in self.others)]
+    def shared(self, motions: WhitenedColumns) -> list[Columns]:
+        """Columns that both rivals share."""
+        return [*motions.background, *(motions.cached(c) for c in self.others)]
 
 
 def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
-    """A candidate in the place of a term, fitted to the samples of a search.
-
-    Args:
-        search: The search.
-        term: One of its terms.
-        candidate: The term's own, or another one with its shapes fitted.
-    """
+    """Fit a candidate in the place of a term to the samples of a search."""
     gap, evidence = search.gap, search.evidence
     others = [t.index for t in search.terms if t.index is not term.index]
     base = np.concatenate([search.rigid, *others])
@@ -84,22 +80,22 @@ def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
     solution = evidence.solve(np.concatenate([base, own]))
     effect = with_gains(candidate.effect, solution.gains[len(base) :])
     blocks = shape_derivatives(gap, effect)
-    bends = evidence.add(blocks, [np.ones(1)] * len(blocks)) if blocks else []
-    index = np.concatenate([base, own, *bends])
+    changes = evidence.add(blocks, [np.ones(1)] * len(blocks)) if blocks else []
+    index = np.concatenate([base, own, *changes])
     A, _ = evidence.normal(index)
     prior = evidence.precision[index]
     return Rival(
         replace(candidate, effect=effect),
         tuple(t.candidate for t in search.terms if t.index is not term.index),
-        np.concatenate([solution.gains, np.zeros(len(bends))]),
+        np.concatenate([solution.gains, np.zeros(len(changes))]),
         A + np.diag(prior),
         prior[: len(base)],
         solution.evidence - evidence.solve(base).evidence - price(effect),
     )
 
 
-def shapes_of(search: Search) -> list[Candidate]:
-    """All shapes that a search has tried, and long waves, which other data may show."""
+def tried_shapes(search: Search) -> list[Candidate]:
+    """Candidates with all shapes that a search has tried, and with long waves."""
     tried = [t.candidate for t in search.pool.tried]
     for c in list({c.place: c for c in tried}.values()):
         for wave in (s.name for s in c.effect.shapes if s.unit == "1/turn"):
@@ -108,167 +104,145 @@ def shapes_of(search: Search) -> list[Candidate]:
     return tried
 
 
-class Outlook:
-    """What recordings and a motion to come would say together of explanations.
+class Discrimination:
+    """Discrimination between rivals by recordings together with a new motion.
 
     Args:
-        tried: Shapes from which an explanation's own are fitted; see :func:`shapes_of`.
-        recorded: The recordings that the explanations were fitted to.
-        ahead: The motion to come.
-        alone: Whether the motion will be judged without the recordings.
+        tried: Candidates with start values of shapes; see :func:`tried_shapes`.
+        recorded: The recordings to which the rivals were fitted.
+        ahead: The new motion.
+        alone: Whether the new motion will be diagnosed without the recordings.
     """
 
     def __init__(
         self,
         tried: Sequence[Candidate],
-        recorded: Along,
-        ahead: Along,
+        recorded: WhitenedColumns,
+        ahead: WhitenedColumns,
         *,
         alone: bool = False,
     ) -> None:
         self._tried = tried
         self._ahead = ahead
         self._parts = [ahead] if alone else [recorded, ahead]
-        self._known: dict[tuple[Candidate, ...], _Known] = {}
+        self._shared: dict[tuple[Candidate, ...], _Shared] = {}
 
     def separation(self, first: Rival, second: Rival) -> float:
-        """How far the motion sets two explanations apart, whichever is true."""
+        """Separation of two rivals by the new motion, whichever of them is true."""
         rivals = first, second
-        sides = [r.stack(self._ahead) for r in rivals]
-        torques = [
-            np.concatenate([x @ r.gains for x in X])
-            for X, r in zip(sides, rivals, strict=True)
-        ]
-        off, found = torques[0] - torques[1], []
-        for parts, rival in zip(sides, rivals, strict=True):
-            X = np.concatenate(parts)
-            b = X.T @ off
-            followed = b @ np.linalg.solve(X.T @ X + rival.precision, b)
-            found.append(max(float(off @ off - followed), 0.0))
+        stacks = [np.concatenate(r.stack(self._ahead)) for r in rivals]
+        torques = [X @ r.gains for X, r in zip(stacks, rivals, strict=True)]
+        difference, found = torques[0] - torques[1], []
+        for X, rival in zip(stacks, rivals, strict=True):
+            b = X.T @ difference
+            fitted = b @ np.linalg.solve(X.T @ X + rival.precision, b)
+            found.append(max(float(difference @ difference - fitted), 0.0))
         return float(np.sqrt(min(found)))
 
     def contrast(self, first: Rival, second: Rival) -> tuple[float, float]:
-        """How well the recordings and the motion would tell two explanations apart.
+        """Expected evidence between two rivals from the recordings and the motion.
 
-        One explanation's torque is appended to the recordings, and both are fitted to
-        all of it, shapes too, however far that takes them. A law that another one has
-        as a limit cannot be told from it if it is the true one.
+        The torque that one rival predicts is appended to the recordings, and both are
+        fitted to all of it, shapes included. A law that is a limit of the other cannot
+        be distinguished from it if it is the true one.
 
         Returns:
-            By how much the evidence differs if the first is true, and if the second
-            is, over what it must differ for them to be no more alike; 1 or more if
-            they are told apart.
+            Difference of evidence if the first is true, and if the second is, over the
+            difference that is required; 1 or more if they are distinguished.
         """
 
-        def told(true: Rival, other: Rival) -> float:
-            data = self._believe(true)
-            # Its own law cannot do better than at the shapes that made the torque.
-            best = self._trial(data, true.candidate)[0]
-            return (best - self._gain(data, other.candidate)) / needed(best)
+        def ratio(true: Rival, other: Rival) -> float:
+            data = self._predicted(true)
+            # The shapes of the true law are known.
+            best = self._evidence_at(data, true.candidate)[0]
+            found = self._best_evidence(data, other.candidate)
+            return (best - found) / required_evidence(best)
 
-        return told(first, second), told(second, first)
+        return ratio(first, second), ratio(second, first)
 
-    def _believe(self, true: Rival) -> _Told:
-        """All the data there would be if an explanation were true."""
-        if true.others not in self._known:
+    def _predicted(self, true: Rival) -> _Data:
+        """Recordings and the torque of the new motion, if a rival is true."""
+        if true.others not in self._shared:
             stacks = [p.stack(true.shared(p)) for p in self._parts]
-            self._known = {true.others: _Known(_joined(stacks), true.prior)}
+            self._shared = {true.others: _Shared(_joined(stacks), true.prior)}
         new = [X @ true.gains for X in true.stack(self._ahead)]
-        old = [p.left for p in self._parts[:-1]]
-        return _Told(self._known[true.others], _joined([*old, new]))
+        old = [p.residual for p in self._parts[:-1]]
+        return _Data(self._shared[true.others], _joined([*old, new]))
 
-    def _gain(self, told: _Told, candidate: Candidate) -> float:
-        """Evidence of an effect on all data, from the best of all shapes tried, [nat].
+    def _best_evidence(self, data: _Data, candidate: Candidate) -> float:
+        """Evidence of an effect with fitted shapes, from the best start value, [nat].
 
         The shapes are fitted as :meth:`Search.refine` does.
         """
 
-        def gain(effect: Effect) -> float:
-            return self._trial(told, replace(candidate, effect=effect))[0]
+        def evidence(effect: Effect) -> float:
+            return self._evidence_at(data, replace(candidate, effect=effect))[0]
 
-        same = [c for c in self._tried if c.place == candidate.place]
-        grid = [(told.trial(self._columns(c), c)[0], c.effect) for c in same]
-        start = max([(gain(candidate.effect), candidate.effect), *grid], key=_first)
-        effect, best = fit_shapes(start[1], gain, self._ahead.gap)
+        start = evidence(candidate.effect), candidate.effect
+        for c in self._tried:
+            if c.place == candidate.place:
+                columns = _appended([p.cached(c) for p in self._parts])
+                found = data.evidence(columns, c)[0]
+                start = max(start, (found, c.effect), key=itemgetter(0))
+        effect, best = fit_shapes(start[1], evidence, self._ahead.gap)
         if best < start[0]:
             best, effect = start
         timed = effect.shifts and effect.gain_values.any()
         if effect.linearised and len(effect.gains) == 1 and not timed:
             bounds = effect.gains[0].scaled(scale_of(self._ahead.gap, effect))
-            for _ in range(_EXACT_PASSES):
-                best, gains = self._trial(told, replace(candidate, effect=effect))
+            for _ in range(_ITERATIONS):
+                best, gains = self._evidence_at(data, replace(candidate, effect=effect))
                 value = float(np.clip(gains[0], bounds.lower, bounds.upper))
                 effect = effect.at({bounds.name: value})
         return best
 
-    def _trial(self, told: _Told, c: Candidate) -> tuple[float, Array]:
-        columns = [p.columns(c.effect) for p in self._parts]
-        return told.trial(_appended(columns), c)
-
-    def _columns(self, c: Candidate) -> Columns:
-        return _appended([p.kept(c) for p in self._parts])
+    def _evidence_at(self, data: _Data, c: Candidate) -> tuple[float, Array]:
+        """Evidence of a candidate at its shapes, [nat], and its gains (p,)."""
+        return data.evidence(_appended([p.columns(c.effect) for p in self._parts]), c)
 
 
-class _Known:
-    """What all explanations share, along all motions.
-
-    Args:
-        X: Its columns at each joint, shape (R, s).
-        prior: Inverse variance of its gains, shape (s,).
-    """
+class _Shared:
+    """Columns X that both rivals share, (R, s) at each joint, with their precision."""
 
     def __init__(self, X: Sequence[Array], prior: Array) -> None:
-        # In units of the prior, which differ by many orders of magnitude.
+        # Scaled by the prior, as columns differ by many orders of magnitude.
         self.X, self.size = [x / np.sqrt(prior) for x in X], len(prior)
         gram = np.sum([x.T @ x for x in self.X], axis=0)
         self.factor = cho_factor(np.eye(len(prior)) + gram)
 
 
-class _Told:
-    """Data to be explained, beside what all explanations share.
+class _Data:
+    """Torque y in units of noise, (R,) at each joint, with the shared columns."""
 
-    Args:
-        known: What they share.
-        y: Torque at each joint, in units of noise, shape (R,).
-    """
+    def __init__(self, shared: _Shared, y: Sequence[Array]) -> None:
+        self._shared, self._y = shared, y
+        moment = np.sum([x.T @ t for x, t in zip(shared.X, y, strict=True)], axis=0)
+        self._gains = cho_solve(shared.factor, moment)
 
-    def __init__(self, known: _Known, y: Sequence[Array]) -> None:
-        self._known, self._y = known, y
-        moment = np.sum([x.T @ t for x, t in zip(known.X, y, strict=True)], axis=0)
-        self._explained = cho_solve(known.factor, moment)
-
-    def trial(self, columns: Columns, c: Candidate) -> tuple[float, Array]:
-        """Evidence that a candidate's columns add, [nat], and their gains (p,)."""
+    def evidence(self, columns: Columns, c: Candidate) -> tuple[float, Array]:
+        """Log evidence of a candidate's columns, [nat], and their gains, (p,)."""
         p = len(c.std)
-        across, H, s = np.zeros((self._known.size, p)), np.zeros((p, p)), np.zeros(p)
+        across, H, s = np.zeros((self._shared.size, p)), np.zeros((p, p)), np.zeros(p)
         for i, x in columns.items():
-            across += self._known.X[i].T @ x
+            across += self._shared.X[i].T @ x
             H += x.T @ x
             s += x.T @ self._y[i]
-        H -= across.T @ cho_solve(self._known.factor, across)
-        s -= across.T @ self._explained
+        H -= across.T @ cho_solve(self._shared.factor, across)
+        s -= across.T @ self._gains
         gain, gains, _ = heavy_tailed(H, s, c.std**-2.0, c.lower)
         return float(gain) - price(c.effect), gains
 
 
-def needed(evidence: float) -> float:
-    """By how much another explanation's evidence must differ not to be alike, [nat].
-
-    Args:
-        evidence: Of the explanation, [nat]; its law may be inexact.
-    """
+def required_evidence(evidence: float) -> float:
+    """Difference of evidence that distinguishes an explanation from another, [nat]."""
     prior = Prior()
     return float(max(-np.log(prior.alternative), prior.law_error * evidence))
 
 
 def _joined(parts: Sequence[Sequence[Array]]) -> list[Array]:
-    """Samples of all motions, joint by joint."""
+    """Concatenate the samples of all motions at each joint."""
     return [np.concatenate(x) for x in zip(*parts, strict=True)]
 
 
 def _appended(parts: Sequence[Columns]) -> Columns:
     return {i: np.concatenate([p[i] for p in parts]) for i in parts[0]}
-
-
-def _first(x: tuple[float, Effect]) -> float:
-    return x[0]

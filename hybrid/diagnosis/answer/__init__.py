@@ -1,1 +1,1 @@
-"""The answer: findings, shrinkage, and a simulator that has them."""
+"""The result of a diagnosis: findings, their gaps before and after, corrected files."""

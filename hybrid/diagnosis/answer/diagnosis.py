@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
 from hybrid.diagnosis.answer.events import Event
 from hybrid.files import write_json
-from hybrid.shown import Shown
+from hybrid.shown import Shown, plain
 
 SCHEMA = "hybrid.diagnosis/1"
 
@@ -22,16 +21,16 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class Region:
-    """A part of the gap: one joint over a range of some variable.
+    """A part of the gap: one joint over a range of one variable.
 
     Attributes:
-        joint: Its name.
-        variable: What the region is a range of.
-        low: Lower end.
-        high: Upper end.
-        unit: Their unit.
-        share: Share of the whole gap's squares, each joint in units of its noise.
-        interval: 95 % interval of the share, over blocks of time.
+        joint: Name of the joint.
+        variable: Name of the variable.
+        low: Lower end of the range.
+        high: Upper end of the range.
+        unit: Unit of both ends.
+        share: Share of the squares of the whole gap, in units of each joint's noise.
+        interval: 95 % interval of the share, by the bootstrap over blocks of time.
     """
 
     joint: str
@@ -48,12 +47,12 @@ class Value:
     """A fitted parameter of an effect at a joint.
 
     Attributes:
-        joint: Where.
-        name: Field's standard term.
+        joint: Name of the joint.
+        name: Name of the parameter.
         value: Estimate.
         unit: SI unit.
-        interval: 95 % interval; both ends the same for a shape that was only chosen.
-        determined: Whether the recordings say more of it than was known without them.
+        interval: 95 % interval; both ends are equal without a standard deviation.
+        determined: Whether the recordings narrow the prior.
     """
 
     joint: str
@@ -66,15 +65,16 @@ class Value:
 
 @dataclass(frozen=True)
 class Shrink:
-    """A gap before and after an effect is added, on motions that no step has seen.
+    """The gap without and with an effect, on held-out motions.
 
     Attributes:
         before: RMS without it.
         after: RMS with it.
         removed: 1 − after/before.
-        interval: 95 % interval of ``removed``, over blocks of time.
-        horizon_s: Length of the replay, [s]; nothing for torque.
-        unit: Of both; as at turning joints where some slide.
+        interval: 95 % interval of ``removed``, by the bootstrap over blocks of time.
+        horizon_s: Length of the replay, [s]; None for torque.
+        unit: Unit of ``before`` and ``after``; that of revolute joints where they are
+            mixed with prismatic ones.
     """
 
     before: float
@@ -90,15 +90,14 @@ class Finding:
     """One effect that explains part of the gap.
 
     Attributes:
-        effect: Its id.
-        joints: Where it acts.
-        alternatives: Ids that explain the recordings as well, itself first.
-        share: Its part of what is explained (Shapley), 0 to 1.
-        parameters: What was fitted.
-        shrink: The gap in ``torque`` and in ``motion`` at its joints,
-            before and after.
-        sentence: What it means, in plain words.
-        remedy: What can be done about it.
+        effect: Id of the effect.
+        joints: Names of the joints where it acts.
+        alternatives: Ids of effects that explain as much, its own first.
+        share: Share of the explained gap (Shapley value), 0 to 1.
+        parameters: Fitted parameters.
+        shrink: The gap without and with it at its joints, in ``torque`` and ``motion``.
+        sentence: What the effect is, in words.
+        remedy: What to do about it.
     """
 
     effect: str
@@ -113,13 +112,13 @@ class Finding:
 
 @dataclass(frozen=True)
 class Advice:
-    """An experiment that would tell remaining candidates apart.
+    """An experiment that tells candidate effects apart.
 
     Attributes:
         experiment: What to run.
-        splits: Ids of effects that it tells apart.
+        splits: Ids of the effects that it tells apart.
         separation: Expected difference of their predictions, in units of noise.
-        file: The reference to run, if one was written.
+        file: File name of the reference motion; empty if none was written.
     """
 
     experiment: str
@@ -130,17 +129,17 @@ class Advice:
 
 @dataclass(frozen=True)
 class Unseen:
-    """The gap on motions that no step has seen, by joint: RMS, shape (n,), [N·m].
+    """The gap of each joint on held-out motions: RMS, shape (n,), [N·m].
 
-    Not a number where a joint does not move there.
+    NaN where a joint does not move.
 
     Attributes:
-        before: As the simulator's file stands.
-        after: With what was found.
-        least_squares: With inertia and friction of all joints fitted by least squares
-            to the samples learnt from.
-        ceiling: With the unknown laws as well.
-        noise: What no model could remove.
+        before: Gap of the simulator's file.
+        after: Gap with the findings.
+        least_squares: Gap after a least-squares fit of inertia and friction of all
+            joints to the training samples.
+        ceiling: Gap with the findings and the unknown laws.
+        noise: Noise, which no model removes.
     """
 
     before: tuple[float, ...]
@@ -155,24 +154,23 @@ class Diagnosis(Shown):
     """What a simulator lacks.
 
     Attributes:
-        robot: Name of the simulator.
-        joints: Its joints.
-        rms: Gap of each joint as the simulator stands, in :attr:`units`; 0 of a joint
-            that does not move, of which nothing is known.
-        relative: The same over the RMS of measured torque.
-        noise_floor: What no model could remove, in the same.
+        robot: Name of the robot.
+        joints: Names of its joints.
+        rms: RMS gap of the simulator at each joint, in :attr:`units`; 0 for a joint
+            that does not move.
+        relative: RMS gap over the RMS of measured torque.
+        noise_floor: RMS of the noise, which no model removes, in :attr:`units`.
         where: Parts of the gap, largest first.
         findings: Effects, largest share first.
-        verdict: What it comes to.
-        unexplained: Share of the explainable gap that no finding explains.
-        background: How far off the simulator's own numbers are everywhere, as one
-            standard deviation.
+        verdict: Result in one word.
+        unexplained: Share of the gap above noise that no finding explains.
+        background: Relative standard deviation of errors of the simulator's numbers.
         units: N·m or N, by joint.
-        not_excited: What the recordings cannot tell.
-        advice: What to run next.
-        warnings: What a user should know.
+        not_excited: What the recordings do not determine.
+        advice: Experiments to run next.
+        warnings: Messages for the user.
         provenance: Versions, seeds and files.
-        unseen: The gap of each joint on motions that no step has seen.
+        unseen: The gap of each joint on held-out motions.
         events: Pushes while the arm stood still.
     """
 
@@ -195,15 +193,12 @@ class Diagnosis(Shown):
     events: tuple[Event, ...] = ()
 
     def save(self, path: str | Path) -> None:
-        """Write it to a JSON file."""
+        """Write the diagnosis to a JSON file."""
         write_json(path, self.as_dict())
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-ready content in the form of ``hybrid.diagnosis/1``.
-
-        Null where nothing was measured.
-        """
-        content = _listed(asdict(self))
+        """JSON-ready content by the schema ``hybrid.diagnosis/1``; NaN becomes None."""
+        content = plain(asdict(self))
         gap = {x: content.pop(x) for x in ("rms", "relative", "noise_floor")}
         for name, values in gap.items():
             pairs = zip(values, self.rms, strict=True)
@@ -220,10 +215,8 @@ class Diagnosis(Shown):
         return {"schema": SCHEMA, "gap": gap, **content}
 
 
-def _listed(x: Any) -> Any:
-    """Lists in place of tuples, and nothing in place of what is not a number."""
-    if isinstance(x, Mapping):
-        return {name: _listed(value) for name, value in x.items()}
-    if isinstance(x, (tuple, list)):
-        return [_listed(value) for value in x]
-    return None if isinstance(x, float) and not isfinite(x) else x
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """Join names in words: ``a, b and c``."""
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} {last} {names[-1]}"

@@ -1,4 +1,4 @@
-"""Pushes on an arm at rest: stretches in which it holds more, or less, than before."""
+"""Find pushes on an arm at rest: intervals in which its holding torque changes."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects.contact import Contact
 from hybrid.identification.preparation import STANDING
 
-_SLOWEST = 0.01  # rad/s or m/s
-_CLEAR = 8.0  # deviations of what the arm holds at rest
+_AT_REST = 0.01  # rad/s or m/s
+_SIGNIFICANT = 8.0  # standard deviations of the holding torque
 _LEAST = 0.01  # of the rated torque
-_SHORTEST, _PAUSE = 0.05, 0.2  # s, of an event, and between two of them
-_FEWEST = 1.0  # s at rest, to know what is usual
+_SHORTEST, _PAUSE = 0.05, 0.2  # s, of an event, and between two events
+_LEAST_REST = 1.0  # s at rest, to estimate the holding torque
 
 
 @dataclass(frozen=True)
@@ -23,12 +23,12 @@ class Event:
     """A push on an arm that stood still.
 
     Attributes:
-        recording: Log that it is in, or its number from 0.
-        start: When it began, by the clock of the diagnosis, [s].
-        end: When it was over, [s].
-        torque: What it asked of each joint, mean, shape (n,), [N·m].
-        force: Force and moment at the last link that come nearest, along the axes of
-            the base, shape (6,), [N, N·m].
+        recording: Source of the log, or its number from 0.
+        start: Time of its first sample, by the clock of the diagnosis, [s].
+        end: Time of its last sample, [s].
+        torque: Mean torque of each joint against it, shape (n,), [N·m].
+        force: Least-squares force and moment at the last link, in the base frame,
+            shape (6,), [N, N·m].
     """
 
     recording: str
@@ -39,10 +39,10 @@ class Event:
 
 
 def events_at_rest(gap: Gap) -> tuple[Event, ...]:
-    """Pushes while no joint moves, in their order."""
+    """Find pushes while no joint moves, in order of time."""
     sampled, n = gap.sampled, gap.robot.size
     v = np.abs(sampled.v)
-    slow = v <= np.maximum(STANDING * v.max(axis=0, initial=0.0), _SLOWEST)
+    slow = v <= np.maximum(STANDING * v.max(axis=0, initial=0.0), _AT_REST)
     still = sampled.mask & slow.all(axis=1)
     rated = np.array([s.torque for s in gap.scales])
     found = []
@@ -50,12 +50,12 @@ def events_at_rest(gap: Gap) -> tuple[Event, ...]:
     push = np.stack([wrench[j] for j in range(n)], axis=1)  # (M, n, 6)
     for r, motion in enumerate(gap.motions):
         rows = np.flatnonzero(still & (gap.trajectory == r))
-        if len(rows) < _FEWEST * gap.rate:
+        if len(rows) < _LEAST_REST * gap.rate:
             continue
         x = gap.left[rows] - np.median(gap.left[rows], axis=0)
-        usual = median_abs_deviation(x, scale="normal")
-        odd = np.any(np.abs(x) > np.maximum(_CLEAR * usual, _LEAST * rated), axis=1)
-        at = np.flatnonzero(odd)
+        noise = median_abs_deviation(x, scale="normal")
+        least = np.maximum(_SIGNIFICANT * noise, _LEAST * rated)
+        at = np.flatnonzero(np.any(np.abs(x) > least, axis=1))
         ends = np.flatnonzero(np.diff(rows[at]) > _PAUSE * gap.rate) + 1
         for own in np.split(at, ends):
             if len(own) < max(_SHORTEST * gap.rate, 2):

@@ -1,4 +1,4 @@
-"""From terms to findings: effects grouped over joints, with what a reader needs."""
+"""Turn terms of an explanation into findings: effects grouped over joints."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.answer.diagnosis import Finding, Shrink, Value
-from hybrid.diagnosis.answer.intervals import NORMAL, shrink
+from hybrid.diagnosis.answer.diagnosis import Finding, Shrink, Value, listed
+from hybrid.diagnosis.answer.intervals import NORMAL, shrunk
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import part_of_range
 from hybrid.diagnosis.explanations.explanation import Explanation
@@ -17,33 +17,33 @@ from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.units import unit_at, units
 from hybrid.effects import Effect, effect_class
 
-_BYPRODUCT = 0.05  # of the largest change; joints below are merely touched
-_OPEN = 0.8  # of a shape's range: an interval that wide says nothing of it
-_PLACE = " It takes the place of the {} friction that the file declares."
+_LEAST_CHANGE = 0.05  # of the largest change at a joint
+_UNDETERMINED = 0.8  # width of an interval, over the range of its shape
+_REPLACES = " It takes the place of the {} friction that the file declares."
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
-    """What explains torque besides the terms of a search.
+class ExtraFindings:
+    """Findings that are not terms of the search.
 
     Attributes:
-        findings: Findings, with their shares of it.
+        findings: Findings; their shares sum to 1.
         effects: The effects found, joint by joint.
-        squares: What they explain at each joint, shape (n,), in units of noise.
+        squares: Squares that they explain at each joint, shape (n,), in units of noise.
     """
 
     findings: tuple[Finding, ...]
     effects: tuple[Effect, ...]
     squares: Array
 
-    def joined(
+    def merged(
         self, others: Sequence[Finding], explained: float
     ) -> tuple[Finding, ...]:
-        """All findings with their shares of both, largest first.
+        """Merge with findings of the search; largest share first.
 
         Args:
             others: Findings of the search.
-            explained: What they explain, in units of noise.
+            explained: Squares that these explain, in units of noise.
         """
         own = float(self.squares.sum())
         part = own / max(own + explained, 1e-300)
@@ -59,15 +59,15 @@ def findings(
     parts: Array,
     rng: np.random.Generator,
 ) -> tuple[Finding, ...]:
-    """Findings by effect, largest share first.
+    """Group the terms of an explanation by effect; largest share first.
 
     Args:
-        scored: Terms on samples that no step has seen.
-        effects: The same terms as effects with their final values.
-        kinds: Ids that each term cannot be told from, itself first; none of a term that
-            stands in for something unknown.
+        scored: Explanation, scored on held-out samples.
+        effects: Effect of each term with its final values.
+        kinds: Ids of effects that explain as much as each term, its own first; none for
+            a term in place of an unknown law.
         parts: Share of each term in what is explained.
-        rng: Draws of the bootstrap.
+        rng: Random generator of the bootstrap.
     """
     gap = scored.gap
     grouped: dict[str, list[int]] = {}
@@ -78,103 +78,92 @@ def findings(
         members = [k for k in members if kinds[k] or effects[k].id != effect_id]
         if not any(kinds[k] for k in members):
             continue
-        # What the file declares, and this takes the place of, comes last.
-        members.sort(key=lambda k: effects[k].id != effect_id)
         own = [k for k in members if effects[k].id == effect_id]
+        declared = [k for k in members if k not in own]  # in the file, and replaced
+        members = own + declared
         joints = {j for k in members for j in effects[k].at_joints}
         names = tuple(gap.robot.joints[j] for j in sorted(joints))
-        gone = dict.fromkeys(effects[k].id for k in members if k not in own)
-        parameters = [v for k in own for v in values(gap, effects[k])]
-        for k in members[len(own) :]:
-            parameters += [
-                replace(v, name=f"{effects[k].id} {v.name}")
-                for v in values(gap, effects[k])
-            ]
+        parameters = [v for k in own for v in fitted_values(gap, effects[k])]
+        parameters += [
+            replace(v, name=f"{effects[k].id} {v.name}")
+            for k in declared
+            for v in fitted_values(gap, effects[k])
+        ]
+        replaced = dict.fromkeys(effects[k].id for k in declared)
         law, seen = effect_class(effect_id), scored.where_seen(members)
-        finding = found_at(law, names, [a for k in own for a in kinds[k]], parameters)
-        found.append(
-            replace(
-                finding,
-                share=float(parts[members].sum()),
-                shrink={"torque": fall(seen, seen.left(seen.without(*members)), rng)},
-                sentence=finding.sentence + "".join(map(_PLACE.format, gone)),
-            )
+        without = seen.left(seen.without(*members))
+        finding = finding_of(
+            law,
+            names,
+            [a for k in own for a in kinds[k]],
+            parameters,
+            share=float(parts[members].sum()),
+            shrink=torque_shrink(seen, without, rng),
         )
+        sentence = finding.sentence + "".join(map(_REPLACES.format, replaced))
+        found.append(replace(finding, sentence=sentence))
     return tuple(sorted(found, key=lambda f: -f.share))
 
 
-def found_at(
+def finding_of(
     law: type[Effect],
     joints: Sequence[str],
-    alike: Sequence[str],
+    alternatives: Sequence[str],
     parameters: Sequence[Value],
+    *,
+    share: float = 1.0,
+    shrink: Shrink | None = None,
 ) -> Finding:
-    """A finding in the words of its effect, of all that is explained.
-
-    Args:
-        law: The effect.
-        joints: Names of the joints where it acts.
-        alike: Ids that explain as much.
-        parameters: What was fitted.
-    """
+    """Make a finding with sentence and remedy of its effect."""
     return Finding(
         effect=law.id,
         joints=tuple(joints),
-        alternatives=tuple(dict.fromkeys((law.id, *alike))),
-        share=1.0,
+        alternatives=tuple(dict.fromkeys((law.id, *alternatives))),
+        share=share,
         parameters=tuple(parameters),
-        shrink={},
+        shrink={"torque": shrink} if shrink else {},
         sentence=law.sentence.format(joints=listed(joints)),
         remedy=law.remedy,
     )
 
 
-def fall(
+def torque_shrink(
     scored: Explanation, without: Sequence[Array], rng: np.random.Generator
 ) -> Shrink:
-    """Torque gap as it is without something, and with all that was found.
+    """Compare the torque gap without a finding and with it, at the joints it changes.
 
-    Both sides have the corrected background and all else that was found. Joints add up
-    in units of N·m.
+    Both have the corrected background and all other findings.
 
     Args:
-        scored: What was found.
-        without: Residual of each joint without it, [N·m].
-        rng: Draws of the bootstrap.
+        scored: The explanation.
+        without: Residual of each joint without the finding, [N·m].
+        rng: Random generator of the bootstrap.
     """
-    joints, samples = acting(scored, without), len(scored.gap.fold)
+    joints, samples = changed_joints(scored, without), len(scored.gap.fold)
     squares = [
         sum(np.bincount(scored.blocks(i), x[i] ** 2, samples) for i in joints)
         for x in (without, scored.after)
     ]
     count = sum(len(scored.after[i]) for i in joints)
     unit = units(scored.gap.robot, joints)[1]
-    return shrink(np.array(squares), count, unit, rng)
+    return shrunk(np.array(squares), count, unit, rng)
 
 
-def acting(scored: Explanation, without: Sequence[Array]) -> list[int]:
-    """Joints where it matters that something is left out, not as a by-product.
-
-    Args:
-        scored: What was found.
-        without: Residual of each joint without it, [N·m].
-    """
+def changed_joints(scored: Explanation, without: Sequence[Array]) -> list[int]:
+    """Joints whose residual depends on a finding, from their residual without it."""
     noise = scored.evidence.noise
     change = [x - y for x, y in zip(without, scored.after, strict=True)]
     size = np.array([x @ x for x in change]) / noise
-    return np.flatnonzero(size >= _BYPRODUCT * size.max(initial=0.0)).tolist()
+    return np.flatnonzero(size >= _LEAST_CHANGE * size.max(initial=0.0)).tolist()
 
 
-def values(gap: Gap, effect: Effect) -> list[Value]:
-    """The parameters of an effect with their 95 % intervals.
-
-    Of a shape that the recordings do not tell, all of its range.
-    """
+def fitted_values(gap: Gap, effect: Effect) -> list[Value]:
+    """The parameters of an effect with their 95 % intervals, within their bounds."""
     scale, prior = gap.scales[effect.joints[-1]], candidate(gap, effect).std
     joint = "+".join(gap.robot.joints[j] for j in effect.at_joints)
     if effect.scope == "arm":
         joint = "arm"
-    values = []
+    found = []
     for k, x in enumerate((*effect.gains, *effect.shapes)):
         if x.inner:
             continue
@@ -184,16 +173,9 @@ def values(gap: Gap, effect: Effect) -> list[Value]:
         if std > 0 and x in effect.shapes:
             bounds = x.scaled(scale)
             low, high = max(low, bounds.lower), min(high, bounds.upper)
-            determined = part_of_range(bounds, low, high) < _OPEN
+            determined = part_of_range(bounds, low, high) < _UNDETERMINED
         unit = x.unit
         if effect.scope != "arm":
             unit = unit_at(gap.robot, effect.at_joints, unit)
-        values.append(Value(joint, x.name, value, unit, (low, high), determined))
-    return values
-
-
-def listed(names: Sequence[str]) -> str:
-    """``a, b and c``."""
-    if len(names) < 2:
-        return "".join(names)
-    return f"{', '.join(names[:-1])} and {names[-1]}"
+        found.append(Value(joint, x.name, value, unit, (low, high), determined))
+    return found

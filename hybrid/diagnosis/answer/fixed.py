@@ -1,4 +1,4 @@
-"""The simulator with what a diagnosis found, in files that can be used at once."""
+"""Write the simulator with the findings of a diagnosis, as MJCF and as a model."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ MODEL = "model.json"
 
 @dataclass(frozen=True)
 class Fixed:
-    """A corrected simulator, written.
+    """Files of a corrected simulator.
 
     Attributes:
-        simulator: MuJoCo's file.
-        model: The model of torque, with all that was found.
-        notes: What the simulator has only nearly, or not at all, in words.
+        simulator: MJCF file.
+        model: Torque model with all findings.
+        notes: Findings that MJCF expresses only approximately, or not at all.
     """
 
     simulator: Path
@@ -47,29 +47,28 @@ def write_fixed(
 ) -> Fixed:
     """Write ``sim_fixed.xml`` and ``model.json``.
 
-    The XML file is the simulator's own with what was found, and ``sim_fixed.diff`` is
-    the difference. What MJCF cannot express is listed in a comment at its top;
-    ``model.json`` has all of it. Where nothing was found, both are the simulator as it
-    stands.
+    ``sim_fixed.xml`` is the simulator's file with the findings, and ``sim_fixed.diff``
+    the difference. A comment at its top lists what MJCF cannot express;
+    ``model.json`` has all findings. Without findings both are the simulator as it is.
 
     Args:
-        result: A diagnosis with what led to it.
+        result: A diagnosis with its intermediate results.
         directory: A folder that exists.
-        home: Where the files will stand, if they are moved from there: meshes are named
-            relative to it.
+        home: Folder to which the files are moved afterwards; paths of meshes are
+            relative to it. ``directory`` by default.
 
     Raises:
         EffectError: An effect cannot be simulated.
     """
     robot, effects = fixed_simulator(result)
-    effects = (*result.healthy, *effects)
+    effects = (*result.baseline, *effects)
     folder = Path(directory)
     made = build_simulator(
         robot,
         effects,
         motions=result.gap.motions,
         folder=home or folder,
-        notes=_of_servos(result),
+        notes=_servo_notes(result),
     )
     made.write(folder / SIMULATOR)
     effects = (*effects, *result.command)
@@ -77,8 +76,8 @@ def write_fixed(
     return Fixed(folder / SIMULATOR, folder / MODEL, made.notes)
 
 
-def _of_servos(result: Result) -> list[str]:
-    """What lies between command and torque, where motors that take torque have none."""
+def _servo_notes(result: Result) -> list[str]:
+    """Servo settings found, which a motor with torque input cannot express."""
     robot, notes = result.gap.robot, []
     for effect in result.command:
         (j,) = effect.joints
@@ -88,10 +87,7 @@ def _of_servos(result: Result) -> list[str]:
 
 
 def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
-    """The arm with its own numbers corrected, and the effects that act on it.
-
-    All numbers are those of the fit to all recordings, as they are reported.
-    """
+    """The arm with corrected numbers, and the effects on it, fitted to all samples."""
     if not result.effects:
         return result.gap.robot, ()
     _, solution, _ = solve_all(result.search)
@@ -100,13 +96,7 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
 
 
 def fixed_model(gap: Gap, robot: Robot, effects: Sequence[Effect]) -> DynamicModel:
-    """What the drives report along a motion: links, what the file declares, effects.
-
-    Args:
-        gap: What was diagnosed.
-        robot: The corrected arm.
-        effects: The effects that act on it.
-    """
+    """Make the torque model of the corrected arm: links, declared effects, findings."""
     base = stacked_base(robot.chain, (), ())
     inertial = robot.chain.inertial
     return DynamicModel(

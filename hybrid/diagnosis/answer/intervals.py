@@ -1,4 +1,4 @@
-"""Intervals by the bootstrap over blocks of time, within which samples are alike."""
+"""95 % intervals by the bootstrap over blocks of time, as samples are correlated."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Interval, Shrink
 
-BLOCK_SECONDS = 1.0  # for which what is left of a torque remembers itself
-NORMAL = 1.96  # standard deviations to either side of a 95 % interval
+BLOCK_SECONDS = 1.0  # correlation time of residuals
+NORMAL = 1.96  # standard deviations on either side of a 95 % interval
 _RESAMPLES = 400
 
 
@@ -20,12 +20,13 @@ def interval(
     blocks: int,
     rng: np.random.Generator,
 ) -> Interval:
-    """95 % interval of a share; all of 0 to 1 where a single block tells of it.
+    """95 % interval of a share; 0 to 1 if there is a single block.
 
     Args:
-        statistic: The share, shape (R,), from the blocks of each resample, (R, blocks).
+        statistic: Computes the share, shape (R,), from indices of the blocks in each
+            resample, (R, blocks).
         blocks: Number of blocks.
-        rng: Draws.
+        rng: Random generator.
     """
     if blocks < 2:
         return 0.0, 1.0
@@ -34,14 +35,14 @@ def interval(
     return float(low), float(high)
 
 
-def shrink(squares: Array, count: int, unit: str, rng: np.random.Generator) -> Shrink:
-    """How far a torque gap falls.
+def shrunk(squares: Array, count: int, unit: str, rng: np.random.Generator) -> Shrink:
+    """RMS of a gap before and after, and the part removed with its interval.
 
     Args:
-        squares: Its squares in each block of time, before and after, shape (2, B).
+        squares: Sums of squares in each block of time, before and after, shape (2, B).
         count: Number of samples.
         unit: Unit of the torque.
-        rng: Draws of the bootstrap.
+        rng: Random generator of the bootstrap.
     """
 
     def removed(sums: Array) -> Array:

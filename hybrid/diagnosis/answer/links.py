@@ -1,4 +1,4 @@
-"""One diagnosis of both links: from command to torque, and from torque to motion."""
+"""Merge findings between command and torque with those between torque and motion."""
 
 from __future__ import annotations
 
@@ -17,23 +17,16 @@ from hybrid.diagnosis.gap.gap import Gap
 COMMAND_TO_TORQUE = "command to torque"
 
 
-def joined(
+def merged_links(
     diagnosis: Diagnosis,
     account: Account,
     gap: Gap,
     link: Link,
     rng: np.random.Generator,
 ) -> Diagnosis:
-    """A diagnosis of torque and motion with what lies between command and torque.
+    """Add findings between command and torque to a diagnosis.
 
-    Shares are of both links, in units of noise squares.
-
-    Args:
-        diagnosis: The diagnosis.
-        account: What it explains and misses.
-        gap: Its gap.
-        link: The link from command to torque.
-        rng: Draws of the bootstrap.
+    Shares are of the squares of both links, in units of noise.
     """
     if not link.findings:
         return diagnosis
@@ -46,7 +39,7 @@ def joined(
     }.get(diagnosis.verdict, diagnosis.verdict)  # type: ignore[assignment]  # fmt: skip
     return replace(
         diagnosis,
-        findings=link.joined(diagnosis.findings, explained),
+        findings=link.merged(diagnosis.findings, explained),
         where=_where(diagnosis, max(float(above), 0.0), link.excess, rng),
         verdict=verdict,
         unexplained=diagnosis.unexplained * whole / (whole + float(link.squares.sum())),
@@ -56,7 +49,7 @@ def joined(
 def _where(
     diagnosis: Diagnosis, above: float, excess: Array, rng: np.random.Generator
 ) -> tuple[Region, ...]:
-    """Regions with their shares of both links; the new ones before smaller ones."""
+    """Regions with shares of both links; a new one stands before the first smaller."""
     total = excess.sum()
     other = above if diagnosis.where else 0.0
     scale = other / max(other + total, 1e-300)

@@ -1,4 +1,4 @@
-"""A diagnosis with what it was made from."""
+"""A diagnosis with its intermediate results."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from hybrid.effects import Effect
 
 @dataclass(frozen=True)
 class Result:
-    """A diagnosis with what it was made from, for report and export.
+    """A diagnosis with its intermediate results, for report and export.
 
     Attributes:
-        diagnosis: The answer.
-        gap: The gap, with the log taken at its word where torque in it is late.
-        search: The search, with the terms that may be named.
-        scored: The same terms on samples that no step has seen.
-        account: What is explained and missed, joint by joint.
-        effects: The effects named, with fitted values: those of the terms, then
-            :attr:`late`.
-        command: Those between command and torque.
-        alike: Terms that are believed, and what explains as much in their place.
-        healthy: Effects of the model that was the simulator, taken from the logs.
+        diagnosis: The diagnosis.
+        gap: The gap; a delay that all joints share is part of it.
+        search: The search, with the terms of the findings.
+        scored: The same terms, scored on held-out samples.
+        account: Squares explained and missed at each joint.
+        effects: The effects found, with fitted values: those of the terms, then
+            :attr:`delays`.
+        command: The effects found between command and torque.
+        rivals: For each term the candidates that explain as much in its place.
+        baseline: Effects of the healthy arm's model, already removed from the logs.
     """
 
     diagnosis: Diagnosis
@@ -38,10 +38,10 @@ class Result:
     account: Account
     effects: tuple[Effect, ...]
     command: tuple[Effect, ...] = ()
-    alike: Mapping[Term, tuple[Candidate, ...]] = field(default_factory=dict)
-    healthy: tuple[Effect, ...] = ()
+    rivals: Mapping[Term, tuple[Candidate, ...]] = field(default_factory=dict)
+    baseline: tuple[Effect, ...] = ()
 
     @property
-    def late(self) -> tuple[Effect, ...]:
-        """By how much torque was late at every joint, taken back before the search."""
+    def delays(self) -> tuple[Effect, ...]:
+        """Delay of torque at every joint, removed from the logs before the search."""
         return self.effects[len(self.scored.terms) :]

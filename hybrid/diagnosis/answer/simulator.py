@@ -1,4 +1,4 @@
-"""The simulator with what a diagnosis found: an arm that exists, and effects on it."""
+"""Add the findings of a diagnosis to the simulator: a physical arm, and effects."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from hybrid.dynamics.pseudo_inertia import (
 from hybrid.effects import Effect
 from hybrid.robot import Robot
 
-_NUMBERS = "damping", "frictionloss", "stiffness"  # of a file, beside rotors
+_NUMBERS = "damping", "frictionloss", "stiffness"  # of a file, besides rotor inertia
 _MARGIN = 1e-4  # smallest pseudo-inertia of a link, as a share of the file's
-# A spring or a play needs a rotor before it. One that the file does not know is taken
-# to have this part of the inertia that the joint moves.
+# An elasticity or a backlash needs a rotor. If the file declares none, this share of
+# the inertia that the joint moves is assumed.
 _ROTOR = 0.02
 
 
 def scored_effects(scored: Explanation) -> tuple[Effect, ...]:
-    """The terms of an explanation with the gains that they were scored with."""
+    """The terms of an explanation as effects, with the gains that were scored."""
     gains = scored.gains[len(scored.rigid) :]
     edges = np.cumsum([len(own) for own in scored.own])[:-1]
     parts = np.split(gains, edges) if scored.own else []
@@ -41,30 +41,30 @@ def scored_effects(scored: Explanation) -> tuple[Effect, ...]:
 def corrected(
     scored: Explanation, effects: Sequence[Effect], background: Array | None = None
 ) -> tuple[Robot, tuple[Effect, ...]]:
-    """The simulator with its own numbers corrected and some effects added.
+    """Correct the numbers of the simulator, and add some effects.
 
-    Rotors and bodies become part of the arm. Where the links would not be physical,
-    they are the physical ones that change the torque of the motions least.
+    Rotor inertia and payloads become part of the arm. Links that are not physical are
+    replaced by the physical ones that change the torque of the motions least.
 
     Args:
-        scored: What was found.
+        scored: The explanation.
         effects: Effects to add.
-        background: By how much links and declared numbers are off, shape (b,); as
-            they were scored by default.
+        background: Errors of links and declared numbers, shape (b,); those that were
+            scored by default.
 
     Returns:
-        The arm, and the effects that are left.
+        The arm, and the effects that are not part of it.
     """
     robot = scored.gap.robot
-    off = scored.gains[: len(scored.rigid)] if background is None else background
-    links, rest = np.split(off, [10 * robot.size])
+    errors = scored.gains[: len(scored.rigid)] if background is None else background
+    links, rest = np.split(errors, [10 * robot.size])
     chain, inertial = robot.chain, robot.chain.inertial + links.reshape(-1, 10)
     numbers = {name: getattr(robot, name).copy() for name in _NUMBERS}
     numbers = {"armature": chain.armature.copy(), **numbers}
     for values in numbers.values():
-        there = np.flatnonzero(values)
-        values[there] += rest[: len(there)]
-        rest = rest[len(there) :]
+        declared = np.flatnonzero(values)
+        values[declared] += rest[: len(declared)]
+        rest = rest[len(declared) :]
     armature, others = numbers["armature"], []
     for effect in effects:
         change = effect.rigid_change(robot.size, chain.gravity)
@@ -77,15 +77,15 @@ def corrected(
     for effect in others:
         j = effect.joints[0]
         if effect.behind and armature[j] <= 0:
-            armature[j] = _ROTOR * _moved(scored, j)
-    least = {name: np.maximum(values, 0.0) for name, values in numbers.items()}
-    rotors = least.pop("armature")
+            armature[j] = _ROTOR * _mean_inertia(scored, j)
+    positive = {name: np.maximum(values, 0.0) for name, values in numbers.items()}
+    rotors = positive.pop("armature")
     chain = replace(chain, inertial=_physical(scored, inertial), armature=rotors)
-    return replace(robot, chain=chain, **least), tuple(others)
+    return replace(robot, chain=chain, **positive), tuple(others)
 
 
-def _moved(scored: Explanation, joint: int) -> float:
-    """Mean inertia that a joint moves along the motions, [kg·m²]."""
+def _mean_inertia(scored: Explanation, joint: int) -> float:
+    """Mean inertia about a joint along the motions, [kg·m²]."""
     q = scored.gap.sampled.q
     still, unit = np.zeros_like(q), np.zeros_like(q)
     unit[:, joint] = 1.0
@@ -95,9 +95,8 @@ def _moved(scored: Explanation, joint: int) -> float:
 
 
 def _physical(scored: Explanation, inertial: Array) -> Array:
-    """The physical links nearest to given ones, in the metric of torque."""
-    fine = is_consistent(inertial) | ~inertial.any(axis=1)
-    if fine.all():
+    """The physical links that are nearest to given links, in the metric of torque."""
+    if (is_consistent(inertial) | ~inertial.any(axis=1)).all():
         return inertial
     chain, n = scored.gap.robot.chain, len(inertial)
     columns = scored.index[: 10 * n]
@@ -106,8 +105,8 @@ def _physical(scored: Explanation, inertial: Array) -> Array:
     bodies = nominal_bodies(chain, chain.inertial)
     frame = block_diag(*map(inertial_per_stacked, np.linalg.cholesky(bodies)))
     # Each link is scaled to unit mean curvature: the solver's tolerances are absolute.
-    bend = np.diag(frame.T @ P @ frame).reshape(n, 10).mean(axis=1)
-    size = np.repeat(np.sqrt(np.maximum(bend / bend.max(), 1e-5)), 10)
+    curvature = np.diag(frame.T @ P @ frame).reshape(n, 10).mean(axis=1)
+    size = np.repeat(np.sqrt(np.maximum(curvature / curvature.max(), 1e-5)), 10)
     frame /= size
     metric = frame.T @ P @ frame
     metric = np.asarray(metric / np.linalg.eigvalsh(metric)[-1])

@@ -1,4 +1,4 @@
-"""The gap on motions that no step has seen, beside what could be had without us."""
+"""Score the gap on held-out motions, and that of plain least squares beside it."""
 
 from __future__ import annotations
 
@@ -14,17 +14,12 @@ from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.background import background
 from hybrid.regression.least_squares import pseudo_solve
 
-_FREE = 1e3  # times the size of a number: nothing is known of it before
-_BEYOND = 1.5  # times the squares of noise: what is more on unseen motions is none
+_FLAT = 1e3  # times the standard deviation of a prior: no prior at all
+_NOISE = 1.5  # times the squares of noise: noise may leave so much on held-out motions
 
 
 def unseen(search: Search, found: Account) -> Unseen:
-    """Score an explanation, and what could be had without it.
-
-    Args:
-        search: A search that has run.
-        found: Its account.
-    """
+    """Score the explanation of a search, and least squares, on held-out motions."""
     test = search.test
 
     def rms(squares: Array) -> tuple[float, ...]:
@@ -41,32 +36,29 @@ def unseen(search: Search, found: Account) -> Unseen:
 
 
 def _least_squares(search: Search) -> Array:
-    """Squares that least squares leaves on unseen samples, shape (n,), [N²·m²]."""
+    """Squares that least squares leaves on held-out samples, shape (n,), [N²·m²]."""
     gap, n = search.gap, search.gap.robot.size
     columns, spreads = background(gap)
     blocks, sizes = columns[:n], spreads[:n]  # the links
     for c in usual(gap):
         blocks.append(gap.columns(c.effect))
         sizes.append(c.std)
-    seen, other = Evidence(gap, search.learn), Evidence(gap, search.test.use)
-    index, there = (np.concatenate(x.add(blocks, sizes)) for x in (seen, other))
-    seen.noise = seen.power / np.maximum(seen.count, 1) + 1e-12
-    seen.scale_prior(index, _FREE)
-    A, b = seen.normal(index)
-    gains = pseudo_solve(A + np.diag(seen.precision[index]), b)
-    return other.squares(there, gains)
+    train, test = Evidence(gap, search.learn), Evidence(gap, search.test.use)
+    index, tested = (np.concatenate(x.add(blocks, sizes)) for x in (train, test))
+    train.noise = train.power / np.maximum(train.count, 1) + 1e-12
+    train.scale_prior(index, _FLAT)
+    A, b = train.normal(index)
+    gains = pseudo_solve(A + np.diag(train.precision[index]), b)
+    return test.squares(tested, gains)
 
 
 def left_unseen(scored: Explanation, found: Account) -> float:
-    """Part of the gap that is left on unseen motions, where that is not noise.
-
-    What is explained where it was learnt may not be explained elsewhere.
-    """
+    """Share of the gap above noise that an explanation leaves on held-out motions."""
     variance = np.maximum(found.noise, 1e-300)
     left = whole = 0.0
     for before, after, noise in zip(scored.before, scored.after, variance, strict=True):
-        usual = _BEYOND * len(after)
-        rest = max(float(after @ after) / noise - usual, 0.0)
+        expected = _NOISE * len(after)
+        rest = max(float(after @ after) / noise - expected, 0.0)
         left += rest
-        whole += max(float(before @ before) / noise - usual, rest)
+        whole += max(float(before @ before) / noise - expected, rest)
     return left / whole if whole > 0 else 0.0

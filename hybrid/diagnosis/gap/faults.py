@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import find_objects, label
 
 from hybrid.arrays import Array
-from hybrid.inspect.samples import usual_step
+from hybrid.inspect.samples import large_step
 from hybrid.recording import Recording
 
 _LONGEST_REPEAT = 0.2  # s; quantised torque repeats for less while an arm moves
@@ -133,7 +133,7 @@ def _moving(q: Array, runs: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _frozen(q: Array, least: int) -> NDArray[np.bool_]:
     """Samples in runs of one position that begin or end with a jump."""
-    runs, steps, usual = _runs(q, least), np.abs(np.diff(q)), usual_step(q)
+    runs, steps, usual = _runs(q, least), np.abs(np.diff(q)), large_step(q)
     frozen = np.zeros_like(runs)
     for run in stretches(runs):
         ends = steps[[k for k in (run.start - 1, run.stop - 1) if 0 <= k < len(steps)]]

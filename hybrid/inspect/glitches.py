@@ -1,8 +1,7 @@
-"""Rows that do not follow from those before: glitches, jumps, held and repeated rows.
+"""Find glitches, jumps, held rows and repeated rows.
 
-An arm has mass: between two samples its position changes hardly otherwise than between
-the two before. What is out and back within a sample, or elsewhere from one to the next,
-is of the log.
+An arm has mass: its step from sample to sample changes little. A position that leaves
+and returns within a sample, or jumps, is a fault of the log.
 """
 
 from __future__ import annotations
@@ -13,22 +12,22 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt
-from hybrid.inspect.samples import STILL, tick, usual_step
+from hybrid.inspect.samples import STILL, large_step, resolution
 from hybrid.recording import Recording
 from hybrid.recording.recording import row_words
 from hybrid.robot import Robot
 
 _LEAP = 10.0  # times a large step of the joint, and times any step nearby
-_TICKS = 10.0  # steps of an encoder: fewer are its noise
-_NEARBY = 5  # samples to either side
-_ALIKE = 0.2  # relative difference from that shape
-_TURN = 0.1  # rad
-_HELD, _SURE = 3, 0.9  # rows; share of new rows that come so far apart
+_ENCODER_NOISE = 10.0  # steps of the encoder
+_NEARBY = 5  # samples on either side
+_SHAPE_ERROR = 0.2  # relative difference of second differences from 1, −2, 1
+_TURN_ERROR = 0.1  # rad, from a whole turn
+_HELD_ROWS, _HELD_SHARE = 3, 0.9  # least rows a value is held; share of new values
 _REPEATED = 50  # rows
 
 
 def doubts_of_rows(recording: Recording, robot: Robot | None = None) -> Iterator[Doubt]:
-    """Rows that no moving arm can have made."""
+    """Find rows that no moving arm produces."""
     yield from _repeated(recording)
     yield from _held(recording)
     for joint, x in enumerate(recording.q.T):
@@ -37,14 +36,15 @@ def doubts_of_rows(recording: Recording, robot: Robot | None = None) -> Iterator
 
 
 def _glitches(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
-    """Single positions that stand out: second differences 1, −2, 1 times a size."""
+    """Find single wrong positions: second differences in the ratio 1, −2, 1."""
     bend = np.diff(x, 2)
     size = np.abs(bend)
     half = -bend / 2
-    shape = [np.abs(np.roll(bend, k) - half) < _ALIKE * size for k in (-1, 1)]
-    beyond = _largest(size, range(3, _NEARBY + 1), both=True)
-    far = max(_TICKS * tick(x), _LEAP * float(np.quantile(size, 0.75)), 2 * STILL)
-    found = shape[0] & shape[1] & (size > _LEAP * beyond) & (size > far)
+    shape = [np.abs(np.roll(bend, k) - half) < _SHAPE_ERROR * size for k in (-1, 1)]
+    nearby = _largest(size, range(3, _NEARBY + 1), both=True)
+    usual = _LEAP * float(np.quantile(size, 0.75))
+    least = max(_ENCODER_NOISE * resolution(x), usual, 2 * STILL)
+    found = shape[0] & shape[1] & (size > _LEAP * nearby) & (size > least)
     for row in (np.flatnonzero(found)[:1] + 1).tolist():
         text = (
             f"{recording.place('q', joint, row)}: glitch: {x[row]:.6g} between "
@@ -55,18 +55,18 @@ def _glitches(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
 
 
 def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
-    """Positions that are elsewhere from one sample to the next."""
+    """Find steps of a position that are too large for a moving joint."""
     size = np.abs(np.diff(x))
-    beside = _largest(size, range(1, _NEARBY + 1), both=True)
-    far = max(_TICKS * tick(x), 2 * usual_step(x))
-    found = (size > _LEAP * beside) & (size > far)
-    # From standstill on the way: an encoder was frozen, which is told apart.
+    nearby = _largest(size, range(1, _NEARBY + 1), both=True)
+    least = max(_ENCODER_NOISE * resolution(x), 2 * large_step(x))
+    found = (size > _LEAP * nearby) & (size > least)
+    # Rest on one side of the jump only: a frozen encoder, which has its own check.
     before, after = (
         _largest(size, way * np.arange(1, _NEARBY + 1), both=False) for way in (1, -1)
     )
     found &= (before > 0) == (after > 0)
     for k in np.flatnonzero(found)[:1].tolist():
-        turn = abs(float(size[k]) - 2 * np.pi) < _TURN
+        turn = abs(float(size[k]) - 2 * np.pi) < _TURN_ERROR
         what = "a turn of the encoder is not counted" if turn else "logs put together?"
         text = (
             f"{recording.place('q', joint, k + 1)}: jumps from {x[k]:.6g} to "
@@ -77,13 +77,13 @@ def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
 
 
 def _largest(size: Array, lags: Iterable[int], *, both: bool) -> Array:
-    """Largest of some samples before (lags above zero) or after each, shape (N,)."""
+    """Largest value at some lags before (lag > 0) or after each sample, shape (N,)."""
     signed = [s * k for k in lags for s in ((1, -1) if both else (1,))]
     return np.asarray(np.max([np.roll(size, k) for k in signed], axis=0))
 
 
 def _held(recording: Recording) -> Iterator[Doubt]:
-    """Rows that are written several times each."""
+    """Find values that are written to several rows each."""
     q, every = recording.q, recording.q
     if recording.has_torque:
         every = np.hstack([q, recording.tau])
@@ -93,7 +93,7 @@ def _held(recording: Recording) -> Iterator[Doubt]:
         if len(apart) < _REPEATED:
             continue
         step = int(np.median(apart))
-        if step >= _HELD and float(np.mean(apart % step == 0)) > _SURE:
+        if step >= _HELD_ROWS and float(np.mean(apart % step == 0)) > _HELD_SHARE:
             text = f"{name} holds each sample for {step} rows"
             remedy = f"valid is one row for each sample: keep every {step}th"
             yield Doubt("q", (), text, remedy, "error", step, rows=True)
@@ -101,7 +101,7 @@ def _held(recording: Recording) -> Iterator[Doubt]:
 
 
 def _repeated(recording: Recording) -> Iterator[Doubt]:
-    """The log once more within itself."""
+    """Find a second copy of the log within itself."""
     rows = np.hstack([recording.q, recording.tau])
     start = int(np.argmax(np.abs(recording.q - recording.q[0]).max(axis=1) > STILL))
     again = np.flatnonzero((rows[start + 1 :] == rows[start]).all(axis=1)) + start + 1

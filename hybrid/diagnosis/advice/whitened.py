@@ -1,4 +1,4 @@
-"""Columns of effects along motions, on the samples that count, in units of noise."""
+"""Whitened columns of effects along motions."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from hybrid.effects import Effect
 from hybrid.regression.problem import part
 
 
-class Along:
-    """Columns along some motions; those that are asked for again are filtered once.
+class WhitenedColumns:
+    """Columns of effects along some motions, in units of noise.
 
     Args:
         gap: The motions.
         noise: Variance of each joint's noise for independent samples, shape (n,).
-        rows: Samples of each joint that count; where it moves by default.
+        rows: Samples of each joint to use; by default all in which it moves.
     """
 
     def __init__(
@@ -39,38 +39,36 @@ class Along:
         moving = [np.flatnonzero(x) for x in gap.moving.T]
         self.rows = moving if rows is None else list(rows)
         self._unit = 1.0 / np.sqrt(noise)
-        self._kept: dict[Candidate, Columns] = {}
+        self._cached: dict[Candidate, Columns] = {}
 
     def columns(self, effect: Effect) -> Columns:
         """Torque per unit of each gain, shape (R, p) at each joint that is reached."""
-        return self._counted(self.gap.columns(effect))
+        return self._whitened(self.gap.columns(effect))
 
-    def kept(self, candidate: Candidate) -> Columns:
-        """The columns of a candidate, worked out once."""
-        if candidate not in self._kept:
-            self._kept[candidate] = self.columns(candidate.effect)
-        return self._kept[candidate]
+    def cached(self, candidate: Candidate) -> Columns:
+        """The columns of a candidate, computed once."""
+        if candidate not in self._cached:
+            self._cached[candidate] = self.columns(candidate.effect)
+        return self._cached[candidate]
 
-    def own(self, effect: Effect) -> list[Columns]:
+    def with_shapes(self, effect: Effect) -> list[Columns]:
         """Columns of an effect, and of small changes of its shapes."""
-        bends = [self._counted(x) for x in shape_derivatives(self.gap, effect)]
-        return [self.columns(effect), *bends]
+        changes = [self._whitened(x) for x in shape_derivatives(self.gap, effect)]
+        return [self.columns(effect), *changes]
 
     @cached_property
     def background(self) -> list[Columns]:
         """Columns of the simulator's own numbers."""
-        parts = (
-            x(self.gap)[0] for x in (background, friction_near_rest, sampling_delays)
-        )
-        return [self._counted(x) for blocks in parts for x in blocks]
+        makers = background, friction_near_rest, sampling_delays
+        return [self._whitened(x) for make in makers for x in make(self.gap)[0]]
 
     @cached_property
-    def left(self) -> list[Array]:
-        """Torque left at each joint, shape (R,)."""
+    def residual(self) -> list[Array]:
+        """Gap at each joint, shape (R,)."""
         return [self.gap.left[r, i] * self._unit[i] for i, r in enumerate(self.rows)]
 
     def stack(self, blocks: Sequence[Columns]) -> list[Array]:
-        """Columns side by side at every joint, shape (R, k) each; zero where none."""
+        """Stack columns at every joint, shape (R, k) each; zero where there is none."""
         widths = [next(iter(b.values())).shape[1] for b in blocks]
         starts = np.concatenate([[0], np.cumsum(widths)]).astype(int)
         found = []
@@ -82,15 +80,12 @@ class Along:
             found.append(X)
         return found
 
-    def _counted(self, columns: Columns) -> Columns:
+    def _whitened(self, columns: Columns) -> Columns:
         return {i: x[self.rows[i]] * self._unit[i] for i, x in columns.items()}
 
 
-def coarse(gap: Gap) -> Gap:
-    """A gap with its motions at the decimated samples only, which is enough to advise.
-
-    Columns of effects are then worked out on a part of the samples.
-    """
+def decimated(gap: Gap) -> Gap:
+    """A gap with decimated motions, so that columns of effects take less time."""
     pairs = [(part(m, slice(None, None, s.factor)), b) for m, b, s in gap]
     return replace(
         gap,

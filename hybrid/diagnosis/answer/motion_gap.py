@@ -1,4 +1,4 @@
-"""How far the gap shrinks in motion: the simulator replayed with the effects found."""
+"""Measure the gap in motion, by simulation without and with each finding."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Shrink
-from hybrid.diagnosis.answer.findings import acting
+from hybrid.diagnosis.answer.findings import changed_joints
 from hybrid.diagnosis.answer.intervals import interval
 from hybrid.diagnosis.answer.replay import Replay
 from hybrid.diagnosis.answer.result import Result
@@ -17,8 +17,8 @@ from hybrid.diagnosis.gap.units import units
 from hybrid.effects import Effect, effect_class
 from hybrid.errors import HybridError
 
-_LOST = 1.0  # rad; a replay that is so far off tells nothing
-_STEP_MATTERS = 0.1  # of the motion error before
+_DIVERGED = 1.0  # rad; a larger motion error has no meaning
+_STEP_ERROR = 0.1  # of the motion error without findings
 _ASTRAY = "replayed, the simulator leaves the motion with or without {}"
 _NO_REPLAY = (
     "too few stretches of a tenth of a second, of those kept for scoring, to replay "
@@ -34,21 +34,16 @@ _HALVED = (
 )
 
 
-def replayed(
+def with_motion_gap(
     result: Result,
     rng: np.random.Generator,
     *,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
-    """A result with the gap in motion: the simulator replayed from measured states.
+    """Add the gap in motion to each finding.
 
-    What lies between motor and link, or is of clocks, explains nothing if the simulator
-    with it moves less like the arm.
-
-    Args:
-        result: A diagnosis in torque.
-        rng: Draws of the bootstrap.
-        progress: Called with what is being done.
+    A finding that should show in motion, such as an elasticity or a delay, is doubted
+    if the simulator with it moves less like the arm.
     """
     if not result.effects:
         return result
@@ -64,19 +59,19 @@ def replayed(
 def _in_motion(result: Result, replay: Replay, rng: np.random.Generator) -> Diagnosis:
     found: list[Finding] = []
     denied: list[Finding] = []
-    astray: list[str] = []
+    diverged: list[str] = []
     unknown: list[str] = []
     for f in result.diagnosis.findings:
         members = result.scored.members(f.effect)
-        late = [e for e in result.late if e.id == f.effect]
+        delays = [e for e in result.delays if e.id == f.effect]
         once = result.scored.where_seen(members) is not result.scored
-        # A replay is driven by torque: what lies before it plays no part.
-        if late or (members and not once):
-            shrink = motion_shrink(replay, members, rng, late=late)
+        # The measured torque drives the simulation: controller effects do not show.
+        if delays or (members and not once):
+            shrink = motion_shrink(replay, members, rng, delays=delays)
             if shrink is None:
                 unknown.append(f.effect)
-            elif shrink.after >= _LOST:
-                astray.append(f.effect)
+            elif shrink.after >= _DIVERGED:
+                diverged.append(f.effect)
             else:
                 f = replace(f, shrink={**f.shrink, "motion": shrink})
         found.append(f)
@@ -90,7 +85,7 @@ def _in_motion(result: Result, replay: Replay, rng: np.random.Generator) -> Diag
         left = max(diagnosis.unexplained, min(share, 1.0))
         diagnosis = replace(diagnosis, verdict="partly_explained", unexplained=left)
     notes = [_DENIED.format(f.effect) for f in denied]
-    notes += [_ASTRAY.format(", ".join(astray))] if astray else []
+    notes += [_ASTRAY.format(", ".join(diverged))] if diverged else []
     notes += [_NO_REPLAY.format(", ".join(unknown))] if unknown else []
     return _noted(diagnosis, [*notes, *step_warning(replay)])
 
@@ -104,30 +99,31 @@ def motion_shrink(
     members: Sequence[int],
     rng: np.random.Generator,
     *,
-    late: Sequence[Effect] = (),
+    delays: Sequence[Effect] = (),
 ) -> Shrink | None:
-    """Motion error with everything but some terms, and with them, where they act.
+    """Compare motion errors without and with some terms, all others present.
 
     Args:
-        replay: Windows of the motions kept for scoring.
-        members: Indices of the terms; all of them for what they do together.
-        rng: Draws of the bootstrap.
-        late: By how much the log's torque was late before all else: no terms.
+        replay: Held-out windows.
+        members: Indices of the terms.
+        rng: Random generator of the bootstrap.
+        delays: Delays of the log's torque, which are no terms; instead of ``members``.
 
     Returns:
-        Median of the RMS over joints and time, [rad], before and after, over the
-        windows in which the terms act; nothing if too few stretches are usable.
+        RMS over joints and time, [rad], without and with the terms; median over the
+        windows in which they act. None if there are too few windows.
 
     Raises:
         EffectError: An effect cannot be simulated.
     """
     if replay.horizon is None:
         return None
-    if late:
-        joints = [j for e in late for j in e.joints]
-        again = [e.at({g.name: -e.values[g.name] for g in e.gains}) for e in late]
+    if delays:
+        joints = [j for e in delays for j in e.joints]
+        again = [e.at({g.name: -e.values[g.name] for g in e.gains}) for e in delays]
         without = replay.squares_of([*replay.effects, *again])
-        before, after = (_rms(x, joints) for x in (without, _with_all(replay)))
+        found = replay.squares(replay.all_terms)
+        before, after = (_rms(x, joints) for x in (without, found))
     else:
         joints, before, after = _errors(replay, members)
     return Shrink(
@@ -141,26 +137,26 @@ def motion_shrink(
 
 
 def rollout_agrees(replay: Replay, term: int, rng: np.random.Generator) -> bool | None:
-    """Whether a term lowers the motion error, as it does lower the torque's.
+    """Whether a term lowers the motion error.
 
     Args:
-        replay: Windows of the motions kept for scoring.
+        replay: Held-out windows.
         term: Index of the term.
-        rng: Draws of the bootstrap.
+        rng: Random generator of the bootstrap.
 
     Returns:
-        True or False where 95 % of the resamples say so; nothing where they do not.
+        True or False if the 95 % interval excludes zero; None otherwise.
     """
     if replay.horizon is None:
         return None
     _, before, after = _errors(replay, [term])
-    fall = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
-    low, high = interval(lambda k: fall[k].mean(axis=1), len(fall), rng)
+    ratio = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
+    low, high = interval(lambda k: ratio[k].mean(axis=1), len(ratio), rng)
     return True if low > 0 else False if high < 0 else None
 
 
 def step_warning(replay: Replay) -> list[str]:
-    """A warning if the replay at half the step says something else."""
+    """A warning if half the physics step changes the motion error."""
     if replay.horizon is None:
         return []
     joints = list(range(replay.scored.gap.robot.size))
@@ -174,25 +170,21 @@ def step_warning(replay: Replay) -> list[str]:
         abs(error(terms, step / 2) - error(terms, step))
         for terms in {bare, replay.all_terms}
     )
-    if change <= _STEP_MATTERS * before:
+    if change <= _STEP_ERROR * before:
         return []
     return [_HALVED.format(1e3 * step, change / before)]
 
 
 def _errors(replay: Replay, members: Sequence[int]) -> tuple[list[int], Array, Array]:
-    """Joints that some terms are about, and the errors there without and with them.
+    """Joints that some terms change, and the motion errors without and with the terms.
 
-    Of each window in which they act, shape (W',), [rad].
+    Errors are of the windows in which the terms act, shape (W',), [rad].
     """
-    scored, pick = replay.scored, replay.where(members)
-    joints = acting(scored, scored.left(scored.without(*members)))
+    scored, windows = replay.scored, replay.windows_with(members)
+    joints = changed_joints(scored, scored.left(scored.without(*members)))
     without = replay.squares(replay.all_terms - set(members))
-    before, after = (_rms(x, joints)[pick] for x in (without, _with_all(replay)))
-    return joints, before, after
-
-
-def _with_all(replay: Replay) -> Array:
-    return replay.squares(replay.all_terms)
+    found = replay.squares(replay.all_terms)
+    return joints, _rms(without, joints)[windows], _rms(found, joints)[windows]
 
 
 def _rms(squares: Array, joints: Sequence[int]) -> Array:
@@ -201,6 +193,6 @@ def _rms(squares: Array, joints: Sequence[int]) -> Array:
 
 
 def _removed(before: Array, after: Array) -> Array:
-    """Part of the median over windows that is removed, shape (...,)."""
+    """Removed part of the median over windows, shape (...,)."""
     whole, left = np.median(before, axis=-1), np.median(after, axis=-1)
     return np.asarray(1.0 - left / np.maximum(whole, 1e-300)) * (whole > 0)
