@@ -10,7 +10,7 @@ from hybrid.diagnosis.evidence.bayes import quiet
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise import LAGS, autocovariance
 from hybrid.diagnosis.evidence.products import Index
-from hybrid.signals import memory
+from hybrid.signals import autocorrelation_time
 
 _EXACT = 0.002  # of the torque: nearer than that no two solvers are
 _LESS = 0.9  # of a variance: what is worth another search
@@ -39,12 +39,14 @@ def estimate_noise(evidence: Evidence, index: Index) -> None:
         for x in (left, evidence.left[i][back]):
             calm = quiet(x, row[back], evidence.gap.rate)
             if not calm.all():
-                usual = memory(x[calm], row[back][calm]) * np.mean(x[calm] ** 2)
+                usual = autocorrelation_time(x[calm], row[back][calm]) * np.mean(
+                    x[calm] ** 2
+                )
                 found.append((float(usual), x[calm], row[back][calm]))
         noise, x, own = min(found, key=lambda x: x[0])
         evidence.noise[i] = max(noise, _least_noise(evidence, i, least))
         covariance = autocovariance(x, own, LAGS)
-        covariance *= noise / max(memory(x, own) * covariance[0], 1e-300)
+        covariance *= noise / max(autocorrelation_time(x, own) * covariance[0], 1e-300)
         evidence.covariances[i] = covariance
 
 
@@ -67,7 +69,7 @@ def lower_noise(evidence: Evidence, measured: Array, index: Index) -> Array:
         left = evidence.residual(i, found.index, found.gains)[back]
         taken = len(evidence.known(index, i)[0])
         left /= max(1.0 - taken / _dimensions(evidence, i), 1e-3)
-        alike = memory(left, row[back])
+        alike = autocorrelation_time(left, row[back])
         power = float(left @ left) / len(row)
         if power < _LESS * evidence.covariances[i][0]:
             noise[i] = max(power * alike, _least_noise(evidence, i, alike))
@@ -115,7 +117,7 @@ def _flexible(evidence: Evidence, i: int, index: Index) -> tuple[Array, float, f
         w = np.array([_ridge(A - g, b - x, ridge) for g, x in folds])
         power = np.einsum("fk,fk->", w, (G @ w[..., None])[..., 0] - 2 * c)
         left = (gap - (_ridge(A.copy(), b, ridge) / size) @ columns)[back]
-        alike = memory(left, row)
+        alike = autocorrelation_time(left, row)
         found.append((left, (gap @ gap + power) / len(row) * alike, alike, ridge))
     left, noise, alike, ridge = min(found, key=lambda x: x[1])
     kept = ridge * np.trace(_ridge(A, np.eye(len(A)), ridge))

@@ -17,7 +17,7 @@ from hybrid.diagnosis.gap.servo import (
     Law,
     ServoLog,
 )
-from hybrid.signals import memory
+from hybrid.signals import autocorrelation_time
 
 WORTH = 14.0  # nat, with the price of a shape
 _ROUNDS, _LONGEST, _CONVERGED = 12, 0.004, 1e-6  # s
@@ -153,7 +153,7 @@ def blur(servo: ServoLog, found: Fit, rate: float, cutoff: float) -> float:
 
 def evidence(servo: ServoLog, without: Fit, with_: Fit) -> float:
     """Logarithm of the likelihood that a fit has more than another, [nat]."""
-    independent = len(servo.row) / memory(with_.left, servo.row)
+    independent = len(servo.row) / autocorrelation_time(with_.left, servo.row)
     before, after = without.left @ without.left, with_.left @ with_.left
     return float(independent / 2 * np.log(before / after))
 
@@ -211,7 +211,7 @@ def _refined(servo: ServoLog, law: Law, x: Array, basis: Array) -> Fit:
             x = np.zeros(2)
     d = _inverse(np.linalg.norm(J, axis=0))
     spread = np.linalg.pinv((J * d).T @ (J * d), rcond=1e-12) * d * d[:, None]
-    spread *= left @ left / len(left) * memory(left, servo.row)
+    spread *= left @ left / len(left) * autocorrelation_time(left, servo.row)
     wide = np.eye(2 + len(gains))[:, 2:]
     wide = np.column_stack([np.pad(basis, ((0, len(gains)), (0, 0))), wide])
     return Fit(law, float(x[0]), float(x[1]), gains, left, wide @ spread @ wide.T)

@@ -9,7 +9,7 @@ from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise import LAGS, autocovariance, floored
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.prior import Prior
-from hybrid.signals import memory
+from hybrid.signals import autocorrelation_time
 
 
 def weigh(
@@ -39,14 +39,20 @@ def weigh(
             torque = gap.measured[rows[back], i]
             torque -= np.mean(torque)
             law = prior.inexact**2 * autocovariance(left, rows[back], LAGS)
-            steps = prior.solver**2 * np.mean(torque**2) * memory(torque, rows[back])
-            evidence.noise[i] += steps + law[0] * memory(left, rows[back])
+            steps = (
+                prior.solver**2
+                * np.mean(torque**2)
+                * autocorrelation_time(torque, rows[back])
+            )
+            evidence.noise[i] += steps + law[0] * autocorrelation_time(left, rows[back])
             if gap.known is not None:
                 # Laws that were identified are as inexact as real ones are.
                 known = gap.known[rows[back], i]
                 law += prior.misfit**2 * autocovariance(known, rows[back], LAGS)
                 evidence.noise[i] += (
-                    prior.misfit**2 * np.mean(known**2) * memory(known, rows[back])
+                    prior.misfit**2
+                    * np.mean(known**2)
+                    * autocorrelation_time(known, rows[back])
                 )
             covariance += law
             covariance[0] += law[0] + steps
