@@ -1,4 +1,4 @@
-"""Tables in memory: pandas, polars, pyarrow, or a dict of arrays."""
+"""Read tables in memory: pandas, polars, pyarrow, or a dict of arrays."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import table_of_arrays
 from hybrid.recording.formats.parquet import arrow_table
+from hybrid.recording.labels import is_time, split_unit
 from hybrid.recording.table import LogTable
-from hybrid.recording.words import is_time, split_unit
 
 
 def table_of_frame(frame: Any) -> LogTable:
-    """A table of a library with Arrow's protocol or the interchange protocol.
+    """Read a table by Arrow's protocol or the interchange protocol.
 
     Args:
-        frame: pandas, polars or pyarrow table, or label -> array.
+        frame: pandas, polars or pyarrow table, or arrays by label.
 
     Raises:
         RecordingError: It is none of these.
@@ -43,7 +43,7 @@ def table_of_frame(frame: Any) -> LogTable:
 
 
 def _with_index(frame: Any) -> Any:
-    """A table of pandas with its index as a column of time, if it is one."""
+    """Add the index of a pandas table as a column, if it holds times."""
     name = str(frame.index.name or "")
     if np.asarray(frame.index[:0]).dtype.kind == "M":
         return frame.rename_axis(name if is_time(name) else "time").reset_index()

@@ -1,4 +1,4 @@
-"""One topic of a bag: messages in, columns out, many at a time."""
+"""Decode the messages of one topic of a bag into columns, many at a time."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from hybrid.recording.formats.stream import Stream
 from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, Load, LogTable
 
 BATCH = 4096  # messages decoded at once
-_MOST_BYTES = 16 << 20  # of messages held before they are decoded
-_MOST_LAYOUTS = 200  # of a topic: more are no stream of one arm
+_MOST_BYTES = 16 << 20  # of messages that wait to be decoded
+_MOST_LAYOUTS = 200  # of a topic
 _CONTAINERS = ("interface_values", "values")  # of control_msgs/DynamicJointState
 _STAMP: Path = ("header", "stamp", "sec")
 _NANO: Path = ("header", "stamp", "nanosec")
 
 
 class Topic:
-    """Gathers the messages of a topic, and decodes them in batches.
+    """Messages of a topic, which are decoded in batches.
 
     Args:
         name: Topic.
         kind: Type of its messages.
-        types: Type -> definition.
-        ros2: Whether messages are aligned, as in ROS 2.
-        source: Bag for messages.
+        types: Definitions by type.
+        ros2: Whether numbers are aligned, as in ROS 2.
+        source: Bag, for messages to the user.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Topic:
         self._plans: list[tuple[int, MessageLayout, bytes]] = []
 
     def add(self, stamp: int, raw: bytes) -> None:
-        """Take a message and the recorder's time of it, [ns]."""
+        """Add a message and the recorder's time of it, [ns]."""
         self._raw.append(raw)
         self._stamps.append(stamp)
         self._held += len(raw)
@@ -55,10 +55,10 @@ class Topic:
             self.decode()
 
     def decode(self) -> None:
-        """Decode the messages at hand.
+        """Decode the messages that wait.
 
         Raises:
-            RecordingError: A message is not what the bag's definition says.
+            RecordingError: A message does not fit its definition.
         """
         raws, stamps = self._raw, np.array(self._stamps, dtype=np.int64)
         self._raw, self._stamps, self._held = [], [], 0
@@ -74,13 +74,13 @@ class Topic:
                 messages, rows = messages[~same], rows[~same]
 
     def tables(self) -> Iterator[LogTable]:
-        """A table for each set of columns that came."""
+        """Make a table for each set of columns."""
         if self._plans:
             yield self._planned()
         for stream in self._streams.values():
-            clock, headed = stream.clock()
-            note = "" if headed else "time is the recorder's, not the headers'"
-            yield self._table(stream.labels, partial(stream.given, clock=clock), note)
+            clock, own = stream.clock()
+            note = "" if own else "time is the recorder's, not the headers'"
+            yield self._table(stream.labels, partial(stream.take, clock=clock), note)
 
     def _table(self, labels: tuple[str, ...], load: Load, note: str = "") -> LogTable:
         names = (f"{self.name}/__time", *labels)
@@ -94,7 +94,7 @@ class Topic:
     def _layout(
         self, message: NDArray[np.uint8]
     ) -> tuple[MessageLayout, dict[str, Path]]:
-        """The layout of a message, known or walked, and its columns."""
+        """Layout of a message, and its columns."""
         for layout, columns in self._layouts:
             if layout.length == message.size and layout.fits(message)[0]:
                 return layout, columns
@@ -115,7 +115,7 @@ class Topic:
         return RecordingError(f"{self.source}: {self.name}: {what}; {valid}")
 
     def _labels(self, layout: MessageLayout) -> dict[str, Path]:
-        """Label -> path of the numbers in lists, with names for places where it can."""
+        """Path of each number in a list by its label, with names if there are any."""
         names: dict[Path, dict[int, str]] = {}
         for path, text in layout.texts.items():
             if isinstance(path[-1], int):
@@ -153,7 +153,7 @@ class Topic:
         stream.add(stamps, times, values)
 
     def _planned(self) -> LogTable:
-        """Points of trajectories as a command; a new one takes over from the last."""
+        """Points of trajectories as a command; a new trajectory replaces the last."""
         points: list[tuple[int, list[float]]] = []
         joints: tuple[str, ...] = ()
         for start, layout, raw in sorted(self._plans, key=lambda plan: plan[0]):
@@ -190,7 +190,7 @@ def _is_plan(layout: MessageLayout) -> bool:
 def _words(
     path: Path, names: dict[Path, dict[int, str]], layout: MessageLayout
 ) -> list[str] | None:
-    """Words of a path; a place in a list takes the name at the same place beside it."""
+    """Words of a label; an entry of a list takes the name at the same index."""
     words: list[str] = []
     for k, part in enumerate(path):
         if isinstance(part, str):
