@@ -163,9 +163,9 @@ def build_simulator(
     if said:
         lines = [f"Not in this file, or only nearly: {xml_comment(x)}." for x in said]
         comment = "\n     ".join(lines)
-        document.put(document.tags[0].start, f"<!-- {comment} -->\n")
+        document.insert(document.tags[0].start, f"<!-- {comment} -->\n")
     return Simulator(
-        text=document.written(),
+        text=document.edited(),
         original=document.content,
         robot=found,
         friction=plan.friction,

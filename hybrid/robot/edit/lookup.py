@@ -1,4 +1,4 @@
-"""An MJCF document as MuJoCo reads it, and its elements by name."""
+"""Compile an edited MJCF document, and find its joints by name."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ from pathlib import Path
 from typing import Any
 
 from hybrid.errors import RobotError
-from hybrid.robot.compiled import compiled_spec
 from hybrid.robot.edit.document import Document, Tag
+from hybrid.robot.mujoco_model import compile_spec
 from hybrid.robot.robot import Robot
 
 
 def model_of(document: Document, robot: Robot) -> Any:
-    """MuJoCo's model of the document, in the folder of the arm's file.
+    """Compile the document in the folder of the arm's file.
 
     Raises:
         RobotError: It does not compile.
     """
-    return compiled_spec(spec_of(document, robot), robot.path)[0]
+    return compile_spec(spec_of(document, robot), robot.path)[0]
 
 
 def spec_of(document: Document, robot: Robot) -> Any:
-    """The document as a spec, in the folder of the arm's file."""
+    """Parse the document as a MuJoCo spec, in the folder of the arm's file."""
     import mujoco
 
     try:
-        spec = mujoco.MjSpec.from_string(document.written().decode())
+        spec = mujoco.MjSpec.from_string(document.edited().decode())
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise RobotError(f"{robot.path}: cannot be edited ({reason})") from error
@@ -34,7 +34,7 @@ def spec_of(document: Document, robot: Robot) -> Any:
 
 
 def joint_tag(document: Document, name: str) -> Tag:
-    """The element of a joint.
+    """Find the element of a joint.
 
     Raises:
         RobotError: No joint of the file has the name.
