@@ -1,7 +1,7 @@
-"""A program as one C99 header: no allocation, no recursion, no dependency but libm.
+"""Write a program as one C99 header without allocation or recursion, needing only libm.
 
-It keeps to MISRA C where that can be read: braces everywhere, no side effect within an
-expression, loops of a length that is known, a status that says what happened.
+The code follows MISRA C where it stays readable: braces everywhere, no side effects in
+expressions, loops of fixed length, and a returned status.
 """
 
 from __future__ import annotations
@@ -162,10 +162,10 @@ LIMITS = ("q_min", "q_max", "v_max", "tau_max")
 
 
 def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> str:
-    """The header's text.
+    """Write the header.
 
     Args:
-        program: What to write.
+        program: The program.
         robot: The arm; functions start with its name.
         digest: Hash of the model.
         version: Version of this package.
@@ -199,7 +199,7 @@ def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> st
 
 
 def _joint(robot: Robot, k: int) -> str:
-    """A joint in the comment at the top."""
+    """Line of a joint in the comment at the top."""
     units = UNITS_OF_KIND[bool(robot.chain.revolute[k])]
     q, v, tau = (units[x].replace("·", " ") for x in ("q", "v", "tau"))
     low, high, speed, most = (float(getattr(robot, name)[k]) for name in LIMITS)
@@ -271,10 +271,10 @@ def _outputs(program: Program, marks: dict[str, Any]) -> Iterator[str]:
 
 
 def c_number(x: float, P: str, *, finite: bool = True) -> str:
-    """A number as C writes it, to the last bit.
+    """Write a number in C with all digits.
 
     Raises:
-        HybridError: It is not finite, and has to be.
+        HybridError: It is NaN, or infinite although it must be ``finite``.
     """
     if math.isfinite(x):
         return f"{P}_R({x!r})"

@@ -1,4 +1,4 @@
-"""The C export: header, example, and a build file."""
+"""Write the C export: header, example, and build file."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) ->
     """Write ``<arm>.h``, ``example.c`` and ``CMakeLists.txt``.
 
     Args:
-        model: What is exported.
-        program: The same at one instant.
+        model: The model.
+        program: Program of the model.
         digest: Hash of the model.
-        folder: Where the files shall be.
+        folder: Folder of the files.
     """
     robot = model.robot
     p = c_identifier(robot.name)

@@ -1,4 +1,4 @@
-"""A program as an ONNX graph in double precision, with a free batch axis."""
+"""Write a program as an ONNX graph in double precision, with a free batch axis."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hybrid.dynamics import Law
 from hybrid.errors import HybridError
 from hybrid.exports.program import Program
 
-_OPSET, _FORMAT = 18, 9  # operators and file format, of 2023: old runtimes read them
+_OPSET, _FORMAT = 18, 9  # operators and file format of 2023, for old runtimes
 _NAMES = {
     "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div",
     "power": "Pow", "negative": "Neg", "absolute": "Abs", "sign": "Sign",
@@ -25,7 +25,7 @@ _NAMES = {
 
 
 class Graph:
-    """Nodes and constants in the order in which they were added."""
+    """Nodes and constants of a graph that is being built."""
 
     def __init__(self) -> None:
         import_onnx()
@@ -33,7 +33,7 @@ class Graph:
         self.constants: dict[bytes, Any] = {}
 
     def node(self, operator: str, *inputs: str, **attributes: Any) -> str:
-        """Add an operation; the name of its result."""
+        """Add an operation; return the name of its result."""
         from onnx import helper
 
         name = f"x{len(self.nodes)}"
@@ -43,7 +43,7 @@ class Graph:
         return name
 
     def constant(self, values: Any, kind: Any = np.float64) -> str:
-        """The name of a constant; equal ones are kept once."""
+        """Add a constant, unless an equal one exists; return its name."""
         from onnx import numpy_helper
 
         array = np.asarray(values, dtype=kind)
@@ -54,7 +54,7 @@ class Graph:
         return str(self.constants[key].name)
 
     def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int]) -> Any:
-        """The whole graph; ``inputs`` and ``outputs`` are names with their columns."""
+        """Build the graph; ``inputs`` and ``outputs`` give the columns of each name."""
         from onnx import TensorProto, helper
 
         def infos(columns: Mapping[str, int]) -> list[Any]:
@@ -72,10 +72,10 @@ class Graph:
 
 
 def import_onnx() -> None:
-    """Fail early, naming what to install.
+    """Check that the package onnx is installed.
 
     Raises:
-        HybridError: The package onnx is not installed.
+        HybridError: It is not installed.
     """
     try:
         import onnx  # noqa: F401
@@ -86,10 +86,11 @@ def import_onnx() -> None:
 
 
 def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
-    """The program as an ``onnx.ModelProto``, with the manifest in its metadata.
+    """Build an ``onnx.ModelProto`` with the manifest in its metadata.
 
-    Inputs q, v and a, shape (N, n), and where they matter t, step, known (N, 1) and
-    memory (N, s); outputs tau and variance, shape (N, n), and memory_out (N, s).
+    Inputs are q, v and a, shape (N, n), and if the program uses them t, step and known,
+    shape (N, 1), and memory, shape (N, s). Outputs are tau and variance, shape (N, n),
+    and memory_out, shape (N, s).
     """
     graph, n, s = Graph(), len(program.joints), len(program.memory)
     inputs = {"q": n, "v": n, "a": n}
@@ -110,7 +111,7 @@ def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
 
 
 def _results(graph: Graph, program: Program) -> list[str]:
-    """A node for each line of the tape, shape (N, 1); names of the results."""
+    """Add a node for each operation, shape (N, 1); return the names of the results."""
 
     def put(operator: str, name: str, *given: str | float) -> str:
         x = [y if isinstance(y, str) else graph.constant([y]) for y in given]
@@ -136,7 +137,7 @@ def _results(graph: Graph, program: Program) -> list[str]:
 
 
 def _column(graph: Graph, x: str | float) -> str:
-    """A result as a column, shape (N, 1), also if it is a plain number."""
+    """Make a result, which may be a number, a column of shape (N, 1)."""
     if isinstance(x, str):
         return x
     first = graph.node("Gather", "q", graph.constant([0], np.int64), axis=1)

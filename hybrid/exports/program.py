@@ -1,4 +1,4 @@
-"""A dynamic model as a program for one instant: inputs, a tape, and outputs."""
+"""Write a dynamic model as a program: the operations from one state to its torque."""
 
 from __future__ import annotations
 
@@ -20,21 +20,20 @@ from hybrid.model.dynamic_model import DynamicModel
 
 @dataclass(frozen=True)
 class Program:
-    """Torque of an arm of n joints at one instant, and what to remember for the next.
+    """Program that computes torque and the next memory from the state of an arm.
 
     Inputs on the tape are ``q[j]``, ``v[j]``, ``a[j]``, ``t`` (time since the start,
-    [s]), ``step`` (time since the last instant, [s]), ``known`` (1 if there was one,
-    else 0) and ``memory[i]``.
+    [s]), ``step`` (time since the last call, [s]), ``known`` (1 if there was a call
+    before, else 0) and ``memory[i]``.
 
     Attributes:
         joints: Joint names.
         tape: The operations.
         torque: Torque of the drives, length n, [N·m].
-        variance: Variance of its learned part, length n, [(N·m)²]; NaN where nothing
-            was learned.
-        memory: What to remember, length s.
-        memory_names: What each is.
-        left_out: Effects that are not in it, and why.
+        variance: Variance of its learned part, length n, [(N·m)²]; NaN without one.
+        memory: Values to keep for the next call, length s.
+        memory_names: Name of each value.
+        left_out: Effects that are not in the program, and why.
     """
 
     joints: tuple[str, ...]
@@ -47,12 +46,12 @@ class Program:
 
     @property
     def results(self) -> tuple[Any, ...]:
-        """Everything that the tape works out."""
+        """Torque, variance and memory."""
         return (*self.torque, *self.variance, *self.memory)
 
     @property
     def uses(self) -> frozenset[str]:
-        """Names of the inputs that matter."""
+        """Names of the inputs that the results depend on."""
         lines = (self.tape.lines[k] for k in self.tape.needed(self.results))
         return frozenset(str(x.arguments[0]) for x in lines if x.name == "input")
 
@@ -66,15 +65,15 @@ class Program:
         t: float = 0.0,
         step: float = 0.001,
     ) -> tuple[Array, Array]:
-        """Torque, shape (N, n), [N·m], and memory, shape (N, s), of N states.
+        """Compute torque, shape (N, n), [N·m], and memory, shape (N, s), of N states.
 
         Args:
             q: Positions, shape (N, n), [rad].
             v: Speeds, shape (N, n), [rad/s].
             a: Accelerations, shape (N, n), [rad/s²].
-            memory: Memory of the instants before, shape (N, s); None if there was none.
+            memory: Memory of the last call, shape (N, s); None for the first call.
             t: Time since the start, [s].
-            step: Time since the instants before, [s].
+            step: Time since the last call, [s].
         """
         past = np.zeros((len(q), len(self.memory))) if memory is None else memory
         known = 0.0 if memory is None else 1.0
@@ -94,11 +93,10 @@ class Program:
 
 
 def program_from_model(model: DynamicModel) -> Program:
-    """Write the model down for one instant.
+    """Write a model as a program.
 
     Raises:
-        EffectError: An effect cannot be worked out from one instant and a few numbers
-            of the one before.
+        EffectError: An effect needs more than one state and a few values of memory.
     """
     robot, tape, n = model.robot, Tape(), model.robot.size
     out = [e for e in model.effects if e.not_in_loop]
@@ -155,17 +153,15 @@ def program_from_model(model: DynamicModel) -> Program:
         variance=tuple(variance),
         memory=tuple(memory.now),
         memory_names=tuple(memory.names),
-        left_out=tuple(_why_not(robot.joints, e) for e in out),
+        left_out=tuple(
+            f"{e.id} of {', '.join(robot.joints[j] for j in e.joints)}: {e.not_in_loop}"
+            for e in out
+        ),
     )
 
 
-def _why_not(names: Sequence[str], effect: Effect) -> str:
-    where = ", ".join(names[j] for j in effect.joints)
-    return f"{effect.id} of {where}: {effect.not_in_loop}"
-
-
 class _Memory:
-    """Slots of what effects remember."""
+    """Memory of all effects."""
 
     def __init__(self, tape: Tape) -> None:
         self.tape = tape
@@ -176,7 +172,7 @@ class _Memory:
     def step(
         self, effect: Effect, joints: Sequence[JointState]
     ) -> tuple[tuple[Any, ...], Any]:
-        """What an effect remembers, and the time since then."""
+        """Memory of an effect, and the time since the last call."""
         if id(effect) not in self._first:
             self._first[id(effect)] = len(self.names)
             where = "+".join(str(j + 1) for j in effect.joints)
@@ -192,7 +188,7 @@ class _Memory:
         return before, self.tape.input("step")
 
     def keep(self, effect: Effect, values: Sequence[Any]) -> None:
-        """Remember for the next instant."""
+        """Keep values of an effect for the next call."""
         first = self._first[id(effect)]
         self.now[first : first + len(values)] = values
 

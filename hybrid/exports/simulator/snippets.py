@@ -1,6 +1,6 @@
-"""Python for other simulators: an actuator of Isaac Lab, and what to randomise.
+"""Write Python for other simulators: actuators of Isaac Lab, and randomisation.
 
-Names of joints stand in it as literals and nowhere else.
+Names of joints appear as literals only.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot.edit.change import Actuator
 from hybrid.signals import Motion
 
-_STEP = 0.005  # s, of a simulation whose step is not known
+_STEP = 0.005  # s, if the step of the simulation is not known
 _ACTUATOR = '''"""Actuators of {name} for Isaac Lab, with physics every {step!r} s."""
 
 from isaaclab.actuators import DelayedPDActuatorCfg
@@ -93,7 +93,7 @@ def domain_randomize(model, rng, mj_model):
     axes = axes.tree_replace({{field: 0 for field in values}})
     return model.tree_replace(values), axes
 '''
-# Fields of MuJoCo's model by the names of ranges: column, and whether of any sign.
+# Field of MuJoCo's model by the name of a range, its column, and whether it may be < 0.
 _DOF: dict[str, tuple[str, int | None, bool]] = {
     "armature": ("dof_armature", None, False),
     "damping": ("dof_damping", None, False),
@@ -106,7 +106,7 @@ _DOF: dict[str, tuple[str, int | None, bool]] = {
 def isaac_lab(
     model: DynamicModel, motions: Sequence[Motion] = ()
 ) -> tuple[str, tuple[str, ...]]:
-    """An actuator configuration for Isaac Lab, and what is not in it."""
+    """Actuator configuration for Isaac Lab, and notes on what it lacks."""
     bare = replace(model, robot=replace(model.robot, path=""))  # numbers, no shapes
     made = model_simulator(bare, kind="urdf", motions=motions)
     robot, drives = made.robot, dict[int, Actuator]()
@@ -117,7 +117,7 @@ def isaac_lab(
     new = [drives.get(j, Actuator()) for j in range(robot.size)]
     known = model.robot.timestep
     step = known if math.isfinite(known) else _STEP
-    late = max(x.latency for x in new) / step
+    delay = max(x.latency for x in new) / step
     limit = np.minimum(robot.tau_max, [x.limit for x in new])
     kp = model.robot.kp * [x.stiffness for x in new]
     kd = model.robot.kd * [x.damping for x in new]
@@ -130,14 +130,14 @@ def isaac_lab(
     fields: dict[str, Any] = {
         name: _by_joint(robot.joints, x) for name, x in table.items()
     }
-    fields |= {"min_delay": math.floor(late), "max_delay": math.ceil(late)}
-    said = {"latency", "limit", "stiffness", "damping"}
+    fields |= {"min_delay": math.floor(delay), "max_delay": math.ceil(delay)}
+    expressed = {"latency", "limit", "stiffness", "damping"}
     notes = tuple(
         note
         for note in made.notes
         if not any(
             note.startswith(f"{e.id} of") for e in made.rest
-            if e.actuator and e.actuator.keys() <= said
+            if e.actuator and e.actuator.keys() <= expressed
         )
     )  # fmt: skip
     text = _ACTUATOR.format(
@@ -162,11 +162,11 @@ def isaac_events(name: str, ranges: Ranges) -> str:
 
 
 def mjx(name: str, ranges: Ranges, nominal: Mapping[str, Array]) -> str:
-    """A function that randomises a model of MJX.
+    """Function that randomises a model of MJX.
 
     Args:
         name: Name of the arm.
-        ranges: What is left open.
+        ranges: Uncertain parameters.
         nominal: Values of each field of a joint, shape (n,).
     """
     own = [name for name in _DOF if np.isfinite(ranges.of(name)).any()]
@@ -189,7 +189,7 @@ def mjx(name: str, ranges: Ranges, nominal: Mapping[str, Array]) -> str:
 
 
 def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float] | None:
-    """Values by joint, as a pattern; those that are not known are the robot's own."""
+    """Values by joint as a pattern; unknown values are left to the robot's file."""
     found = {
         re.escape(name): float(x)
         for name, x in zip(joints, values, strict=True)
@@ -204,5 +204,5 @@ def _laid_out(table: Mapping[str, Any]) -> str:
 
 
 def _plain(name: str) -> str:
-    """A name within a docstring."""
+    """Name for a docstring."""
     return re.sub(r"[^\w .+-]", "_", name)

@@ -1,4 +1,4 @@
-"""What recordings leave open, in files."""
+"""Write intervals of a simulator's parameters to files."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _DRAWS = 400
 def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
     """Write intervals and correlations as YAML, and Python for Isaac Lab and MJX.
 
-    The draws behind them are those of one seed, so that a model has one such folder.
+    Draws have a fixed seed, so that the files of a model are always the same.
 
     Args:
-        model: An identified model with links that could be built.
-        folder: A folder that exists.
-        stem: What names of files begin with.
+        model: An identified model with physically consistent links.
+        folder: An existing folder.
+        stem: Beginning of the file names.
 
     Raises:
         HybridError: The model has no such links, or was saved without a covariance.
