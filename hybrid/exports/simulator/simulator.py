@@ -174,6 +174,7 @@ def build_simulator(
         text=document.edited(),
         original=document.content,
         robot=found,
+        friction=plan.friction,
         rest=(*plan.missing, *plan.corrections),
         notes=tuple(lacks),
     )
