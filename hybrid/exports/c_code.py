@@ -162,17 +162,7 @@ LIMITS = ("q_min", "q_max", "v_max", "tau_max")
 
 
 def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> str:
-    """Write the header.
-
-    Args:
-        program: The program.
-        robot: The arm; functions start with its name.
-        digest: Hash of the model.
-        version: Version of this package.
-
-    Raises:
-        HybridError: A number is not finite.
-    """
+    """Write the header."""
     p, n, size = c_identifier(robot.name), robot.size, len(program.memory)
     marks: dict[str, Any] = {"p": p, "P": p.upper(), "n": n, "size": size}
     slots = [f"     * {i}: {name}" for i, name in enumerate(program.memory_names)]

@@ -82,14 +82,7 @@ target_compile_definitions(example_single PRIVATE {P}_SINGLE)
 
 
 def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) -> None:
-    """Write ``<arm>.h``, ``example.c`` and ``CMakeLists.txt``.
-
-    Args:
-        model: The model.
-        program: Program of the model.
-        digest: Hash of the model.
-        folder: Folder of the files.
-    """
+    """Write ``<arm>.h``, ``example.c`` and ``CMakeLists.txt``."""
     robot = model.robot
     p = c_identifier(robot.name)
     header = c_header(program, robot, digest=digest, version=__version__)

@@ -42,13 +42,6 @@ def build_manifest(
     """Description of an export for JSON.
 
     A unit is a text if all joints have the same, else a list with one for each joint.
-
-    Args:
-        model: The exported model.
-        format: Format of the export.
-        digest: Hash of the model.
-        left_out: What the format cannot express, and why.
-        memory: Names of the states that the exported model keeps between calls.
     """
     robot = model.robot
     limits = ("q_min", "q_max", "v_max", "a_max", "tau_max")

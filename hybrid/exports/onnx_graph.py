@@ -72,11 +72,7 @@ class Graph:
 
 
 def import_onnx() -> None:
-    """Check that the package onnx is installed.
-
-    Raises:
-        HybridError: It is not installed.
-    """
+    """Check that the package onnx is installed."""
     try:
         import onnx  # noqa: F401
     except ImportError as error:

@@ -63,16 +63,7 @@ class Assignment:
         self.unused: dict[int, str] = {}  # column -> reason
 
     def reading(self, *, quiet: bool = False) -> Reading:
-        """Assign all columns.
-
-        Raises:
-            NoJointsError: Positions are missing.
-            RecordingError: Time or torques are missing, two columns are for the same
-                joint, a unit fits no channel, or joints are not the robot's.
-
-        Warns:
-            HybridWarning: Some columns are not used, unless ``quiet``.
-        """
+        """Assign all columns."""
         try:
             time = self._time()
         except RecordingError as error:

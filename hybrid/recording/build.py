@@ -17,16 +17,7 @@ from hybrid.recording.units import seconds
 
 
 def build_recording(table: LogTable, reading: Reading, *, torque: bool) -> Recording:
-    """Build the recording of a table; no number is in memory twice.
-
-    Args:
-        table: Named columns.
-        reading: Channel, joint and unit of each column.
-        torque: Whether torques are required.
-
-    Raises:
-        RecordingError: The samples are not a valid recording.
-    """
+    """Build the recording of a table; no number is in memory twice."""
     time, groups, notes = reading.time, reading.channels, list(reading.notes)
     clock, channels = _samples(table, time, groups)
     if time.index < 0:  # no clock, but a rate

@@ -45,11 +45,7 @@ class Source:
         return Source(columns, self.unit or below.unit, factors, self.dropped)
 
     def found(self, labels: Sequence[str]) -> dict[int, str]:
-        """Find the columns of the channel: joint by index of the column.
-
-        Raises:
-            ValueError: A label is missing.
-        """
+        """Find the columns of the channel: joint by index of the column."""
         if isinstance(self.columns, dict):
             for label in self.columns.values():
                 if label not in labels:
@@ -123,14 +119,7 @@ Map = str | Path | MappingType[str, Any] | Mapping | None
 
 
 def read_mapping(given: Map) -> Mapping:
-    """Read a map from a YAML file, a dict, or the name of a preset.
-
-    Args:
-        given: Path, content, or a key of ``PRESETS``; None for an empty map.
-
-    Raises:
-        RecordingError: The file cannot be read, or a key or value is not valid.
-    """
+    """Read a map from a YAML file, a dict, or the name of a preset."""
     if given is None or isinstance(given, Mapping):
         return given or Mapping()
     if isinstance(given, MappingType):

@@ -27,12 +27,7 @@ def recording_of(
     map: Map = None,
     torque: bool = True,
 ) -> Recording:
-    """Build the recording of a log's streams; options as in :func:`read_all`.
-
-    Raises:
-        RecordingError: No stream has the joints, several have the same channels, or the
-            samples are not a valid recording.
-    """
+    """Build the recording of a log's streams; options as in :func:`read_all`."""
     mapping = read_mapping(map)
     tables = tuple(x for x in tables if x.name == mapping.topic) or tables
     main = _best(tables, joints, mapping, torque) if len(tables) > 1 else tables[0]

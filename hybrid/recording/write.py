@@ -57,11 +57,7 @@ def write_columns(path: str | Path, columns: Columns) -> None:
 
 
 def writer_of(path: Path) -> Callable[[Columns, Path], None]:
-    """Function that writes files of this suffix.
-
-    Raises:
-        RecordingError: The suffix is unknown.
-    """
+    """Function that writes files of this suffix."""
     if path.suffix.lower() not in WRITERS:
         raise RecordingError(
             f"{path}: unknown kind of file; valid are {', '.join(WRITERS)}"

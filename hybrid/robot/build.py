@@ -78,11 +78,7 @@ def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
 
 
 def spec_text(spec: mujoco.MjSpec) -> str:
-    """Write a spec as MJCF with all digits; MuJoCo itself writes six.
-
-    Raises:
-        RobotError: This version of MuJoCo cannot change the number of digits.
-    """
+    """Write a spec as MJCF with all digits; MuJoCo itself writes six."""
     from mujoco import _structs
 
     # A function of MuJoCo for its own tests; there is no public one.

@@ -45,11 +45,7 @@ class _Demand:
 
 
 def check_demand(path: Path) -> None:
-    """Refuse a robot file that needs more than any robot does.
-
-    Raises:
-        RobotError: The file, or its compiled model, is too large.
-    """
+    """Refuse a robot file that needs more than any robot does."""
     try:
         _demand(path, path.parent, [])
     except OSError as error:

@@ -40,16 +40,6 @@ def fields_of_mujoco(
 
     MJCF has no velocity and acceleration limits. They are read from the custom numerics
     ``velocity_limit`` and ``acceleration_limit``, with one value per joint.
-
-    Args:
-        model: MuJoCo's model.
-        where: The file or object, for messages.
-        joints: Joints to keep, or None to choose them.
-        held: Positions of other joints, [rad or m].
-        missing_inertia: Missing mesh file that each body needs for its inertia.
-
-    Raises:
-        RobotError: There is no serial arm, or the inertia of a link is missing.
     """
     names, tree = joint_names(model), mujoco_tree(model, where)
     keep = serial_joints(tree, joints, held)
@@ -154,12 +144,7 @@ def _enabled(model: Any, flag: str) -> float:
 
 
 def mujoco_tree(model: Any, where: str | Path) -> Tree:
-    """Tree of the bodies of a MuJoCo model, each after its joints.
-
-    Args:
-        model: MuJoCo's model.
-        where: The file or object, for messages.
-    """
+    """Tree of the bodies of a MuJoCo model, each after its joints."""
     names, nodes = joint_names(model), [Node(-1, body=0, name="world")]
     last = {0: 0}  # frame of each body
     for body in range(1, model.nbody):

@@ -13,11 +13,7 @@ _CORNERS = [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]  # of a tetrahedron
 
 
 def compile_file(path: str | Path) -> Any:
-    """Compile a file by MuJoCo; a warning of MuJoCo counts as an error.
-
-    Raises:
-        RobotError: The file does not compile.
-    """
+    """Compile a file by MuJoCo; a warning of MuJoCo counts as an error."""
     import mujoco
 
     return _checked(lambda: mujoco.MjModel.from_xml_path(str(path)), path)
@@ -28,9 +24,6 @@ def compile_without_assets(path: str | Path) -> tuple[Any, Mapping[int, str]]:
 
     Returns:
         The model, and the missing mesh file that each body needs for its inertia.
-
-    Raises:
-        RobotError: The file does not compile for another reason.
     """
     try:
         return compile_file(path), {}
@@ -58,9 +51,6 @@ def compile_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
 
     Returns:
         The model, and the missing mesh file that each body needs for its inertia.
-
-    Raises:
-        RobotError: The spec does not compile.
     """
     import mujoco
 

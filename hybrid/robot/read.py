@@ -23,11 +23,7 @@ Read = tuple[dict[str, Any], Any]  # fields, and MuJoCo's model or None
 def read_robot(
     source: Any, joints: tuple[str, ...] | None, held: Mapping[str, float]
 ) -> Read:
-    """Read the fields of a robot from a file, a name, or another library's model.
-
-    Raises:
-        RobotError: It is none of these, or holds no serial arm.
-    """
+    """Read the fields of a robot from a file, a name, or another library's model."""
     home = type(source).__module__.partition(".")[0]
     match home, type(source).__name__:
         case ("mujoco", "MjModel"):
@@ -151,11 +147,7 @@ def _tree(model: Any) -> Tree:
 
 
 def expanded(path: Path) -> str:
-    """Expand a xacro file to URDF.
-
-    Raises:
-        RobotError: xacro is not installed, or cannot expand the file.
-    """
+    """Expand a xacro file to URDF."""
     command = f"xacro {path.name} > {path.name.split('.')[0]}.urdf"
     try:
         import xacro

@@ -183,11 +183,7 @@ class Tree:
         gravity: Array,
         armature: Array,
     ) -> Chain:
-        """Chain of an arm; bodies on held joints are part of its links.
-
-        Raises:
-            RobotError: The inertia of a link is not physical.
-        """
+        """Chain of an arm; bodies on held joints are part of its links."""
         places, frames = self.places(joints, held)
         bodies: list[list[Body]] = [[] for _ in joints]
         names = list(joints)  # names of links; a link without a body has the joint's

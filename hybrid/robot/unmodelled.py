@@ -37,15 +37,7 @@ _ELEMENTS = {
 
 
 def check_modelled(robot: Robot, model: Any) -> None:
-    """Refuse a robot whose torque differs from that of its MuJoCo model.
-
-    Args:
-        robot: The robot that was read from the model.
-        model: MuJoCo's model; it is changed.
-
-    Raises:
-        RobotError: An element acts on the joints and is not modelled; it is named.
-    """
+    """Refuse a robot whose torque differs from that of its MuJoCo model."""
     import mujoco
 
     off = mujoco.mjtDisableBit

@@ -36,17 +36,7 @@ def read_urdf(
     joints: tuple[str, ...] | None,
     held: Mapping[str, float],
 ) -> dict[str, Any]:
-    """Read the fields of a :class:`~hybrid.robot.robot.Robot` from a URDF file.
-
-    Args:
-        content: Content of the file; meshes are not needed.
-        where: The file, for messages.
-        joints: Joints to keep, or None to choose them.
-        held: Positions of other joints, [rad or m].
-
-    Raises:
-        RobotError: The file is not a URDF, or holds no serial arm.
-    """
+    """Read the fields of a :class:`~hybrid.robot.robot.Robot` from a URDF file."""
     root = urdf_root(content)
     tree = urdf_tree(root, where)
     keep = serial_joints(tree, joints, held)
@@ -78,11 +68,7 @@ def read_urdf(
 
 
 def urdf_root(content: bytes) -> Element:
-    """Parse a URDF file; undeclared prefixes are part of the names.
-
-    Raises:
-        RobotError: The file is not a URDF.
-    """
+    """Parse a URDF file; undeclared prefixes are part of the names."""
     builder, parser = TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     parser.CharacterDataHandler = builder.data
@@ -101,15 +87,7 @@ def urdf_root(content: bytes) -> Element:
 
 
 def urdf_tree(root: Element, where: str | Path) -> Tree:
-    """Tree of the links of a URDF file; joints of one link are sorted by name.
-
-    Args:
-        root: Root element of the file.
-        where: The file, for messages.
-
-    Raises:
-        RobotError: Links and joints form no tree, or a number is not valid.
-    """
+    """Tree of the links of a URDF file; joints of one link are sorted by name."""
     links = _named(root, "link")
     below: dict[str, list[tuple[Element, str]]] = {name: [] for name in links}
     roots = set(links)  # links without a parent
@@ -256,9 +234,6 @@ def numbers(element: Element, tag: str, name: str, *usual: float) -> Array:
         tag: Tag of the child.
         name: Name of the attribute.
         usual: Numbers if the attribute is missing; their count is the valid one.
-
-    Raises:
-        RobotError: There are more or fewer, or one is not valid.
     """
     inner = element.find(tag)
     text = None if inner is None else inner.get(name)

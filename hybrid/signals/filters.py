@@ -142,11 +142,7 @@ def central_difference(x: Array, *, rate: float) -> Array:
 
 
 def passes_all(rate: float, cutoff: float) -> bool:
-    """Tell whether a cut-off in [Hz] is so near the Nyquist frequency that all passes.
-
-    Raises:
-        ValueError: The cut-off is not positive.
-    """
+    """Tell whether a cut-off in [Hz] is so near Nyquist that all passes."""
     if not cutoff > 0:
         raise ValueError(f"cutoff {cutoff} Hz; valid is a positive frequency or inf")
     return cutoff >= 0.98 * rate / 2

@@ -98,13 +98,7 @@ def _bare(model: DynamicModel) -> Robot:
 def fields_of_model(
     model: DynamicModel, motions: Sequence[Motion], kind: str = "mjcf"
 ) -> Robot:
-    """The arm with all parameters of a model that a kind of file can express.
-
-    Args:
-        model: A model with physically consistent links.
-        motions: Motions with the speeds at which friction is fitted.
-        kind: ``mjcf`` or ``urdf``.
-    """
+    """The arm with all parameters of a model that a kind of file can express."""
     assert model.inertial is not None
     robot = _bare(model).with_inertial(model.inertial)
     return planned_robot(robot, model.effects, kind, motions)

@@ -305,11 +305,7 @@ def _ripple_error(waves: Sequence[TorqueRipple]) -> Iterator[Effect]:
 
 
 def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
-    """Compare the arm in the edited file with the arm that was asked for.
-
-    Raises:
-        RobotError: They differ.
-    """
+    """Compare the arm in the edited file with the arm that was asked for."""
     names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"} & {*fields}
     names |= {"ripple", "falling"} if "preload" in fields else set()
     names |= {"knee", "knee_speed"} if wanted.knee.any() else set()

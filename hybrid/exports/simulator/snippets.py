@@ -162,13 +162,7 @@ def isaac_events(name: str, ranges: Ranges) -> str:
 
 
 def mjx(name: str, ranges: Ranges, nominal: Mapping[str, Array]) -> str:
-    """Function that randomises a model of MJX.
-
-    Args:
-        name: Name of the arm.
-        ranges: Uncertain parameters.
-        nominal: Values of each field of a joint, shape (n,).
-    """
+    """Function that randomises a model of MJX."""
     own = [name for name in _DOF if np.isfinite(ranges.of(name)).any()]
     n = len(ranges.joints)
     mean = np.concatenate([nominal[name] for name in own]) if own else np.zeros(0)

@@ -19,14 +19,6 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
     """Write intervals and correlations as YAML, and Python for Isaac Lab and MJX.
 
     Draws have a fixed seed, so that the files of a model are always the same.
-
-    Args:
-        model: An identified model with physically consistent links.
-        folder: An existing folder.
-        stem: Beginning of the file names.
-
-    Raises:
-        HybridError: The model has no such links, or was saved without a covariance.
     """
     found = ranges(model, np.random.default_rng(0), draws=_DRAWS)
     nominal = fields_of_model(model, (usual_motion(model),))

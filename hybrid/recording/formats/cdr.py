@@ -72,9 +72,6 @@ def layout_of(
         kind: Type of the message.
         types: Definitions by type, as ``rosbags.typesys`` parses them.
         ros2: Whether numbers are aligned, as in ROS 2.
-
-    Raises:
-        LayoutError: The message is too short, or its type is not defined.
     """
     walk = _Walk(raw, types, ros2)
     try:

@@ -44,10 +44,6 @@ def read_csv(path: Path) -> list[tuple[LogTable]]:
     Args:
         path: File, gzipped or not, with comma, semicolon or tab between cells. Numbers
             have a decimal point, or a decimal comma if cells have no comma between.
-
-    Raises:
-        RecordingError: The file is empty, not UTF-8, has a ragged row or a cell that
-            is no number; the message names column and row.
     """
     text = _text(path)
     labels = text.labels

@@ -54,9 +54,6 @@ def table_of_arrays(
         source: File, for messages.
         get: Loads arrays by label; by default ``arrays`` themselves are used.
         more: Further fields of the table.
-
-    Raises:
-        RecordingError: An array of a channel does not hold numbers in (N,) or (N, n).
     """
     names, all_arrays = None, arrays
     load: Get = get or (lambda _: all_arrays)

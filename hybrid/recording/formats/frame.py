@@ -15,14 +15,7 @@ from hybrid.recording.table import LogTable
 
 
 def table_of_frame(frame: Any) -> LogTable:
-    """Read a table by Arrow's protocol or the interchange protocol.
-
-    Args:
-        frame: pandas, polars or pyarrow table, or arrays by label.
-
-    Raises:
-        RecordingError: It is none of these.
-    """
+    """Read a table by Arrow's protocol or the interchange protocol."""
     if isinstance(frame, Mapping):
         arrays = {str(label): np.asarray(x) for label, x in frame.items()}
         return table_of_arrays(arrays, "table", kind="dict of arrays")

@@ -32,12 +32,7 @@ _EPISODE = re.compile(
 
 
 def read_hdf5(path: Path) -> list[tuple[LogTable]]:
-    """Read the arrays of a file, or of each group that is named like an episode.
-
-    Raises:
-        RecordingError: It is damaged, too large, or h5py is not installed.
-        NoJointsError: It holds no joints; the message says what it holds instead.
-    """
+    """Read the arrays of a file, or of each group that is named like an episode."""
     arrays, rate = arrays_of(path)
     groups: dict[str, dict[str, NDArray[Any]]] = {}
     for name, x in arrays.items():
@@ -58,11 +53,7 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
 
 
 def arrays_of(path: Path) -> tuple[dict[str, NDArray[Any]], float]:
-    """Read all arrays of a file by path, and the rate that robomimic states, [Hz].
-
-    Raises:
-        RecordingError: It is damaged, too large, or h5py is not installed.
-    """
+    """Read all arrays of a file by path, and the rate that robomimic states, [Hz]."""
     try:
         import h5py
     except ImportError as error:

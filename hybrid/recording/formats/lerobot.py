@@ -30,14 +30,7 @@ def is_dataset(folder: Path) -> bool:
 
 
 def read_lerobot(folder: Path) -> Iterator[tuple[LogTable]]:
-    """Read the episodes of a dataset, one table each.
-
-    Args:
-        folder: Folder with ``meta/info.json`` and ``data``.
-
-    Raises:
-        RecordingError: The dataset is of another version, damaged or empty.
-    """
+    """Read the episodes of a dataset, one table each."""
     try:
         info = read_json(folder / "meta" / "info.json")
         version, features = str(info["codebase_version"]), dict(info["features"])

@@ -17,11 +17,7 @@ from hybrid.recording.table import LogTable, as_recording_error
 
 
 def read_mat(path: Path) -> list[tuple[LogTable]]:
-    """Read the variables of a file, or the fields of its only struct.
-
-    Raises:
-        RecordingError: It is damaged, or h5py is needed and not installed.
-    """
+    """Read the variables of a file, or the fields of its only struct."""
     with path.open("rb") as file:
         head = file.read(128)
     with as_recording_error(path, "MATLAB file"):

@@ -27,12 +27,7 @@ _DEEPEST = 32  # nesting levels of structs and cells
 
 
 def check_elements(path: Path) -> None:
-    """Check all elements of a file; a file of version 4 has none.
-
-    Raises:
-        RecordingError: An element has an invalid type, or the file unpacks to more than
-            ``LARGEST_FILE``.
-    """
+    """Check all elements of a file; a file of version 4 has none."""
     total = 0
     with path.open("rb") as file:
         head = file.read(_HEADER)

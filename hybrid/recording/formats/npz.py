@@ -19,14 +19,7 @@ _KIND = "NPZ file of plain arrays"
 
 
 def read_npz(path: Path) -> list[tuple[LogTable]]:
-    """Read arrays ``t``, ``q``, ``tau``, ..., or one array for each column.
-
-    Args:
-        path: File; ``q`` and others have shape (N, n), ``joints`` holds n names.
-
-    Raises:
-        RecordingError: The file is damaged, or an array has more than two dimensions.
-    """
+    """Read arrays ``t``, ``q``, ``tau``, ..., or one array for each column."""
 
     def get(names: Iterable[str]) -> dict[str, NDArray[Any]]:
         # A pickle could run code.

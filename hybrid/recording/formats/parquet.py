@@ -22,11 +22,7 @@ _LONGEST = 1000  # entries of a list that becomes columns
 
 
 def read_parquet(path: Path) -> list[tuple[LogTable]]:
-    """Read a table with a column for each channel of each joint, or with lists.
-
-    Raises:
-        RecordingError: The file is damaged, or a column does not hold numbers.
-    """
+    """Read a table with a column for each channel of each joint, or with lists."""
     from pyarrow import parquet
 
     source = str(path)
@@ -104,11 +100,7 @@ def schema_columns(schema: Any, first: Any) -> list[FieldColumn]:
 
 
 def field_of(table: Any, name: str, source: str) -> NDArray[Any]:
-    """Samples of a column of an Arrow table, shape (N,), or (N, n) for lists.
-
-    Raises:
-        RecordingError: The column does not hold numbers.
-    """
+    """Samples of a column of an Arrow table, shape (N,), or (N, n) for lists."""
     from pyarrow import compute
 
     with as_recording_error(source, "Parquet file"):

@@ -38,16 +38,7 @@ def is_bag(folder: Path) -> bool:
 def read_ros(
     path: Path, *, tell: Callable[[int, int], None] | None = None
 ) -> Iterator[tuple[LogTable, ...]]:
-    """Read the topics of a bag that have lists of real numbers.
-
-    Args:
-        path: Bag of ROS 2, as folder or file, or bag of ROS 1.
-        tell: Called at times with the number of messages read, and the number of all.
-
-    Raises:
-        RecordingError: It is damaged.
-        NoJointsError: It holds no joints; the message says what it holds instead.
-    """
+    """Read the topics of a bag that have lists of real numbers."""
     from rosbags import rosbag1, rosbag2
 
     ros2 = path.suffix.lower() != ".bag"

@@ -55,11 +55,7 @@ class Topic:
             self.decode()
 
     def decode(self) -> None:
-        """Decode the messages that wait.
-
-        Raises:
-            RecordingError: A message does not fit its definition.
-        """
+        """Decode the messages that wait."""
         raws, stamps = self._raw, np.array(self._stamps, dtype=np.int64)
         self._raw, self._stamps, self._held = [], [], 0
         lengths = np.array([len(raw) for raw in raws])

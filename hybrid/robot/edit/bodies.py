@@ -64,9 +64,6 @@ def changed_parts(parts: Sequence[Part], old: Robot, new: Robot) -> Iterator[Par
 
     The body that the joint moves directly takes the change. If its parameters would not
     be physical, the other bodies of the link are scaled down by a common factor.
-
-    Raises:
-        RobotError: No body of the file can hold the parameters of a link.
     """
     for k in range(new.size):
         before, goal = old.chain.inertial[k], new.chain.inertial[k]

@@ -48,9 +48,6 @@ class Document:
     Args:
         content: Content of the file.
         where: The file, for messages.
-
-    Raises:
-        RobotError: It is not XML.
     """
 
     def __init__(self, content: bytes, where: str | Path) -> None:
@@ -62,11 +59,7 @@ class Document:
 
     @classmethod
     def load(cls, path: str | Path) -> Document:
-        """Read a file, and replace each ``include`` by the included content.
-
-        Raises:
-            RobotError: A file cannot be read, or is not XML.
-        """
+        """Read a file, and replace each ``include`` by the included content."""
         path = Path(path)
         return cls(_with_included(path, path.parent, ()), path)
 
@@ -175,11 +168,7 @@ def relative_path(file: str, home: Path, folder: Path) -> str:
 
 
 def tags(content: bytes, path: str | Path) -> Iterator[Tag]:
-    """Elements in the order of the file; prefixes need not be declared.
-
-    Raises:
-        RobotError: It is not XML.
-    """
+    """Elements in the order of the file; prefixes need not be declared."""
     opened: list[tuple[tuple[str, ...], tuple[int, ...], int, int, dict[str, str]]] = []
     closed: dict[int, tuple[int, int]] = {}
     names: list[str] = []

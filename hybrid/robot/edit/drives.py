@@ -29,12 +29,6 @@ def edit_drives(
 ) -> tuple[str, ...]:
     """Change actuators of an MJCF file.
 
-    Args:
-        document: The file.
-        model: MuJoCo's model of it.
-        joints: Joints of the arm.
-        drives: Changes by index of the joint.
-
     Returns:
         Changes that the file cannot express, in words.
     """

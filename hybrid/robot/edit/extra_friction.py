@@ -45,12 +45,6 @@ def set_passive_motors(document: Document, model: Any, old: Robot, new: Robot) -
     LuGre bristles are as stiff as the time step allows, because they oscillate with the
     inertia at the joint. Their force vanishes when they slide. They need no damping,
     because the dry friction of the joint stops it.
-
-    Args:
-        document: The file.
-        model: MuJoCo's model of the old file.
-        old: The arm of the old file.
-        new: The arm of the new file.
     """
     if not _motors_differ(old, new) and not replaced_friction(model, old, new).any():
         return

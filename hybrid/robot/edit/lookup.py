@@ -12,11 +12,7 @@ from hybrid.robot.robot import Robot
 
 
 def model_of(document: Document, robot: Robot) -> Any:
-    """Compile the document in the folder of the arm's file.
-
-    Raises:
-        RobotError: It does not compile.
-    """
+    """Compile the document in the folder of the arm's file."""
     return compile_spec(spec_of(document, robot), robot.path)[0]
 
 
@@ -34,11 +30,7 @@ def spec_of(document: Document, robot: Robot) -> Any:
 
 
 def joint_tag(document: Document, name: str) -> Tag:
-    """Find the element of a joint.
-
-    Raises:
-        RobotError: No joint of the file has the name.
-    """
+    """Find the element of a joint."""
     for kind in ("joint", "freejoint"):
         for tag in document.find(kind, name=name):
             if "worldbody" in tag.path:

@@ -41,16 +41,8 @@ _DEFAULTS = {  # against other values in a default class of the file
 def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     """Change an MJCF file.
 
-    Args:
-        document: The file.
-        change: The changes.
-        old: The arm in the file.
-
     Returns:
         Changes that the file cannot express, in words.
-
-    Raises:
-        RobotError: A joint or a body cannot be found in the file.
     """
     model = model_of(document, old)
     new = change.robot

@@ -41,13 +41,6 @@ def source(robot: Robot, kind: str) -> Source:
     A xacro file is expanded. MuJoCo converts a URDF file to MJCF, with shapes if it
     finds the meshes. An MJCF file is converted to URDF with the shapes that URDF can
     express. For an arm without a file, the new file has links and joints only.
-
-    Args:
-        robot: The new arm; ``path`` is its file.
-        kind: ``mjcf`` or ``urdf``.
-
-    Raises:
-        RobotError: The file is of another arm.
     """
     path = Path(robot.path)
     suffix = path.suffix.lower()

@@ -19,11 +19,6 @@ DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
 def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     """Change a URDF file.
 
-    Args:
-        document: The file.
-        change: The changes.
-        old: The arm in the file.
-
     Returns:
         Changes that the file cannot express, in words.
     """

@@ -34,14 +34,8 @@ def urdf_from_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
     Each body becomes a link of the same name, or one link for each of its joints. Joint
     positions keep their zero.
 
-    Args:
-        robot: An arm; ``path`` is its MJCF file, if it has one.
-
     Returns:
         The URDF file, and what it lacks, in words.
-
-    Raises:
-        RobotError: URDF does not have the type of a joint.
     """
     import mujoco
 
