@@ -11,8 +11,7 @@ from hybrid.exports.manifest import build_manifest, model_digest, seal
 from hybrid.exports.onnx_graph import import_onnx, onnx_model
 from hybrid.exports.program import program_from_model
 from hybrid.exports.simulator.model import model_simulator
-from hybrid.exports.simulator.snippets import isaac_lab
-from hybrid.exports.simulator.write import write_ranges
+from hybrid.exports.simulator.snippets import isaac_lab, write_ranges
 from hybrid.extras import check_extra
 from hybrid.files import atomic_folder
 from hybrid.model.dynamic_model import DynamicModel

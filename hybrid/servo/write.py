@@ -14,10 +14,9 @@ from hybrid.files import atomic_path
 from hybrid.robot import Robot
 from hybrid.robot.build import spec_text
 from hybrid.robot.edit.change import Edit
-from hybrid.robot.edit.document import Document, element
+from hybrid.robot.edit.document import Document, element, joint_tag
 from hybrid.robot.edit.drives import actuator_tags
 from hybrid.robot.edit.extra_friction import remove_passive_motors
-from hybrid.robot.edit.lookup import joint_tag
 from hybrid.robot.edit.mjcf import edit_mjcf, turn_unit
 from hybrid.servo.drive import Drive
 from hybrid.servo.model import (

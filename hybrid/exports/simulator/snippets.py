@@ -1,4 +1,4 @@
-"""Write Python for other simulators: actuators of Isaac Lab, and randomisation.
+"""Write actuators for Isaac Lab, and files for domain randomisation.
 
 Names of joints appear as literals only.
 """
@@ -9,17 +9,24 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from hybrid.arrays import Array
-from hybrid.exports.simulator.model import model_simulator
-from hybrid.exports.simulator.ranges import Ranges
+from hybrid.exports.simulator.model import (
+    fields_of_model,
+    model_simulator,
+    usual_motion,
+)
+from hybrid.exports.simulator.ranges import Ranges, ranges
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot.edit.change import Actuator
 from hybrid.signals import Motion
 
+_DRAWS = 400  # from the posterior
 _STEP = 0.005  # s, if the step of the simulation is not known
 _ACTUATOR = '''"""Actuators of {name} for Isaac Lab, with physics every {step!r} s."""
 
@@ -180,6 +187,30 @@ def mjx(name: str, ranges: Ranges, nominal: Mapping[str, Array]) -> str:
         mean=mean.tolist(),
         factor=factor[:, values > 1e-12 * values.max(initial=1e-300)].tolist(),
     )
+
+
+def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
+    """Write intervals and correlations as YAML, and Python for Isaac Lab and MJX.
+
+    Draws have a fixed seed, so that the files of a model are always the same.
+    """
+    found = ranges(model, np.random.default_rng(0), draws=_DRAWS)
+    nominal = fields_of_model(model, (usual_motion(model),))
+    # Isaac Lab has one dry and one viscous friction, as URDF has.
+    plain = ranges(model, np.random.default_rng(0), kind="urdf", draws=_DRAWS)
+    names = "damping", "quadratic", "cubic", "frictionloss"
+    values = {x: getattr(nominal, x) for x in names}
+    values["armature"] = nominal.chain.armature
+    name = model.robot.name
+    texts = {
+        f"{stem}_ranges.yaml": yaml.safe_dump(
+            {"robot": name, **found.as_dict()}, sort_keys=False, allow_unicode=True
+        ),
+        f"{stem}_isaaclab_events.py": isaac_events(name, plain),
+        f"{stem}_mjx.py": mjx(name, found, values),
+    }
+    for file, text in texts.items():
+        (folder / file).write_text(text, encoding="utf-8")
 
 
 def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float] | None:

@@ -9,8 +9,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.robot.actuators import bristles, passive_motors
-from hybrid.robot.edit.document import Document, element
-from hybrid.robot.edit.lookup import joint_tag, model_of
+from hybrid.robot.edit.document import Document, element, joint_tag, model_of
 from hybrid.robot.mjcf import joint_names
 from hybrid.robot.robot import Robot
 

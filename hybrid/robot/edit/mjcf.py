@@ -16,7 +16,16 @@ from hybrid.robot.actuators import drives_of
 from hybrid.robot.build import simulable, spec_text
 from hybrid.robot.edit.bodies import Part, changed_parts, parts_of
 from hybrid.robot.edit.change import Edit, Structure
-from hybrid.robot.edit.document import Document, Tag, element, relative_path, text_of
+from hybrid.robot.edit.document import (
+    Document,
+    Tag,
+    element,
+    joint_tag,
+    model_of,
+    relative_path,
+    spec_of,
+    text_of,
+)
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.extra_friction import (
     HARD,
@@ -25,7 +34,6 @@ from hybrid.robot.edit.extra_friction import (
     set_passive_motors,
     set_tendon_friction,
 )
-from hybrid.robot.edit.lookup import joint_tag, model_of, spec_of
 from hybrid.robot.mjcf import joint_names, mujoco_tree
 from hybrid.robot.read import read_robot
 from hybrid.robot.robot import Robot
