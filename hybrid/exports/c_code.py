@@ -61,15 +61,15 @@ typedef double {p}_real;
 
 /* What {p}_torque returns: NOT_FINITE, or else the sum of the others. */
 #define {P}_OK 0
-#define {P}_NOT_FINITE (-1)   /* a number, or the torque of it; nothing was written */
+#define {P}_NOT_FINITE (-1)   /* an input or a torque is; nothing was written */
 #define {P}_OUT_OF_RANGE 1    /* a position or a speed is beyond the joint's limits */
 #define {P}_CLAMPED 2         /* a torque was beyond its limit, and is that limit now */
 
 /* Limits of each joint, in its units; INFINITY where the arm's file states none. */
 {limits}
 
-/* What the model remembers from one call to the next. Owned by the caller, one for each
- * arm; {p}_start sets it. */
+/* State of the model between calls. The caller owns one for each arm; {p}_start sets
+ * it. */
 typedef struct {{
     {p}_real step;  /* time between calls [s] */
     double t;     /* time since the start [s] */
@@ -77,8 +77,8 @@ typedef struct {{
     {p}_real clamp[{n}];  /* limit of each torque, 0 or more: INFINITY for none */
 {memory}}} {p}_state;
 
-/* Start anew: the arm has stood, or moved evenly, until now. Torques are limited to the
- * rated ones; write others into the state's clamp after this call. */
+/* Reset the state: the arm is assumed to be at rest or at constant speed before. Torques
+ * are limited to the rated ones; write other limits into clamp after this call. */
 static inline void {p}_start({p}_state *s, {p}_real step)
 {{
     int j;

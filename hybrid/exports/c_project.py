@@ -15,7 +15,7 @@ from hybrid.model.dynamic_model import DynamicModel
 from hybrid.names import c_identifier
 
 _EXAMPLE = """\
-/* Torque of one motion's first samples, and of the state that Python printed below. */
+/* Compute the torque of one state, and compare it with that of Python. */
 #include "{p}.h"
 
 #include <stdio.h>

@@ -8,7 +8,7 @@ from pathlib import Path
 from hybrid.errors import HybridError
 from hybrid.exports.c_project import write_c
 from hybrid.exports.manifest import build_manifest, model_digest, seal
-from hybrid.exports.onnx_graph import import_onnx, onnx_model
+from hybrid.exports.onnx_graph import onnx_model
 from hybrid.exports.program import program_from_model
 from hybrid.exports.simulator.model import model_simulator
 from hybrid.exports.simulator.snippets import isaac_lab, write_ranges
@@ -58,7 +58,7 @@ def export(
     if format not in FORMATS:
         raise HybridError(f"no format {format!r}; valid are {', '.join(FORMATS)}")
     if format == "onnx":
-        import_onnx()
+        check_extra("onnx", "export", "ONNX")
     if format == "torchscript":
         check_extra("torch", "learn", "TorchScript")
     digest = model_digest(model)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from hybrid.dynamics import Law
-from hybrid.errors import HybridError
 from hybrid.exports.program import Program
 
 _OPSET, _FORMAT = 18, 9  # operators and file format of 2023, for old runtimes
@@ -28,7 +27,6 @@ class Graph:
     """Nodes and constants of a graph that is being built."""
 
     def __init__(self) -> None:
-        import_onnx()
         self.nodes: list[Any] = []
         self.constants: dict[bytes, Any] = {}
 
@@ -69,16 +67,6 @@ class Graph:
         )  # fmt: skip
         opset = helper.make_opsetid("", _OPSET)
         return helper.make_model(graph, opset_imports=[opset], ir_version=_FORMAT)
-
-
-def import_onnx() -> None:
-    """Check that the package onnx is installed."""
-    try:
-        import onnx  # noqa: F401
-    except ImportError as error:
-        raise HybridError(
-            "ONNX needs the package onnx: pip install 'hybrid-arm[export]'"
-        ) from error
 
 
 def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:

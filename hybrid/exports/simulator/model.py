@@ -49,13 +49,15 @@ def model_simulator(
             "consistent=True, on the command line --consistent"
         )
     motions = motions or (usual_motion(model),)
+    parts = model.remainder.parts if model.remainder else ()
+    learned = ", ".join(model.robot.joints[part.joint] for part in parts)
     return build_simulator(
         _bare(model).with_inertial(model.inertial),
         model.effects,
         kind=kind,
         motions=motions,
         folder=folder,
-        notes=learned(model),
+        notes=[f"learned remainder of {learned}"] if learned else (),
     )
 
 
@@ -76,14 +78,6 @@ def missing_model(model: DynamicModel, made: Simulator) -> DynamicModel:
         if x.any()
     ]
     return replace(model, effects=(*made.rest, *negative), simpler={})
-
-
-def learned(model: DynamicModel) -> tuple[str, ...]:
-    """Note for the user that names the joints of the learned remainder."""
-    if model.remainder is None or not model.remainder.parts:
-        return ()
-    joints = [model.robot.joints[p.joint] for p in model.remainder.parts]
-    return (f"learned remainder of {', '.join(joints)}",)
 
 
 def _bare(model: DynamicModel) -> Robot:

@@ -39,9 +39,9 @@ ACTUATORS = {{
     ),
 }}
 '''
-_EVENTS = '''"""What recordings leave open of {name}, in 95 % intervals, for Isaac Lab.
+_EVENTS = '''"""95 % intervals of the parameters of {name}, for Isaac Lab.
 
-Isaac Lab draws each number by itself; their correlations are in the YAML file.
+Isaac Lab draws each parameter independently; the YAML file has their correlations.
 """
 
 from isaaclab.envs import mdp
@@ -63,9 +63,9 @@ EVENTS = {{
     for k, (name, ranges) in enumerate(_RANGES.items())
 }}
 '''
-_MJX = '''"""What recordings leave open of {name}, for MuJoCo Playground and MJX.
+_MJX = '''"""Random parameters of {name}, for MuJoCo Playground and MJX.
 
-Rotors and friction are drawn together, with their correlations.
+Rotors and friction are drawn from their posterior, with their correlations.
 """
 
 import jax

@@ -44,7 +44,7 @@ class Topic:
         self._held = self._size = 0
         self._streams: dict[tuple[str, ...], Stream] = {}
         self._layouts: list[tuple[MessageLayout, dict[str, Path]]] = []
-        self._plans: list[tuple[int, MessageLayout, bytes]] = []
+        self._trajectories: list[tuple[int, MessageLayout, bytes]] = []
 
     def add(self, stamp: int, raw: bytes) -> None:
         """Add a message and the recorder's time of it, [ns]."""
@@ -66,13 +66,13 @@ class Topic:
             while len(rows):
                 layout, columns = self._layout(messages[:1])
                 same = layout.fits(messages)
-                self._take(layout, columns, messages[same], stamps[rows[same]])
+                self._append(layout, columns, messages[same], stamps[rows[same]])
                 messages, rows = messages[~same], rows[~same]
 
     def tables(self) -> Iterator[LogTable]:
         """Make a table for each set of columns."""
-        if self._plans:
-            yield self._planned()
+        if self._trajectories:
+            yield self._trajectory_table()
         for stream in self._streams.values():
             clock, own = stream.clock()
             note = "" if own else "time is the recorder's, not the headers'"
@@ -100,10 +100,10 @@ class Topic:
             layout = layout_of(message.tobytes(), self.kind, self.types, ros2=self.ros2)
         except LayoutError as error:
             raise RecordingError(f"{self.source}: {self.name}: {error}") from error
-        planned = _is_plan(layout)
-        if not planned and len(layout.numbers) > MOST_COLUMNS:
+        trajectory = _is_trajectory(layout)
+        if not trajectory and len(layout.numbers) > MOST_COLUMNS:
             raise self._error(f"{len(layout.numbers)} numbers in a message")
-        self._layouts.append((layout, {} if planned else self._labels(layout)))
+        self._layouts.append((layout, {} if trajectory else self._labels(layout)))
         return self._layouts[-1]
 
     def _error(self, what: str) -> RecordingError:
@@ -120,10 +120,10 @@ class Topic:
             "/".join((self.name, *words)): path
             for path in layout.numbers
             if any(isinstance(part, int) for part in path)
-            and (words := _words(path, names, layout)) is not None
+            and (words := _words(path, names)) is not None
         }
 
-    def _take(
+    def _append(
         self,
         layout: MessageLayout,
         columns: dict[str, Path],
@@ -132,11 +132,11 @@ class Topic:
     ) -> None:
         stamps = np.zeros(len(times), dtype=np.int64)
         if _STAMP in layout.numbers:
-            whole = layout.values(messages, _STAMP).astype(np.int64)
-            stamps = whole * 10**9 + layout.values(messages, _NANO)
-        if _is_plan(layout):
+            seconds = layout.values(messages, _STAMP).astype(np.int64)
+            stamps = seconds * 10**9 + layout.values(messages, _NANO)
+        if _is_trajectory(layout):
             pairs = zip(stamps, times, messages, strict=True)
-            self._plans += [
+            self._trajectories += [
                 (int(s or t), layout, message.tobytes()) for s, t, message in pairs
             ]
             return
@@ -148,11 +148,11 @@ class Topic:
         values = [layout.values(messages, path) for path in columns.values()]
         stream.add(stamps, times, values)
 
-    def _planned(self) -> LogTable:
+    def _trajectory_table(self) -> LogTable:
         """Points of trajectories as a command; a new trajectory replaces the last."""
         points: list[tuple[int, list[float]]] = []
         joints: tuple[str, ...] = ()
-        for start, layout, raw in sorted(self._plans, key=lambda plan: plan[0]):
+        for start, layout, raw in sorted(self._trajectories, key=lambda x: x[0]):
             names = tuple(
                 text for path, text in layout.texts.items() if path[0] == "joint_names"
             )
@@ -179,13 +179,11 @@ class Topic:
         return self._table(labels, lambda used: [{k: columns[k] for k in used}])
 
 
-def _is_plan(layout: MessageLayout) -> bool:
+def _is_trajectory(layout: MessageLayout) -> bool:
     return any(path[0] == "points" for path in layout.numbers)
 
 
-def _words(
-    path: Path, names: dict[Path, dict[int, str]], layout: MessageLayout
-) -> list[str] | None:
+def _words(path: Path, names: dict[Path, dict[int, str]]) -> list[str] | None:
     """Words of a label; an entry of a list takes the name at the same index."""
     words: list[str] = []
     for k, part in enumerate(path):

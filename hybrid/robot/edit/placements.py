@@ -37,8 +37,10 @@ def write_placements(robot: Robot, chain: Chain, path: str | Path) -> None:
     """
     document = Document.load(robot.path)
     changes = _changes(robot.chain, chain)
-    edit = _urdf if Path(robot.path).suffix.lower() == ".urdf" else _mjcf
-    edit(document, robot, changes)
+    if Path(robot.path).suffix.lower() == ".urdf":
+        _edit_urdf(document, changes)
+    else:
+        _edit_mjcf(document, robot, changes)
     with atomic_path(path) as temporary:
         temporary.write_bytes(document.edited())
 
@@ -54,9 +56,7 @@ def _changes(old: Chain, new: Chain) -> dict[str, tuple[Array, Array]]:
     return changes
 
 
-def _urdf(
-    document: Document, robot: Robot, changes: dict[str, tuple[Array, Array]]
-) -> None:
+def _edit_urdf(document: Document, changes: dict[str, tuple[Array, Array]]) -> None:
     for tag in document.find("robot", "joint"):
         joint = tag.attributes.get("name", "")
         if joint not in changes:
@@ -73,7 +73,7 @@ def _urdf(
             document.insert_child(tag, element("origin", given))
 
 
-def _mjcf(
+def _edit_mjcf(
     document: Document, robot: Robot, changes: dict[str, tuple[Array, Array]]
 ) -> None:
     import mujoco
