@@ -77,8 +77,8 @@ typedef struct {{
     {p}_real clamp[{n}];  /* limit of each torque, 0 or more: INFINITY for none */
 {memory}}} {p}_state;
 
-/* Reset the state: the arm is assumed to be at rest or at constant speed before. Torques
- * are limited to the rated ones; write other limits into clamp after this call. */
+/* Reset the state: the arm is assumed to have been at rest or at constant speed.
+ * Torques are limited to the rated ones; write other limits into clamp afterwards. */
 static inline void {p}_start({p}_state *s, {p}_real step)
 {{
     int j;
