@@ -1,6 +1,5 @@
 """Export models to C, ONNX, TorchScript, MJCF, URDF, Isaac Lab and JSON."""
 
-from hybrid.exports.compiled import CompiledModel
 from hybrid.exports.export import FORMATS, export
 from hybrid.exports.manifest import read_manifest
 from hybrid.exports.program import Program, program_from_model
@@ -11,7 +10,6 @@ from hybrid.exports.simulator.simulator import Simulator, build_simulator
 
 __all__ = [
     "FORMATS",
-    "CompiledModel",
     "Program",
     "Ranges",
     "Simulator",
