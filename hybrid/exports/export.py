@@ -69,9 +69,9 @@ def export(
         if format == "json":
             model.save(hidden / "model.json")
         elif format in ("mjcf", "urdf"):
-            made = model_simulator(model, kind=format, motions=motions, folder=folder)
-            made.write(hidden / f"{stem}.{'xml' if format == 'mjcf' else 'urdf'}")
-            left_out = made.notes
+            edited = model_simulator(model, kind=format, motions=motions, folder=folder)
+            edited.write(hidden / f"{stem}.{'xml' if format == 'mjcf' else 'urdf'}")
+            left_out = edited.notes
         elif format == "isaaclab":
             text, left_out = isaac_lab(model, motions)
             (hidden / f"{stem}_isaaclab.py").write_text(text, encoding="utf-8")

@@ -67,7 +67,7 @@ def unbroken(recording: Recording) -> tuple[Recording, ...]:
     """Split a recording at the gaps of its clock.
 
     Returns:
-        The parts between gaps of more than 10 steps, with their times of the whole.
+        The parts between gaps of more than 10 steps, with their original times.
         Parts shorter than 1 s are left out. The recording itself if it has no gap, or
         if all parts are shorter.
 

@@ -71,16 +71,16 @@ def _by_name(names: Sequence[str], joints: tuple[str, ...]) -> dict[str, str]:
         for joint in joints:
             spelled.setdefault(of_joint(joint), []).append(joint)
         found = {n: spelled.get(of_name(n), []) for n in unique}
-        sure = {n: where[0] for n, where in found.items() if len(where) == 1}
-        if len(sure) > len(best) and len(set(sure.values())) == len(sure):
-            best = sure
+        matched = {n: where[0] for n, where in found.items() if len(where) == 1}
+        if len(matched) > len(best) and len(set(matched.values())) == len(matched):
+            best = matched
     if len(best) < len(joints):  # one of several arms: left_elbow_joint, elbow_joint
         endings = {j: rf"(^|[\W_]){re.escape(j[skip_joint:].lower())}$" for j in joints}
         ends = {j: [n for n in unique if re.search(endings[j], n.lower())]
                 for j in joints}  # fmt: skip
-        sure = {where[0]: j for j, where in ends.items() if len(where) == 1}
-        if len(sure) == len(joints):
-            best = sure
+        matched = {where[0]: j for j, where in ends.items() if len(where) == 1}
+        if len(matched) == len(joints):
+            best = matched
     return best
 
 

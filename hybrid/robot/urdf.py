@@ -111,8 +111,8 @@ def urdf_tree(root: Element, where: str | Path) -> Tree:
         todo += [(len(nodes) - 1, *x) for x in reversed(below[child])]
     if len(nodes) < len(links):
         reached = {node.name for node in nodes}
-        lost = next(name for name in links if name not in reached)
-        raise RobotError(f"link {lost!r} is in a loop of joints; valid are trees")
+        looped = next(name for name in links if name not in reached)
+        raise RobotError(f"link {looped!r} is in a loop of joints; valid are trees")
     return Tree(str(where), nodes)
 
 

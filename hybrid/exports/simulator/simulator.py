@@ -154,16 +154,16 @@ def build_simulator(
         raise HybridError(f"no kind {kind!r} of simulator; valid are mjcf, urdf")
     plan = _plan(robot, effects, kind, motions)
     new = plan.change.robot
-    made = source(new, kind)
-    document, old = made.document, made.robot
+    origin = source(new, kind)
+    document, old = origin.document, origin.robot
     edit = edit_mjcf if kind == "mjcf" else edit_urdf
     lacks = list(edit(document, plan.change, old))
     found = read(document, old, kind)
     _check(found, new, _JOINT[kind])
-    if made.own and folder is not None:
+    if origin.own and folder is not None:
         move = move_assets if kind == "mjcf" else move_meshes
         move(document, Path(robot.path).parent, Path(folder))
-    lacks += [*made.notes]
+    lacks += [*origin.notes]
     lacks += [_friction_note(robot, x) for x in plan.friction]
     lacks += [_effect_note(robot, effect) for effect in plan.missing] + list(notes)
     if lacks:
@@ -208,10 +208,10 @@ def _plan(
     rest = [effect for effect in others if not is_friction(effect)]
     drives = dict[int, Actuator]()
     structure = []
-    waves = [e for e in rest if isinstance(e, TorqueRipple) and kind == "mjcf"]
-    rest = [e for e in rest if e not in waves]
+    ripples = [e for e in rest if isinstance(e, TorqueRipple) and kind == "mjcf"]
+    rest = [e for e in rest if e not in ripples]
     ripple = np.array(
-        [(e.joints[0], *e.gain_values, e.values["periods"]) for e in waves]
+        [(e.joints[0], *e.gain_values, e.values["periods"]) for e in ripples]
     ).reshape(-1, 4)
     if kind == "mjcf":
         for effect in [e for e in rest if e.actuator]:
@@ -222,7 +222,10 @@ def _plan(
         structure = [e.edit_spec for e in shaped]
         rest = [e for e in rest if e not in shaped]
     new = _with_fields(replace(robot, chain=chain, ripple=ripple), values, fitted)
-    corrections = (*_friction_error(friction, values, fitted, n), *_ripple_error(waves))
+    corrections = (
+        *_friction_error(friction, values, fitted, n),
+        *_ripple_error(ripples),
+    )
     return _Plan(Edit(new, drives, structure), fitted, tuple(rest), corrections)
 
 
@@ -295,13 +298,13 @@ def _friction_error(
             yield fall(each.joint, -level, each.values["fall_speed"])
 
 
-def _ripple_error(waves: Sequence[TorqueRipple]) -> Iterator[Effect]:
+def _ripple_error(ripples: Sequence[TorqueRipple]) -> Iterator[Effect]:
     """Ripples that vanish at high speed, less those of the file, which do not."""
-    for wave in waves:
-        endless = TorqueRipple(wave.joints, {"periods": wave.values["periods"]})
-        if wave.values["fastest"] < endless.values["fastest"]:
-            yield wave
-            yield endless.at({g.name: -wave.values[g.name] for g in wave.gains})
+    for ripple in ripples:
+        endless = TorqueRipple(ripple.joints, {"periods": ripple.values["periods"]})
+        if ripple.values["fastest"] < endless.values["fastest"]:
+            yield ripple
+            yield endless.at({g.name: -ripple.values[g.name] for g in ripple.gains})
 
 
 def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:

@@ -115,9 +115,9 @@ def isaac_lab(
 ) -> tuple[str, tuple[str, ...]]:
     """Actuator configuration for Isaac Lab, and notes on what it lacks."""
     bare = replace(model, robot=replace(model.robot, path=""))  # numbers, no shapes
-    made = model_simulator(bare, kind="urdf", motions=motions)
-    robot, drives = made.robot, dict[int, Actuator]()
-    for effect in made.rest:
+    edited = model_simulator(bare, kind="urdf", motions=motions)
+    robot, drives = edited.robot, dict[int, Actuator]()
+    for effect in edited.rest:
         if effect.actuator:
             (j,) = effect.joints
             drives[j] = drives.get(j, Actuator()).and_then(effect.actuator)
@@ -141,9 +141,9 @@ def isaac_lab(
     expressed = {"latency", "limit", "stiffness", "damping"}
     notes = tuple(
         note
-        for note in made.notes
+        for note in edited.notes
         if not any(
-            note.startswith(f"{e.id} of") for e in made.rest
+            note.startswith(f"{e.id} of") for e in edited.rest
             if e.actuator and e.actuator.keys() <= expressed
         )
     )  # fmt: skip

@@ -191,9 +191,9 @@ def _words(path: Path, names: dict[Path, dict[int, str]]) -> list[str] | None:
             if part not in _CONTAINERS:
                 words.append(part)
             continue
-        beside = names.get(path[: k - 1]) or names.get(()) or {}
-        if part in beside:
-            words.append(beside[part])
+        entries = names.get(path[: k - 1]) or names.get(()) or {}
+        if part in entries:
+            words.append(entries[part])
         elif k == len(path) - 1:
             words[-1] = f"{words[-1]}[{part}]" if words else f"[{part}]"
         else:

@@ -135,11 +135,11 @@ def set_knee_friction(document: Document, step: float, old: Robot, new: Robot) -
     Its softness depends on the inertia at the joint; call this after all other edits.
     """
     names = "knee", "knee_speed", "frictionloss"
-    ours, theirs = (
+    after, before = (
         np.c_[x.chain.inertial, x.chain.armature, *(getattr(x, y) for y in names)]
         for x in (new, old)
     )
-    if not new.knee.any() or (ours == theirs).all():
+    if not new.knee.any() or (after == before).all():
         return
     model = model_of(document, old)
     dofs = model.jnt_dofadr[[joint_names(model).index(x) for x in new.joints]]

@@ -198,8 +198,8 @@ def _joint(
             new.quadratic[j],
             new.cubic[j],
         ]
-        bent = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
-        given["damping"] = friction if bent else friction[0]
+        nonlinear = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
+        given["damping"] = friction if nonlinear else friction[0]
     if "frictionloss" in changed:
         dry = {
             "frictionloss": new.frictionloss[j],

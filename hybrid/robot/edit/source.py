@@ -44,8 +44,8 @@ def source(robot: Robot, kind: str) -> Source:
     """
     path = Path(robot.path)
     suffix = path.suffix.lower()
-    there, urdf = bool(robot.path) and path.is_file(), suffix in (".urdf", ".xacro")
-    if there and (kind == "urdf") == urdf:
+    exists, urdf = bool(robot.path) and path.is_file(), suffix in (".urdf", ".xacro")
+    if exists and (kind == "urdf") == urdf:
         xacro = suffix == ".xacro"
         document = (
             Document(expanded(path).encode(), path) if xacro else Document.load(path)
@@ -54,10 +54,10 @@ def source(robot: Robot, kind: str) -> Source:
         if found.fingerprint() != robot.fingerprint():
             raise RobotError(f"{path}: is of another arm than {robot.name!r}")
         return Source(document, found, True)
-    if there and urdf and (text := _converted(robot)):
+    if exists and urdf and (text := _converted(robot)):
         document = Document(text.encode(), path)
         return Source(document, read(document, robot, kind), True)
-    if there and not urdf:
+    if exists and not urdf:
         text, notes = urdf_from_mjcf(robot)
         document = Document(text.encode(), path)
         return Source(document, read(document, robot, kind), True, notes)

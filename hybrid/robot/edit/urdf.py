@@ -82,9 +82,9 @@ def _inertial(document: Document, link: Tag, part: Part) -> None:
     own = document.children(link, "inertial")
     for inertial in own:
         for name, given in _inertial_parts(*part.central).items():
-            there = document.children(inertial, name)
-            if there:
-                document.set(there[0], given)
+            children = document.children(inertial, name)
+            if children:
+                document.set(children[0], given)
             else:
                 document.insert_child(inertial, element(name, given))
     if own:
