@@ -2,17 +2,15 @@
 
 from hybrid.exports.export import FORMATS, export
 from hybrid.exports.manifest import read_manifest
-from hybrid.exports.program import Program, program_from_model
+from hybrid.exports.program import program_from_model
 from hybrid.exports.simulator.model import missing_model, model_simulator
 from hybrid.exports.simulator.posterior import sample
-from hybrid.exports.simulator.ranges import Ranges, ranges
-from hybrid.exports.simulator.simulator import Simulator, build_simulator
+from hybrid.exports.simulator.ranges import ranges
+from hybrid.exports.simulator.simulator import build_simulator
 
 __all__ = [
     "FORMATS",
-    "Program",
-    "Ranges",
-    "Simulator",
+    "build_simulator",
     "export",
     "missing_model",
     "model_simulator",
@@ -20,5 +18,4 @@ __all__ = [
     "ranges",
     "read_manifest",
     "sample",
-    "build_simulator",
 ]

@@ -14,7 +14,7 @@ at the frequencies where it differs from positions.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -79,34 +79,43 @@ def speed_against_position(recording: Recording) -> SpeedCheck:
         return SpeedCheck(*(np.full(n, np.nan),) * 6, np.zeros(1), np.zeros((1, n)))
     rate = (len(v) - 1) / recording.duration
     u, lag = _position_difference(recording), np.zeros(n)
-    spectra = _spectra(u, v, rate)
+    check = _compare(u, v, rate)
     for _ in range(_LAG_PASSES):
-        if np.abs(spectra.lag).max() * rate < _LAG_TOLERANCE:
+        if np.abs(check.lag).max() * rate < _LAG_TOLERANCE:
             break
-        lag = np.clip(lag + spectra.lag, -_LARGEST_LAG, _LARGEST_LAG)
-        spectra = _spectra(u, _advanced(v, lag, rate), rate)
-    return _check(spectra, lag)
+        lag = np.clip(lag + check.lag, -_LARGEST_LAG, _LARGEST_LAG)
+        check = _compare(u, _advanced(v, lag, rate), rate)
+    return replace(check, lag=np.where(np.isnan(check.scale), np.nan, lag))
 
 
-def _check(x: _Spectra, lag: Array) -> SpeedCheck:
-    """Compare the spectra of two signals, the second of which was advanced by a lag."""
+def _compare(u: Array, v: Array, rate: float) -> SpeedCheck:
+    """Compare central differences u of position with speeds v, shapes (N, n)."""
+    f, count, densities = _densities(u, v, rate)
+    uu, vv, uv, aa, av, au = (x.real for x in densities)
+    w, in_band = 2 * np.pi * f[:, None], f >= f[-1] * NOISE_BAND[0] / NOISE_BAND[1]
+    coherence = np.abs(densities[2]) ** 2 / np.maximum(uu * vv, _TINY)
+    same_noise = np.mean(coherence[in_band], axis=0)
+    noise = (1 - same_noise) * np.median((uu / w**2)[in_band], axis=0)
+    position_noise, speed_noise = w**2 * noise, np.median(vv[in_band], axis=0)
+    weight = 1 / np.maximum(position_noise + speed_noise, _TINY)
+    weight = np.where(uu > 2 * position_noise, weight, 0)
+    signal = weight * np.maximum(uu - position_noise, 0)
+    power, terms = signal.sum(axis=0), (uv, au, uu, av, aa, vv)
+    uv_, au_, uu_, av_, aa_, vv_ = ((weight * x).sum(axis=0) for x in terms)
     with np.errstate(divide="ignore", invalid="ignore"):
-        signal = x.weight * np.maximum(x.uu - x.position_noise, 0)
-        power, shared = signal.sum(axis=0), (x.weight * x.uv).sum(axis=0)
-        scale = shared / power
-        error = np.maximum(x.vv / scale**2 + x.uu - 2 * x.uv / scale, 0)
-        std = np.sqrt((signal * x.weight * error).sum(axis=0) / x.count) / power
-        speed_power = np.maximum((x.weight * x.vv).sum(axis=0), _TINY)
-        coherence = shared**2 / (x.weight * x.uu).sum(axis=0) / speed_power
+        # Least squares of v ≈ scale · (u − lag · a).
+        lag = np.nan_to_num((au_ * uv_ - uu_ * av_) / (aa_ * uv_ - au_ * av_))
+        scale = uv_ / power
+        error = np.maximum(vv / scale**2 + uu - 2 * uv / scale, 0)
+        std = np.sqrt((signal * weight * error).sum(axis=0) / count) / power
+        coherence = uv_**2 / uu_ / np.maximum(vv_, _TINY)
         good = (coherence > _COHERENCE) & (np.abs(scale - 1) < _SCALE_ERROR)
         speed_noise = np.maximum(
-            _smooth(x.f, error) - x.position_noise, x.speed_noise / scale**2
+            _smooth(f, error) - position_noise, speed_noise / scale**2
         )
-        weight = np.where(good, 1 / (1 + speed_noise / x.position_noise), 0)
-    lag = np.where(np.isnan(scale), np.nan, lag)
-    return SpeedCheck(
-        scale, std, lag, coherence, x.same_noise, x.noise, x.f, np.nan_to_num(weight)
-    )
+        gain = np.where(good, 1 / (1 + speed_noise / position_noise), 0)
+    gain = np.nan_to_num(gain)
+    return SpeedCheck(scale, std, lag, coherence, same_noise, noise, f, gain)
 
 
 def correction_by_speed(
@@ -158,57 +167,6 @@ def _position_difference(recording: Recording) -> Array:
     """Central differences of position, (N, n): q̇ with a gain of sinc(2 f / rate)."""
     rate = (len(recording.t) - 1) / recording.duration
     return np.asarray(np.gradient(recording.q, axis=0) * rate)
-
-
-@dataclass(frozen=True)
-class _Spectra:
-    """Spectra of differentiated positions u and speeds v, and what follows from them.
-
-    Attributes:
-        f: Frequencies, shape (F,), [Hz].
-        uu: Density of u, shape (F, n), [rad²/s²/Hz].
-        vv: Density of v, shape (F, n).
-        uv: Real part of the cross density, shape (F, n).
-        count: Number of segments in the mean.
-        same_noise: Coherence in the noise band, shape (n,).
-        noise: Density of position noise that is not in v, shape (n,), [rad²/Hz].
-        position_noise: Density of this noise in u, shape (F, n).
-        speed_noise: Density of v in the noise band, shape (n,).
-        weight: Weight of each frequency in least squares, shape (F, n).
-        lag: Least-squares lag of v ≈ scale · (u − lag · du/dt), shape (n,), [s].
-    """
-
-    f: Array
-    uu: Array
-    vv: Array
-    uv: Array
-    count: int
-    same_noise: Array
-    noise: Array
-    position_noise: Array
-    speed_noise: Array
-    weight: Array
-    lag: Array
-
-
-def _spectra(u: Array, v: Array, rate: float) -> _Spectra:
-    f, count, densities = _densities(u, v, rate)
-    uu, vv, uv, aa, av, au = (x.real for x in densities)
-    w, in_band = 2 * np.pi * f[:, None], f >= f[-1] * NOISE_BAND[0] / NOISE_BAND[1]
-    coherence = np.abs(densities[2]) ** 2 / np.maximum(uu * vv, _TINY)
-    same_noise = np.mean(coherence[in_band], axis=0)
-    noise = (1 - same_noise) * np.median((uu / w**2)[in_band], axis=0)
-    position_noise, speed_noise = w**2 * noise, np.median(vv[in_band], axis=0)
-    weight = 1 / np.maximum(position_noise + speed_noise, _TINY)
-    weight = np.where(uu > 2 * position_noise, weight, 0)
-    terms = (uv, au, uu, av, aa)
-    uv_, au_, uu_, av_, aa_ = ((weight * x).sum(axis=0) for x in terms)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        lag = np.nan_to_num((au_ * uv_ - uu_ * av_) / (aa_ * uv_ - au_ * av_))
-    return _Spectra(
-        f, uu, vv, uv, count, same_noise, noise, position_noise, speed_noise, weight,
-        lag,
-    )  # fmt: skip
 
 
 def _densities(u: Array, v: Array, rate: float) -> tuple[Array, int, list[Spectrum]]:
