@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -99,46 +99,37 @@ def program_from_model(model: DynamicModel) -> Program:
         EffectError: An effect needs more than one state and a few values of memory.
     """
     robot, tape, n = model.robot, Tape(), model.robot.size
-    out = [e for e in model.effects if e.not_in_loop]
+    left_out = [
+        f"{e.id} of {', '.join(robot.joints[j] for j in e.joints)}: {e.not_in_loop}"
+        for e in model.effects if e.not_in_loop
+    ]  # fmt: skip
     effects = [e for e in model.effects if not e.not_in_loop]
     q, v, a = ([tape.input(f"{x}[{j}]") for j in range(n)] for x in "qva")
     for effect in effects:
         for j in effect.joints if effect.observes else ():
             q[j], v[j], a[j] = _traced(effect.true_state, effect, q[j], v[j], a[j])
-    chain, inertial = robot.chain, model.link_parameters.tolist()
-    down = chain.gravity.tolist()
-    load = newton_euler(chain, inertial, down, q=q, v=v, a=a)
+    inertial, gravity = model.link_parameters.tolist(), robot.chain.gravity.tolist()
+    load = newton_euler(robot.chain, inertial, gravity, q=q, v=v, a=a)
     torque = list(load)
     t = tape.input("t")
     states = [JointState(t, q[j], v[j], a[j], np.sign(v[j]), load[j]) for j in range(n)]
     memory = _Memory(tape)
     for effect in effects:
-        change = effect.rigid_change(n, chain.gravity)
-        added: Mapping[int, Any]
+        change = effect.rigid_change(n, robot.chain.gravity)
+        added: Iterable[tuple[int, Any]] = ()
         if change is not None:
-            links, gravity = (x.tolist() for x in change)
-            still = [0.0] * n
-            terms = [
-                newton_euler(chain, links, down, q=q, v=v, a=a),
-                newton_euler(chain, inertial, gravity, q=q, v=still, a=still),
-            ]
-            added = {j: terms[0][j] + terms[1][j] for j in range(n)}
-        elif effect.observes:
-            added = {}
-        else:
+            added = enumerate(_rigid_torque(model, change, q, v, a))
+        elif not effect.observes:
             own = [states[j] for j in effect.joints]
-            step = memory.step(effect, own)
-            values, now = _traced(effect.at_instant, effect, own, *step)
-            memory.keep(effect, now)
-            added = dict(zip(effect.joints, values, strict=True))
-        for j, x in added.items():
+            values = memory.run(effect.at_instant, effect, own, own)
+            added = zip(effect.joints, values, strict=True)
+        for j, x in added:
             torque[j] = torque[j] + x
     for effect in effects:
         if effect.reports or effect.asks:
-            asked = [torque[j] for j in effect.joints]
-            step = memory.step(effect, [states[j] for j in effect.joints])
-            values, now = _traced(effect.report_at_instant, effect, asked, *step)
-            memory.keep(effect, now)
+            own = [states[j] for j in effect.joints]
+            given = [torque[j] for j in effect.joints]
+            values = memory.run(effect.report_at_instant, effect, own, given)
             for j, x in zip(effect.joints, values, strict=True):
                 torque[j] = x
     variance = [np.nan] * n
@@ -147,17 +138,21 @@ def program_from_model(model: DynamicModel) -> Program:
         (mean,), (variance[part.joint],) = part.regression.at_instant(seen)
         torque[part.joint] = torque[part.joint] + mean
     return Program(
-        joints=robot.joints,
-        tape=tape,
-        torque=tuple(torque),
-        variance=tuple(variance),
-        memory=tuple(memory.now),
-        memory_names=tuple(memory.names),
-        left_out=tuple(
-            f"{e.id} of {', '.join(robot.joints[j] for j in e.joints)}: {e.not_in_loop}"
-            for e in out
-        ),
-    )
+        robot.joints, tape, tuple(torque), tuple(variance), tuple(memory.now),
+        tuple(memory.names), tuple(left_out),
+    )  # fmt: skip
+
+
+def _rigid_torque(
+    model: DynamicModel, change: tuple[Array, Array], q: Any, v: Any, a: Any
+) -> list[Any]:
+    """Torque of a change of links and gravity."""
+    chain, still = model.robot.chain, [0.0] * model.robot.size
+    links, gravity = (x.tolist() for x in change)
+    inertial, down = model.link_parameters.tolist(), chain.gravity.tolist()
+    moving = newton_euler(chain, links, down, q=q, v=v, a=a)
+    static = newton_euler(chain, inertial, gravity, q=q, v=still, a=still)
+    return [x + y for x, y in zip(moving, static, strict=True)]
 
 
 class _Memory:
@@ -169,10 +164,10 @@ class _Memory:
         self.now: list[Any] = []
         self._first: dict[int, int] = {}
 
-    def step(
-        self, effect: Effect, joints: Sequence[JointState]
-    ) -> tuple[tuple[Any, ...], Any]:
-        """Memory of an effect, and the time since the last call."""
+    def run(
+        self, law: Any, effect: Effect, states: Sequence[JointState], given: Any
+    ) -> Sequence[Any]:
+        """Evaluate a law of an effect with its memory, and keep the new memory."""
         if id(effect) not in self._first:
             self._first[id(effect)] = len(self.names)
             where = "+".join(str(j + 1) for j in effect.joints)
@@ -183,14 +178,12 @@ class _Memory:
             self.tape.apply(
                 "where", known > 0.5, self.tape.input(f"memory[{first + i}]"), x
             )
-            for i, x in enumerate(effect.begin(joints))
+            for i, x in enumerate(effect.begin(states))
         )
-        return before, self.tape.input("step")
-
-    def keep(self, effect: Effect, values: Sequence[Any]) -> None:
-        """Keep values of an effect for the next call."""
-        first = self._first[id(effect)]
-        self.now[first : first + len(values)] = values
+        step = self.tape.input("step")
+        values, now = _traced(law, effect, given, before, step)
+        self.now[first : first + len(now)] = now
+        return values  # type: ignore[no-any-return]
 
 
 def _traced(law: Any, effect: Effect, *given: Any) -> Any:

@@ -60,7 +60,10 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
         _inertial(document, _body(document, model, part), part)
     replaced = replaced_friction(model, old, new)
     for j in range(new.size):
-        _joint(document, model, old, new, j, bool(replaced[j]))
+        changed = _changed_fields(old, new, j)
+        changed |= {"frictionloss"} if replaced[j] else set()
+        if changed:
+            _joint(document, model, old, new, j, changed)
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
@@ -161,13 +164,7 @@ def turn_unit(document: Document, slides: bool) -> float:
     return 1.0 if slides or angle == "radian" else 180.0 / np.pi
 
 
-def _joint(
-    document: Document, model: Any, old: Robot, new: Robot, j: int, replaced: bool
-) -> None:
-    """Change rotor, friction and spring of a joint.
-
-    ``replaced`` says whether friction of a motor moves to the joint.
-    """
+def _changed_fields(old: Robot, new: Robot, j: int) -> set[str]:
     changed = {
         name
         for name in ("damping", "quadratic", "cubic", "frictionloss", "stiffness")
@@ -177,10 +174,15 @@ def _joint(
         changed.add("stiffness")
     if new.chain.armature[j] != old.chain.armature[j]:
         changed.add("armature")
-    if replaced or bool(old.knee[j]) != bool(new.knee[j]):
+    if bool(old.knee[j]) != bool(new.knee[j]):
         changed.add("frictionloss")
-    if not changed:
-        return
+    return changed
+
+
+def _joint(
+    document: Document, model: Any, old: Robot, new: Robot, j: int, changed: set[str]
+) -> None:
+    """Change rotor, friction and spring of a joint."""
     tag, given = joint_tag(document, new.joints[j]), {}
     number = joint_names(model).index(new.joints[j])
     of_drives = {
