@@ -25,21 +25,18 @@ CHANNEL_WORDS = {
     "temperature": "temp temperature temperatures",
 }
 _QUANTITY = {w: c for c, words in CHANNEL_WORDS.items() for w in words.split()}
-_COMMANDED = set(
-    "cmd command commands commanded target desired des ref reference setpoint goal "
-    "action qref qcmd d".split()
-)
-_MEASURED = set(
-    "actual act measured meas state states observation observations obs feedback "
-    "present fb".split()
-)
-# Words of quantities that are not read: accelerations, estimates, limits, the tool.
-_OTHER = set(
-    "acc accel acceleration accelerations ddq qdd dddq error err ext external output "
-    "raw std min max limit eef ee tcp cos sin cartesian pose quat dtau dtauj".split()
-)
+_QUALIFIERS = {
+    "commanded": "cmd command commands commanded target desired des ref reference "
+    "setpoint goal action qref qcmd d",
+    "measured": "actual act measured meas state states observation observations obs "
+    "feedback present fb",
+    # Quantities that are not read: accelerations, estimates, limits, the tool.
+    "other": "acc accel acceleration accelerations ddq qdd dddq error err ext external "
+    "output raw std min max limit eef ee tcp cos sin cartesian pose quat dtau dtauj",
+}
+_KIND = {w: kind for kind, words in _QUALIFIERS.items() for w in words.split()}
+_KIND |= dict.fromkeys(_QUANTITY, "quantity")
 LONGEST = 300  # characters of a label that is parsed
-_QUALIFIERS = ("commanded", "measured", "other")  # kinds of words
 _MOTOR = ("motor", "rotor")
 _TAU = ("tau", "dtau")
 _TOKEN = re.compile(r"\d+|(?:[^\W\d_](?!(?<=[a-z]{2})(?=[A-Z])))*[^\W\d_]")
@@ -209,16 +206,8 @@ def _words(text: str) -> list[_Word]:
         if token == "j" and found and text[found[-1].start : found[-1].end] in _TAU:
             found[-1] = replace(found[-1], end=end)
             continue
-        kind = "name"
-        if token.isdigit():
-            kind = "number"
-        elif token in _QUANTITY:
-            kind = "quantity"
-        elif token in _OTHER:
-            kind = "other"
-        elif token in _MEASURED:
-            kind = "measured"
-        elif token in _COMMANDED and (token != "d" or (found and found[-1].channel)):
-            kind = "commanded"
+        kind = "number" if token.isdigit() else _KIND.get(token, "name")
+        if token == "d" and not (found and found[-1].channel):
+            kind = "name"
         found.append(_Word(kind, _QUANTITY.get(token, ""), start, end))
     return found

@@ -133,15 +133,7 @@ def _logs(
             f"{path}: {size:.3g} bytes; valid are {LARGEST_FILE:.3g} or less"
         )
     reader = (READERS | FOLDERS)[kind]
-    if reader is not read_ros or progress is None:
-        return reader(path)
-    tell = progress
-    return read_ros(
-        path,
-        tell=lambda done, total: tell(
-            f"reading {path.name}: {done:,} of {total:,} messages"
-        ),
-    )
+    return read_ros(path, progress) if reader is read_ros else reader(path)
 
 
 def _files(path: Path) -> list[tuple[Path, bool]]:

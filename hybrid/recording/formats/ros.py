@@ -22,7 +22,7 @@ _LARGEST_DEFINITION = 200_000  # bytes of text
 _MOST_TOPICS = 10_000
 _DEEPEST = 6  # nesting levels of messages that are searched for lists
 LARGEST_CHUNK = 1 << 30  # bytes, unpacked
-TELL_EVERY = 20_000  # messages between two progress messages
+_PROGRESS_STEP = 20_000  # messages between two progress messages
 
 
 def is_bag(folder: Path) -> bool:
@@ -36,7 +36,7 @@ def is_bag(folder: Path) -> bool:
 
 
 def read_ros(
-    path: Path, *, tell: Callable[[int, int], None] | None = None
+    path: Path, progress: Callable[[str], None] | None = None
 ) -> Iterator[tuple[LogTable, ...]]:
     """Read the topics of a bag that have lists of real numbers."""
     from rosbags import rosbag1, rosbag2
@@ -50,7 +50,7 @@ def read_ros(
             topics = _topics(reader.connections, ros2, str(path))
             held = [printable(f"{c.topic} ({c.msgtype}, {c.msgcount})")[:200]
                     for c in reader.connections]  # fmt: skip
-            _fill(reader, topics, tell)
+            _fill(reader, topics, path.name, progress)
     tables = tuple(table for topic in topics.values() for table in topic.tables())
     if all(table.kind.endswith("JointTrajectory)") for table in tables):
         more = f" and {len(held) - 8} more" if held[8:] else ""
@@ -125,15 +125,15 @@ def _has_lists(kind: str, types: dict[str, Any], depth: int) -> bool:
     return found
 
 
-def _fill(reader: Any, topics: dict[Any, Topic], tell: Any) -> None:
+def _fill(reader: Any, topics: dict[Any, Topic], name: str, progress: Any) -> None:
     wanted = [c for c in reader.connections if (c.id, id(c.owner)) in topics]
     if not wanted:
         return
     total = sum(c.msgcount for c in wanted)
     for k, (c, stamp, raw) in enumerate(reader.messages(connections=wanted)):
         topics[c.id, id(c.owner)].add(stamp, raw)
-        if tell and k % TELL_EVERY == 0:
-            tell(k, total)
+        if progress and k % _PROGRESS_STEP == 0:
+            progress(f"reading {name}: {k:,} of {total:,} messages")
     for topic in topics.values():
         topic.decode()
 
