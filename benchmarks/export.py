@@ -10,6 +10,7 @@ of one core, beside that of pinocchio's recursive Newton–Euler in the same run
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,10 +24,14 @@ from tables import show
 from hybrid import DynamicModel
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
-from hybrid.exports import CompiledModel, export, program_from_model
+from hybrid.exports import export, program_from_model
 from hybrid.plant import load_truth
 from hybrid.regression.problem import build_problem
 from hybrid.signals import Motion
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+
+from compiled_model import CompiledModel  # noqa: E402
 
 TRUTH = Path(__file__).parents[1] / "models" / "coman_truth.yaml"
 BATCH = 50_000

@@ -20,12 +20,12 @@ from compensation import CONTROL, load_arm
 from compensation_loop import guide, track
 from compensation_models import diagnosed_effects, fitted_models
 from compensation_observer import residual, smallest_force, threshold
+from compiled_model import CompiledModel
 from measures import measures_figure, measures_table
 from outputs import command_line
 from rich.console import Console
 
 from hybrid import simulate
-from hybrid.exports import CompiledModel
 from hybrid.files import atomic_path
 from hybrid.plant import random_fourier
 from hybrid.report import markdown_table, numbers_table, provenance, save_figure

@@ -18,12 +18,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from compiled_model import CompiledModel
 from outputs import command_line
 from rich.console import Console
 from round_trip_cases import Case, cases, moving, with_callback
 
 from hybrid.errors import HybridWarning
-from hybrid.exports import CompiledModel, missing_model, model_simulator
+from hybrid.exports import missing_model, model_simulator
 from hybrid.exports.simulator.check import file_torque, gaps
 from hybrid.files import atomic_path
 from hybrid.report import markdown_table, numbers_table, provenance, write_results

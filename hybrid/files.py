@@ -1,4 +1,4 @@
-"""Outputs appear whole or not at all; inputs are measured before they are parsed."""
+"""Write outputs whole or not at all; limit the size of inputs before parsing them."""
 
 from __future__ import annotations
 
@@ -13,24 +13,23 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-MOST_BYTES = 64 * 2**20  # of a JSON file that is read
-_MOST_YAML = 100_000  # bytes, whose parser takes a second for these
-_DEEPEST = 32  # lists and tables within each other in a file
+MOST_BYTES = 64 * 2**20  # largest JSON file that is read
+_MOST_YAML = 100_000  # bytes; the YAML parser takes a second for these
+_DEEPEST = 32  # nesting levels of lists and tables
 
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its place when all went well.
+    """Yield a temporary path, and rename it to ``path`` if no exception occurs.
 
-    On any exception the temporary file is removed and the old file stays as it was.
-    The suffix is kept, because some writers choose the format by it. Missing parent
-    folders are made.
+    On an exception the temporary file is removed and the old file stays unchanged.
+    Missing parent folders are created.
 
     Args:
-        path: Where the finished file shall be.
+        path: Path of the finished file.
 
     Yields:
-        Where to write it, in the same folder, so that the move is one step.
+        A path in the same folder, with the same suffix.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -41,7 +40,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         os.replace(temporary, path)
         _sync(path.parent)
     except OSError as error:
-        if error.errno is not None:  # and words: a full disk names no file
+        if error.errno is not None:  # a full disk names no file
             error.filename = str(path)
         raise
     finally:
@@ -52,46 +51,42 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 def atomic_folder(
     folder: str | Path, finish: Callable[[Path, Path], None] | None = None
 ) -> Iterator[Path]:
-    """A hidden folder that takes the place of ``folder`` when all went well.
+    """Yield a hidden folder, and let it replace ``folder`` if no exception occurs.
 
-    Files of other names in a folder that exists go along. A reader finds either what
-    was there or what was written, and so does whoever comes after a crash. A folder
-    that cannot be moved (the current one, a mount point, one with folders in it or in a
-    folder that cannot be written) stays, and its files are replaced one by one.
+    Files of the old folder that have other names are kept. A reader finds either all
+    old or all new files, also after a crash. If a folder cannot be moved (the current
+    folder, a mount point, a folder with subfolders or without write access to its
+    parent), its files are replaced one by one.
 
     Args:
-        folder: Where the finished files shall be.
-        finish: Called with the folder as it is and the hidden one before they change
-            places, while no other process puts files into the former.
+        folder: Folder of the finished files.
+        finish: Called with the old and the hidden folder before the exchange, while
+            other processes that use this function wait.
 
     Yields:
-        Where to write them, on the same disk.
+        A new folder on the same disk.
     """
     folder = Path(folder).resolve()
-    home = folder.parent if not folder.is_dir() or _moves(folder) else folder
-    home.mkdir(parents=True, exist_ok=True)
-    hidden = home / f".{folder.name[:48]}.{uuid.uuid4().hex[:12]}"
+    parent = folder.parent if not folder.is_dir() or _is_movable(folder) else folder
+    parent.mkdir(parents=True, exist_ok=True)
+    hidden = parent / f".{folder.name[:48]}.{uuid.uuid4().hex[:12]}"
     hidden.mkdir()
     try:
         yield hidden
         with _locked(folder.parent):
             if finish is not None:
                 finish(folder, hidden)
-            _put(hidden, folder)
+            _replace(folder, hidden)
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
 
 
 def write_json(path: str | Path, content: Any) -> None:
-    """Write JSON in one step; NaN and infinity are refused, they are not JSON.
-
-    Args:
-        path: Where the file shall be.
-        content: Anything the json module can write.
+    """Write a JSON file as a whole.
 
     Raises:
-        ValueError: The content holds NaN or infinity.
-        TypeError: The content holds something JSON has no word for.
+        ValueError: The content holds NaN or infinity, which JSON does not have.
+        TypeError: The content holds a type that JSON does not have.
     """
     text = json.dumps(content, allow_nan=False, ensure_ascii=False, indent=2)
     with atomic_path(path) as temporary:
@@ -99,18 +94,15 @@ def write_json(path: str | Path, content: Any) -> None:
 
 
 def read_json(path: str | Path) -> Any:
-    """Content of a JSON file of sensible size.
+    """Read a JSON file.
 
     Raises:
         OSError: The file cannot be read.
         ValueError: It is too large, nested too deep, or not JSON.
     """
-    path = Path(path)
-    size = path.stat().st_size
-    if size > MOST_BYTES:
-        raise ValueError(f"{size:,} bytes; valid are up to {MOST_BYTES:,}")
+    text = _text(path, MOST_BYTES)
     try:
-        content = json.loads(path.read_bytes().decode("utf-8"), parse_constant=_refuse)
+        content = json.loads(text, parse_constant=_refuse_constant)
     except RecursionError as error:
         raise ValueError(f"nested deeper than {_DEEPEST} levels") from error
     level = [content]
@@ -124,7 +116,7 @@ def read_json(path: str | Path) -> Any:
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Content of a YAML file of sensible size, without references within it.
+    """Read a YAML file that has no references (anchors and aliases).
 
     Raises:
         OSError: The file cannot be read.
@@ -132,11 +124,7 @@ def read_yaml(path: str | Path) -> Any:
     """
     import yaml
 
-    path = Path(path)
-    size = path.stat().st_size
-    if size > _MOST_YAML:
-        raise ValueError(f"{size:,} bytes; valid are up to {_MOST_YAML:,}")
-    text, depth = path.read_bytes().decode("utf-8"), 0
+    text, depth = _text(path, _MOST_YAML), 0
     try:
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
             depth += isinstance(event, yaml.CollectionStartEvent)
@@ -148,35 +136,43 @@ def read_yaml(path: str | Path) -> Any:
         raise ValueError(" ".join(str(error).split())) from error
 
 
-def _refuse(word: str) -> None:
+def _text(path: str | Path, most: int) -> str:
+    """Read a file of at most so many bytes."""
+    size = Path(path).stat().st_size
+    if size > most:
+        raise ValueError(f"{size:,} bytes; valid are up to {most:,}")
+    return Path(path).read_bytes().decode("utf-8")
+
+
+def _refuse_constant(word: str) -> None:
     raise ValueError(f"{word} is not a number of JSON")
 
 
-def _put(hidden: Path, folder: Path) -> None:
-    """Let a finished folder take its place, in one step wherever that can be done."""
+def _replace(folder: Path, hidden: Path) -> None:
+    """Replace a folder by a finished one, in one step wherever that is possible."""
     for path in hidden.iterdir():
         _sync(path)
-    if folder.is_dir() and not (_moves(folder) and hidden.parent == folder.parent):
+    if folder.is_dir() and not (_is_movable(folder) and hidden.parent == folder.parent):
         for path in sorted(hidden.iterdir()):
             os.replace(path, folder / path.name)
         _sync(folder)
         return
     if folder.is_dir():
-        _take_along(folder, hidden)
+        _keep_other_files(folder, hidden)
         _sync(hidden)
         if not _exchanged(hidden, folder):
-            aside = hidden.with_name(f"{hidden.name}.old")
-            os.rename(folder, aside)
+            old = hidden.with_name(f"{hidden.name}.old")
+            os.rename(folder, old)
             os.rename(hidden, folder)
-            shutil.rmtree(aside, ignore_errors=True)
+            shutil.rmtree(old, ignore_errors=True)
     else:
         _sync(hidden)
         os.rename(hidden, folder)
     _sync(folder.parent)
 
 
-def _moves(folder: Path) -> bool:
-    """Whether a folder may be replaced by another without anybody missing it."""
+def _is_movable(folder: Path) -> bool:
+    """Tell whether another folder can take the name of this one."""
     return (
         not os.path.ismount(folder)
         and folder not in (Path.cwd(), *Path.cwd().parents)
@@ -185,19 +181,19 @@ def _moves(folder: Path) -> bool:
     )
 
 
-def _take_along(old: Path, new: Path) -> None:
-    """Put the files that are only in the old folder into the new one as well."""
+def _keep_other_files(old: Path, new: Path) -> None:
+    """Link the files that only the old folder has into the new one."""
     shutil.copymode(old, new)
     for path in old.iterdir():
         if not os.path.lexists(new / path.name):
             try:
                 os.link(path, new / path.name, follow_symlinks=False)
-            except OSError:  # a disk without links
+            except OSError:  # the disk has no links
                 shutil.copy2(path, new / path.name, follow_symlinks=False)
 
 
 def _exchanged(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step, if the system can; Linux's renameat2 does."""
+    """Exchange two folders by Linux's renameat2; return whether it worked."""
     here, exchange = -100, 2
     with suppress(AttributeError, OSError):
         rename = ctypes.CDLL(None).renameat2
@@ -208,7 +204,7 @@ def _exchanged(one: Path, other: Path) -> bool:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """One process at a time; the lock goes with its holder, and leaves nothing."""
+    """Lock a folder against other processes; the lock ends with the process."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):  # a disk on a network may have no locks
@@ -219,7 +215,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _sync(path: Path) -> None:
-    """Have the disk hold what was written, before a name points to it."""
+    """Write a file or folder from the cache to the disk."""
     if path.is_symlink() or not (path.is_file() or path.is_dir()):
         return
     descriptor = os.open(path, os.O_RDONLY)

@@ -1,7 +1,7 @@
-"""Names in files are data: what a name may be, and how each kind of output spells it.
+"""Check the names of joints and arms, and write them safely into each kind of output.
 
-A name of a joint or of an arm is a line of printable text. Nothing in it is an order to
-anybody: each writer spells it by the function here that is for its kind of output.
+A name comes from a file and may hold any printable text, also markup or code. Each
+writer calls the function here for its kind of output.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 
 LONGEST = 128  # characters of a name
-_LONGEST_STEM = 48  # characters; of four bytes each they still fit into a file's name
-# Names that mean something else: C's headers, CMake's targets, and va_start.
+_LONGEST_STEM = 48  # characters; with four bytes each they still fit into a file name
+# Names in use: headers of C, targets of CMake, and va_start.
 _TAKEN = frozenset(
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp "
     "signal stdarg stdbool stddef stdint stdio stdlib string tgmath time wchar wctype "
@@ -21,11 +21,7 @@ _DEVICES = re.compile(r"(con|prn|aux|nul|(com|lpt)\d)(\..*)?", re.IGNORECASE)
 
 
 def name_fault(name: object) -> str:
-    """What is wrong with a name, in words; nothing if it is one.
-
-    Args:
-        name: What a file gives as the name of a joint or of an arm.
-    """
+    """Say what is wrong with the name of a joint or an arm; empty if it is valid."""
     if (
         isinstance(name, str)
         and name.isprintable()
@@ -40,18 +36,18 @@ def name_fault(name: object) -> str:
 
 
 def printable(text: str) -> str:
-    """Text for a terminal or a comment: what would steer it is written as an escape."""
+    """Text for a terminal or a comment: control characters become escapes."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def file_stem(name: str) -> str:
-    """A file's name without suffix: no separator, no leading dot, never empty."""
+    """File name without suffix: no separator, no leading dot, never empty."""
     stem = re.sub(r"[^\w.-]", "_", name).lstrip(".-")[:_LONGEST_STEM].rstrip(".")
     return f"{stem or 'arm'}{'_' if _DEVICES.fullmatch(stem) else ''}"
 
 
 def c_identifier(name: str) -> str:
-    """A lower-case C identifier that no header of C and no target of CMake has."""
+    """Lower-case C identifier that is no header of C and no target of CMake."""
     found = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_").lower()
     found = found[:_LONGEST_STEM].rstrip("_")
     if not found or found[0].isdigit() or found in _TAKEN:
@@ -60,20 +56,20 @@ def c_identifier(name: str) -> str:
 
 
 def c_comment(name: str) -> str:
-    """A name within a comment of C: letters and digits of any script, few signs."""
+    """Text for a comment in C: letters and digits of any script, few other signs."""
     return "".join(c if c.isalnum() or c in " _-.:,+" else "_" for c in name)
 
 
 def xml_comment(text: str) -> str:
-    """A line within a comment of XML, which two hyphens would end."""
+    """Text for a comment in XML, which must not hold two hyphens in a row."""
     return re.sub(r"--+|-$", "-", printable(text)).removesuffix("-")
 
 
 def markdown(text: str) -> str:
-    """A cell of a table in Markdown: no column ends in it, and no element begins."""
+    """Text for a table cell in Markdown: pipes and the start of tags are escaped."""
     return re.sub(r"([\\|]|<(?=[A-Za-z/!?]))", r"\\\1", printable(text))
 
 
 def figure_text(text: str) -> str:
-    """Text of a figure, in which a dollar is a dollar and not a formula."""
+    """Text for a figure, where an unescaped dollar would start a formula."""
     return text.replace("$", r"\$")

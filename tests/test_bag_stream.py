@@ -36,7 +36,7 @@ def table_of(made: Stream) -> LogTable:
     assert headed
     units = ("ns", *[""] * 12)
     return LogTable(
-        "bag", ("time", *made.labels), lambda used: made.given(used, clock), units
+        "bag", ("time", *made.labels), lambda used: made.take(used, clock), units
     )
 
 
@@ -44,7 +44,7 @@ def table_of(made: Stream) -> LogTable:
 def test_rows_come_back_in_order_whatever_the_blocks(small_blocks, rows, step):
     made, x = filled(rows, step)
     clock, _ = made.clock()
-    blocks = made.given((0, 1, 12), clock)
+    blocks = made.take((0, 1, 12), clock)
     for place, offset in ((1, 0.0), (12, 0.11)):
         column = np.concatenate([block[place] for block in blocks])
         assert np.array_equal(column, x + offset)

@@ -21,7 +21,7 @@ from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise import low_frequency_excess, without_events
 from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.prior import Prior
-from hybrid.signals import butterworth, memory
+from hybrid.signals import autocorrelation_time, butterworth
 
 M = 60
 
@@ -249,7 +249,7 @@ def test_memory_counts_samples_for_an_independent_one(rho):
         for k in range(1, 4000):
             x[k] = rho * x[k - 1] + steps[k]
         rows = np.flatnonzero(rng.random(4000) < 0.8)  # with gaps, as where it stands
-        found.append(memory(x[rows], rows))
+        found.append(autocorrelation_time(x[rows], rows))
     assert np.median(found) == pytest.approx((1 + rho) / (1 - rho), rel=0.15)
 
 
@@ -265,7 +265,7 @@ def test_memory_is_the_sum_of_pairs_of_correlations_while_these_are_positive(see
     pairs = np.add(correlation[::2], correlation[1::2])
     positive = np.cumprod(pairs >= 0).astype(bool)
     expected = max(1.0, 2 * pairs[positive].sum() - 1)
-    assert memory(x, row) == pytest.approx(expected)
+    assert autocorrelation_time(x, row) == pytest.approx(expected)
 
 
 def test_a_stretch_in_which_something_happened_is_not_quiet():

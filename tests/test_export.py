@@ -134,7 +134,7 @@ def folders(tmp_path_factory):
     """Every format of the full model; its ranges are of few draws."""
     folder = tmp_path_factory.mktemp("exports")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(import_module("hybrid.exports.simulator.write"), "_DRAWS", 8)
+        patch.setattr(import_module("hybrid.exports.simulator.snippets"), "_DRAWS", 8)
         for kind in FORMATS:
             export(full_model(), folder / kind, format=kind)
     return folder

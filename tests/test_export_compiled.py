@@ -1,12 +1,13 @@
 """The exported header, compiled and called from Python, as a control loop would."""
 
+import compiled_model
 import numpy as np
 import pytest
+from compiled_model import CompiledModel
 from test_export import full_model, model_of, motion_of
 
 from hybrid.effects.presliding import Presliding
 from hybrid.errors import HybridError
-from hybrid.exports import CompiledModel, compiled
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +44,6 @@ def test_numbers_that_are_not_finite_and_wrong_shapes_are_refused(fast):
 
 
 def test_without_a_compiler_it_says_what_is_missing(monkeypatch):
-    monkeypatch.setattr(compiled, "_COMPILERS", ("no-such-compiler",))
+    monkeypatch.setattr(compiled_model, "_COMPILERS", ("no-such-compiler",))
     with pytest.raises(HybridError, match="no C compiler"):
         CompiledModel(full_model())

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from arms import LIFT, MODELS, public_arm
+from compiled_model import CompiledModel
 from simulated import quiet
 from test_export import compiled, full_model, model_of, motion_of
 
@@ -24,7 +25,7 @@ from hybrid.effects.thermal_friction import ThermalFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError, ModelFileError
-from hybrid.exports import CompiledModel, export, program_from_model, read_manifest
+from hybrid.exports import export, program_from_model, read_manifest
 from hybrid.exports.c_code import c_number
 from hybrid.plant.native import split_effects
 from hybrid.robot import Robot

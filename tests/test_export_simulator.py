@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from arms import MODELS
+from compiled_model import CompiledModel
 from simulated import motions, quiet
 from test_export import full_model, model_of, motion_of
 
@@ -19,7 +20,7 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
-from hybrid.exports import CompiledModel, export, missing_model, model_simulator
+from hybrid.exports import export, missing_model, model_simulator
 from hybrid.exports.simulator.check import file_torque
 from hybrid.plant import install, load_truth, simulate
 from hybrid.plant.lockstep import Lockstep

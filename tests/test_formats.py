@@ -14,7 +14,7 @@ from pyarrow import parquet
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all, write
-from hybrid.recording.words import meaning
+from hybrid.recording.labels import parse_label
 
 # import_module, because the package exports the function of the same name
 WRITERS = import_module("hybrid.recording.write").WRITERS
@@ -308,12 +308,12 @@ def test_a_log_without_a_clock_stops_a_folder(tmp_path):
 def test_words_around_a_label_say_what_it_is_of_and_are_no_joint(
     label, channel, joint, number
 ):
-    found = meaning(label)
+    found = parse_label(label)
     assert (found.channel, found.joint, found.number) == (channel, joint, number)
 
 
 def test_a_torque_that_is_commanded_is_not_taken_for_a_measured_one():
-    found = meaning("tau_elbow_desired")
+    found = parse_label("tau_elbow_desired")
     assert found.channel == "" and "commanded" in found.why
 
 

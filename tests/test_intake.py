@@ -142,7 +142,7 @@ def test_a_polynomial_of_fourth_order_is_known_at_any_stamps(seed, rate, group):
         powers, whole = to.windows(t)
         fitted = to.fit(to.moments(powers, q))
         assert whole.all() and len(fitted) == (size - 2 * to.margin) // group
-        assert np.abs(to.left(powers, q, fitted)).max() < 1e-9
+        assert np.abs(to.residual(powers, q, fitted)).max() < 1e-9
         first = np.arange(len(fitted))[:, None] * group + to.margin
         middle = t[first + np.arange(group)].mean(axis=1) / scale
         for order, found in enumerate(to.states(fitted)):
@@ -172,9 +172,9 @@ def test_a_window_has_at_least_three_samples_on_either_side():
 def test_a_window_of_noise_is_spread_and_one_of_a_single_error_is_not():
     to = LocalPolynomial(1000.0, 20.0)
     left = np.random.default_rng(0).normal(size=(1, 2 * to.margin + 1, 2))
-    assert to.is_spread(left).all()
+    assert to.has_no_outlier(left).all()
     left[0, 4, 1] = 100.0
-    assert to.is_spread(left).tolist() == [[True, False]]
+    assert to.has_no_outlier(left).tolist() == [[True, False]]
 
 
 @pytest.mark.parametrize("block", [1, 4, 10])

@@ -72,7 +72,7 @@ def model(arm: str, joint: str) -> DynamicModel:
 def few_draws():
     """Ranges of few draws: what matters here is what they are called."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(import_module("hybrid.exports.simulator.write"), "_DRAWS", 8)
+        patch.setattr(import_module("hybrid.exports.simulator.snippets"), "_DRAWS", 8)
         yield
 
 

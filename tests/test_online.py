@@ -127,7 +127,7 @@ def test_a_window_that_is_too_long_or_holds_one_odd_sample_is_not_trusted():
 
     def is_spread():
         fitted = derive.fit(derive.moments(powers, q))
-        return derive.is_spread(derive.left(powers, q, fitted))[:, 0]
+        return derive.has_no_outlier(derive.residual(powers, q, fitted))[:, 0]
 
     assert whole.all() and is_spread().mean() > 0.95
     q[30] = q[29]

@@ -10,7 +10,7 @@ from hybrid.cli import main
 from hybrid.errors import HybridError, RobotError
 from hybrid.robot import Robot
 from hybrid.robot.chain import MOST_JOINTS
-from hybrid.robot.measure import _MOST, _demand, _product, check_demand
+from hybrid.robot.demand import _MOST, _demand, _product, check_demand
 
 JOINT = "<joint axis='0 0 1'/><geom size='1'/>"
 BODY = f"<body>{JOINT}</body>"

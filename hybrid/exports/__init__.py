@@ -1,25 +1,16 @@
-"""Models for other programs: C, ONNX, TorchScript, MJCF, URDF, JSON."""
+"""Export models to C, ONNX, TorchScript, MJCF, URDF, Isaac Lab and JSON."""
 
-from hybrid.exports.compiled import CompiledModel
 from hybrid.exports.export import FORMATS, export
 from hybrid.exports.manifest import read_manifest
-from hybrid.exports.program import Program, program_from_model
-from hybrid.exports.simulator import (
-    Ranges,
-    Simulator,
-    build_simulator,
-    missing_model,
-    model_simulator,
-    ranges,
-    sample,
-)
+from hybrid.exports.program import program_from_model
+from hybrid.exports.simulator.model import missing_model, model_simulator
+from hybrid.exports.simulator.posterior import sample
+from hybrid.exports.simulator.ranges import ranges
+from hybrid.exports.simulator.simulator import build_simulator
 
 __all__ = [
     "FORMATS",
-    "CompiledModel",
-    "Program",
-    "Ranges",
-    "Simulator",
+    "build_simulator",
     "export",
     "missing_model",
     "model_simulator",
@@ -27,5 +18,4 @@ __all__ = [
     "ranges",
     "read_manifest",
     "sample",
-    "build_simulator",
 ]

@@ -1,7 +1,7 @@
-"""A program as one C99 header: no allocation, no recursion, no dependency but libm.
+"""Write a program as one C99 header without allocation or recursion, needing only libm.
 
-It keeps to MISRA C where that can be read: braces everywhere, no side effect within an
-expression, loops of a length that is known, a status that says what happened.
+The code follows MISRA C where it stays readable: braces everywhere, no side effects in
+expressions, loops of fixed length, and a returned status.
 """
 
 from __future__ import annotations
@@ -61,15 +61,15 @@ typedef double {p}_real;
 
 /* What {p}_torque returns: NOT_FINITE, or else the sum of the others. */
 #define {P}_OK 0
-#define {P}_NOT_FINITE (-1)   /* a number, or the torque of it; nothing was written */
+#define {P}_NOT_FINITE (-1)   /* an input or a torque is; nothing was written */
 #define {P}_OUT_OF_RANGE 1    /* a position or a speed is beyond the joint's limits */
 #define {P}_CLAMPED 2         /* a torque was beyond its limit, and is that limit now */
 
 /* Limits of each joint, in its units; INFINITY where the arm's file states none. */
 {limits}
 
-/* What the model remembers from one call to the next. Owned by the caller, one for each
- * arm; {p}_start sets it. */
+/* State of the model between calls. The caller owns one for each arm; {p}_start sets
+ * it. */
 typedef struct {{
     {p}_real step;  /* time between calls [s] */
     double t;     /* time since the start [s] */
@@ -77,8 +77,8 @@ typedef struct {{
     {p}_real clamp[{n}];  /* limit of each torque, 0 or more: INFINITY for none */
 {memory}}} {p}_state;
 
-/* Start anew: the arm has stood, or moved evenly, until now. Torques are limited to the
- * rated ones; write others into the state's clamp after this call. */
+/* Reset the state: the arm is assumed to have been at rest or at constant speed.
+ * Torques are limited to the rated ones; write other limits into clamp afterwards. */
 static inline void {p}_start({p}_state *s, {p}_real step)
 {{
     int j;
@@ -162,17 +162,7 @@ LIMITS = ("q_min", "q_max", "v_max", "tau_max")
 
 
 def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> str:
-    """The header's text.
-
-    Args:
-        program: What to write.
-        robot: The arm; functions start with its name.
-        digest: Hash of the model.
-        version: Version of this package.
-
-    Raises:
-        HybridError: A number is not finite.
-    """
+    """Write the header."""
     p, n, size = c_identifier(robot.name), robot.size, len(program.memory)
     marks: dict[str, Any] = {"p": p, "P": p.upper(), "n": n, "size": size}
     slots = [f"     * {i}: {name}" for i, name in enumerate(program.memory_names)]
@@ -199,7 +189,7 @@ def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> st
 
 
 def _joint(robot: Robot, k: int) -> str:
-    """A joint in the comment at the top."""
+    """Line of a joint in the comment at the top."""
     units = UNITS_OF_KIND[bool(robot.chain.revolute[k])]
     q, v, tau = (units[x].replace("·", " ") for x in ("q", "v", "tau"))
     low, high, speed, most = (float(getattr(robot, name)[k]) for name in LIMITS)
@@ -271,10 +261,10 @@ def _outputs(program: Program, marks: dict[str, Any]) -> Iterator[str]:
 
 
 def c_number(x: float, P: str, *, finite: bool = True) -> str:
-    """A number as C writes it, to the last bit.
+    """Write a number in C with all digits.
 
     Raises:
-        HybridError: It is not finite, and has to be.
+        HybridError: It is NaN, or infinite although it must be ``finite``.
     """
     if math.isfinite(x):
         return f"{P}_R({x!r})"

@@ -1,4 +1,4 @@
-"""The C export: header, example, and a build file."""
+"""Write the C export: header, example, and build file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hybrid.model.dynamic_model import DynamicModel
 from hybrid.names import c_identifier
 
 _EXAMPLE = """\
-/* Torque of one motion's first samples, and of the state that Python printed below. */
+/* Compute the torque of one state, and compare it with that of Python. */
 #include "{p}.h"
 
 #include <stdio.h>
@@ -82,14 +82,7 @@ target_compile_definitions(example_single PRIVATE {P}_SINGLE)
 
 
 def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) -> None:
-    """Write ``<arm>.h``, ``example.c`` and ``CMakeLists.txt``.
-
-    Args:
-        model: What is exported.
-        program: The same at one instant.
-        digest: Hash of the model.
-        folder: Where the files shall be.
-    """
+    """Write ``<arm>.h``, ``example.c`` and ``CMakeLists.txt``."""
     robot = model.robot
     p = c_identifier(robot.name)
     header = c_header(program, robot, digest=digest, version=__version__)

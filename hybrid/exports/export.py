@@ -1,4 +1,4 @@
-"""The public verb: a model in a format that other programs run."""
+"""Export a model in a format that other programs run."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from pathlib import Path
 from hybrid.errors import HybridError
 from hybrid.exports.c_project import write_c
 from hybrid.exports.manifest import build_manifest, model_digest, seal
-from hybrid.exports.onnx_graph import import_onnx, onnx_model
+from hybrid.exports.onnx_graph import onnx_model
 from hybrid.exports.program import program_from_model
-from hybrid.exports.simulator import isaac_lab, model_simulator, write_ranges
+from hybrid.exports.simulator.model import model_simulator
+from hybrid.exports.simulator.snippets import isaac_lab, write_ranges
 from hybrid.extras import check_extra
 from hybrid.files import atomic_folder
 from hybrid.model.dynamic_model import DynamicModel
@@ -29,27 +30,26 @@ def export(
     format: str,
     motions: Sequence[Motion] = (),
 ) -> tuple[str, ...]:
-    """Write a model for other programs, with a manifest that says what it is.
+    """Write a model for other programs, with a manifest that describes it.
 
-    Files are named after the arm. What the folder holds in another format stays, and
-    stays in the manifest.
+    Files are named after the arm. Exports of other formats stay in the folder and in
+    the manifest.
 
-    ``c`` is one C99 header with an example and a build file; ``onnx`` and
+    ``c`` writes a C99 header with an example and a build file; ``onnx`` and
     ``torchscript`` the inverse dynamics with a free batch axis; ``mjcf`` and ``urdf``
-    the arm's own file, ``model.robot.path``, with identified links, rotors and friction
-    and a ``.diff`` beside it; ``isaaclab`` its actuators for Isaac Lab; ``ranges`` what
-    the recordings leave open of each number, as YAML and for Isaac Lab and MJX;
-    ``json`` the model itself.
+    the arm's own file, ``model.robot.path``, with identified links, rotors and
+    friction, and a ``.diff``; ``isaaclab`` actuators for Isaac Lab; ``ranges`` the
+    uncertainty of each number, as YAML and for Isaac Lab and MJX; ``json`` the model.
 
     Args:
         model: An identified model.
-        folder: Where the files shall be.
+        folder: Folder of the files.
         format: One of ``FORMATS``.
-        motions: Motions at whose speeds friction is fitted that a robot file has no
-            place for.
+        motions: Motions whose speeds are used to approximate friction that a robot file
+            cannot express.
 
     Returns:
-        What the format cannot express; it is in the manifest, too.
+        What the format cannot express; the manifest lists it, too.
 
     Raises:
         HybridError: The format is unknown, or its package is missing.
@@ -58,24 +58,20 @@ def export(
     if format not in FORMATS:
         raise HybridError(f"no format {format!r}; valid are {', '.join(FORMATS)}")
     if format == "onnx":
-        import_onnx()
+        check_extra("onnx", "export", "ONNX")
     if format == "torchscript":
         check_extra("torch", "learn", "TorchScript")
     digest = model_digest(model)
     left_out: Sequence[str] = ()
     memory: Sequence[str] = ()
     stem = file_stem(model.robot.name)
-
-    def finish(before: Path, hidden: Path) -> None:
-        seal(manifest, hidden, before)
-
-    with atomic_folder(folder, finish) as hidden:
+    with atomic_folder(folder, lambda old, new: seal(manifest, new, old)) as hidden:
         if format == "json":
             model.save(hidden / "model.json")
         elif format in ("mjcf", "urdf"):
-            made = model_simulator(model, kind=format, motions=motions, folder=folder)
-            made.write(hidden / f"{stem}.{'xml' if format == 'mjcf' else 'urdf'}")
-            left_out = made.notes
+            edited = model_simulator(model, kind=format, motions=motions, folder=folder)
+            edited.write(hidden / f"{stem}.{'xml' if format == 'mjcf' else 'urdf'}")
+            left_out = edited.notes
         elif format == "isaaclab":
             text, left_out = isaac_lab(model, motions)
             (hidden / f"{stem}_isaaclab.py").write_text(text, encoding="utf-8")

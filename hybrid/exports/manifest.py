@@ -1,4 +1,4 @@
-"""What goes with an export: which model it is, and what its numbers mean."""
+"""Manifest of an export: its model, units, limits and files."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from hybrid.robot import Robot
 
 SCHEMA = "hybrid.export/2"
 FILE = "manifest.json"
-UNITS_OF_KIND = {  # of a joint that turns (True), and of one that slides
+UNITS_OF_KIND = {  # of a revolute joint (True), and of a prismatic one
     True: {"q": "rad", "v": "rad/s", "a": "rad/s²", "tau": "N·m", "variance": "(N·m)²"},
     False: {"q": "m", "v": "m/s", "a": "m/s²", "tau": "N", "variance": "N²"},
 }
-_TRIES = 100  # readings of a folder that others replace meanwhile
+_TRIES = 100  # to read a folder that other processes replace meanwhile
 
 
 def model_digest(model: DynamicModel) -> str:
-    """SHA-256 of everything that a saved model holds, as it stands in its file."""
+    """SHA-256 of a model, as its saved file has it."""
     return str(content_from_model(model)["sha256"])
 
 
@@ -39,16 +39,9 @@ def build_manifest(
     left_out: Sequence[str],
     memory: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """JSON-ready description of an export.
+    """Description of an export for JSON.
 
-    A unit is one word where all joints have it, and else a list with one for each.
-
-    Args:
-        model: What is exported.
-        format: Format of the export.
-        digest: Hash of the model.
-        left_out: What the format cannot express, and why.
-        memory: What the exported model remembers between instants.
+    A unit is a text if all joints have the same, else a list with one for each joint.
     """
     robot = model.robot
     limits = ("q_min", "q_max", "v_max", "a_max", "tau_max")
@@ -72,13 +65,13 @@ def build_manifest(
 
 
 def seal(manifest: Mapping[str, Any], folder: Path, before: Path) -> None:
-    """Write the manifest with the hashes of the folder's other files.
+    """Write the manifest, with the hashes of all files of the export.
 
     Args:
-        manifest: What was exported.
-        folder: Where its files are.
-        before: The folder that it takes the place of. What was exported to it in other
-            formats stays, under ``beside``.
+        manifest: Description of the export.
+        folder: Folder of its files.
+        before: The folder that it will replace. The manifests of other formats in it
+            are kept under ``beside``.
     """
     files = {
         path.name: hashlib.sha256(path.read_bytes()).hexdigest()
@@ -95,12 +88,12 @@ def seal(manifest: Mapping[str, Any], folder: Path, before: Path) -> None:
 def read_manifest(
     folder: str | Path, *, robot: Robot | None = None, model: DynamicModel | None = None
 ) -> dict[str, Any]:
-    """Check an export before it is used, and say what it is.
+    """Check an export before it is used, and return its manifest.
 
     Args:
-        folder: Where it was exported to.
-        robot: The arm that it shall be used on.
-        model: The model that it shall be of.
+        folder: Folder of the export.
+        robot: The arm that it must belong to, if any.
+        model: The model that it must belong to, if any.
 
     Raises:
         ModelFileError: It is of another version, arm or model, or a file was changed.
@@ -114,7 +107,7 @@ def read_manifest(
                 _check_files(folder, each["files"])
             break
         except ModelFileError:
-            if content == _read(folder / FILE):  # else it was replaced meanwhile
+            if content == _read(folder / FILE):  # it was not replaced meanwhile
                 raise
     return content
 
@@ -174,7 +167,7 @@ def _units(robot: Robot) -> dict[str, str | list[str]]:
 
 
 def _series(version: str) -> list[str]:
-    """Versions of one series read each other's files."""
+    """Major and minor version; versions that share them read each other's files."""
     return str(version).split(".")[:2]
 
 

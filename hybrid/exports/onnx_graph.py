@@ -1,4 +1,4 @@
-"""A program as an ONNX graph in double precision, with a free batch axis."""
+"""Write a program as an ONNX graph in double precision, with a free batch axis."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from hybrid.dynamics import Law
-from hybrid.errors import HybridError
 from hybrid.exports.program import Program
 
-_OPSET, _FORMAT = 18, 9  # operators and file format, of 2023: old runtimes read them
+_OPSET, _FORMAT = 18, 9  # operators and file format of 2023, for old runtimes
 _NAMES = {
     "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div",
     "power": "Pow", "negative": "Neg", "absolute": "Abs", "sign": "Sign",
@@ -25,15 +24,14 @@ _NAMES = {
 
 
 class Graph:
-    """Nodes and constants in the order in which they were added."""
+    """Nodes and constants of a graph that is being built."""
 
     def __init__(self) -> None:
-        import_onnx()
         self.nodes: list[Any] = []
         self.constants: dict[bytes, Any] = {}
 
     def node(self, operator: str, *inputs: str, **attributes: Any) -> str:
-        """Add an operation; the name of its result."""
+        """Add an operation; return the name of its result."""
         from onnx import helper
 
         name = f"x{len(self.nodes)}"
@@ -43,7 +41,7 @@ class Graph:
         return name
 
     def constant(self, values: Any, kind: Any = np.float64) -> str:
-        """The name of a constant; equal ones are kept once."""
+        """Add a constant, unless an equal one exists; return its name."""
         from onnx import numpy_helper
 
         array = np.asarray(values, dtype=kind)
@@ -54,7 +52,7 @@ class Graph:
         return str(self.constants[key].name)
 
     def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int]) -> Any:
-        """The whole graph; ``inputs`` and ``outputs`` are names with their columns."""
+        """Build the graph; ``inputs`` and ``outputs`` give the columns of each name."""
         from onnx import TensorProto, helper
 
         def infos(columns: Mapping[str, int]) -> list[Any]:
@@ -71,25 +69,12 @@ class Graph:
         return helper.make_model(graph, opset_imports=[opset], ir_version=_FORMAT)
 
 
-def import_onnx() -> None:
-    """Fail early, naming what to install.
-
-    Raises:
-        HybridError: The package onnx is not installed.
-    """
-    try:
-        import onnx  # noqa: F401
-    except ImportError as error:
-        raise HybridError(
-            "ONNX needs the package onnx: pip install 'hybrid-arm[export]'"
-        ) from error
-
-
 def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
-    """The program as an ``onnx.ModelProto``, with the manifest in its metadata.
+    """Build an ``onnx.ModelProto`` with the manifest in its metadata.
 
-    Inputs q, v and a, shape (N, n), and where they matter t, step, known (N, 1) and
-    memory (N, s); outputs tau and variance, shape (N, n), and memory_out (N, s).
+    Inputs are q, v and a, shape (N, n), and if the program uses them t, step and known,
+    shape (N, 1), and memory, shape (N, s). Outputs are tau and variance, shape (N, n),
+    and memory_out, shape (N, s).
     """
     graph, n, s = Graph(), len(program.joints), len(program.memory)
     inputs = {"q": n, "v": n, "a": n}
@@ -110,7 +95,7 @@ def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
 
 
 def _results(graph: Graph, program: Program) -> list[str]:
-    """A node for each line of the tape, shape (N, 1); names of the results."""
+    """Add a node for each operation, shape (N, 1); return the names of the results."""
 
     def put(operator: str, name: str, *given: str | float) -> str:
         x = [y if isinstance(y, str) else graph.constant([y]) for y in given]
@@ -136,7 +121,7 @@ def _results(graph: Graph, program: Program) -> list[str]:
 
 
 def _column(graph: Graph, x: str | float) -> str:
-    """A result as a column, shape (N, 1), also if it is a plain number."""
+    """Make a result, which may be a number, a column of shape (N, 1)."""
     if isinstance(x, str):
         return x
     first = graph.node("Gather", "q", graph.constant([0], np.int64), axis=1)

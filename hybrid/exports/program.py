@@ -1,8 +1,8 @@
-"""A dynamic model as a program for one instant: inputs, a tape, and outputs."""
+"""Write a dynamic model as a program: the operations from one state to its torque."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,21 +20,20 @@ from hybrid.model.dynamic_model import DynamicModel
 
 @dataclass(frozen=True)
 class Program:
-    """Torque of an arm of n joints at one instant, and what to remember for the next.
+    """Program that computes torque and the next memory from the state of an arm.
 
     Inputs on the tape are ``q[j]``, ``v[j]``, ``a[j]``, ``t`` (time since the start,
-    [s]), ``step`` (time since the last instant, [s]), ``known`` (1 if there was one,
-    else 0) and ``memory[i]``.
+    [s]), ``step`` (time since the last call, [s]), ``known`` (1 if there was a call
+    before, else 0) and ``memory[i]``.
 
     Attributes:
         joints: Joint names.
         tape: The operations.
         torque: Torque of the drives, length n, [N·m].
-        variance: Variance of its learned part, length n, [(N·m)²]; NaN where nothing
-            was learned.
-        memory: What to remember, length s.
-        memory_names: What each is.
-        left_out: Effects that are not in it, and why.
+        variance: Variance of its learned part, length n, [(N·m)²]; NaN without one.
+        memory: Values to keep for the next call, length s.
+        memory_names: Name of each value.
+        left_out: Effects that are not in the program, and why.
     """
 
     joints: tuple[str, ...]
@@ -47,12 +46,12 @@ class Program:
 
     @property
     def results(self) -> tuple[Any, ...]:
-        """Everything that the tape works out."""
+        """Torque, variance and memory."""
         return (*self.torque, *self.variance, *self.memory)
 
     @property
     def uses(self) -> frozenset[str]:
-        """Names of the inputs that matter."""
+        """Names of the inputs that the results depend on."""
         lines = (self.tape.lines[k] for k in self.tape.needed(self.results))
         return frozenset(str(x.arguments[0]) for x in lines if x.name == "input")
 
@@ -66,15 +65,15 @@ class Program:
         t: float = 0.0,
         step: float = 0.001,
     ) -> tuple[Array, Array]:
-        """Torque, shape (N, n), [N·m], and memory, shape (N, s), of N states.
+        """Compute torque, shape (N, n), [N·m], and memory, shape (N, s), of N states.
 
         Args:
             q: Positions, shape (N, n), [rad].
             v: Speeds, shape (N, n), [rad/s].
             a: Accelerations, shape (N, n), [rad/s²].
-            memory: Memory of the instants before, shape (N, s); None if there was none.
+            memory: Memory of the last call, shape (N, s); None for the first call.
             t: Time since the start, [s].
-            step: Time since the instants before, [s].
+            step: Time since the last call, [s].
         """
         past = np.zeros((len(q), len(self.memory))) if memory is None else memory
         known = 0.0 if memory is None else 1.0
@@ -94,53 +93,43 @@ class Program:
 
 
 def program_from_model(model: DynamicModel) -> Program:
-    """Write the model down for one instant.
+    """Write a model as a program.
 
     Raises:
-        EffectError: An effect cannot be worked out from one instant and a few numbers
-            of the one before.
+        EffectError: An effect needs more than one state and a few values of memory.
     """
     robot, tape, n = model.robot, Tape(), model.robot.size
-    out = [e for e in model.effects if e.not_in_loop]
+    left_out = [
+        f"{e.id} of {', '.join(robot.joints[j] for j in e.joints)}: {e.not_in_loop}"
+        for e in model.effects if e.not_in_loop
+    ]  # fmt: skip
     effects = [e for e in model.effects if not e.not_in_loop]
     q, v, a = ([tape.input(f"{x}[{j}]") for j in range(n)] for x in "qva")
     for effect in effects:
         for j in effect.joints if effect.observes else ():
             q[j], v[j], a[j] = _traced(effect.true_state, effect, q[j], v[j], a[j])
-    chain, inertial = robot.chain, model.link_parameters.tolist()
-    down = chain.gravity.tolist()
-    load = newton_euler(chain, inertial, down, q=q, v=v, a=a)
+    inertial, gravity = model.link_parameters.tolist(), robot.chain.gravity.tolist()
+    load = newton_euler(robot.chain, inertial, gravity, q=q, v=v, a=a)
     torque = list(load)
     t = tape.input("t")
     states = [JointState(t, q[j], v[j], a[j], np.sign(v[j]), load[j]) for j in range(n)]
     memory = _Memory(tape)
     for effect in effects:
-        change = effect.rigid_change(n, chain.gravity)
-        added: Mapping[int, Any]
+        change = effect.rigid_change(n, robot.chain.gravity)
+        added: Iterable[tuple[int, Any]] = ()
         if change is not None:
-            links, gravity = (x.tolist() for x in change)
-            still = [0.0] * n
-            terms = [
-                newton_euler(chain, links, down, q=q, v=v, a=a),
-                newton_euler(chain, inertial, gravity, q=q, v=still, a=still),
-            ]
-            added = {j: terms[0][j] + terms[1][j] for j in range(n)}
-        elif effect.observes:
-            added = {}
-        else:
+            added = enumerate(_rigid_torque(model, change, q, v, a))
+        elif not effect.observes:
             own = [states[j] for j in effect.joints]
-            step = memory.step(effect, own)
-            values, now = _traced(effect.at_instant, effect, own, *step)
-            memory.keep(effect, now)
-            added = dict(zip(effect.joints, values, strict=True))
-        for j, x in added.items():
+            values = memory.run(effect.at_instant, effect, own, own)
+            added = zip(effect.joints, values, strict=True)
+        for j, x in added:
             torque[j] = torque[j] + x
     for effect in effects:
         if effect.reports or effect.asks:
-            asked = [torque[j] for j in effect.joints]
-            step = memory.step(effect, [states[j] for j in effect.joints])
-            values, now = _traced(effect.report_at_instant, effect, asked, *step)
-            memory.keep(effect, now)
+            own = [states[j] for j in effect.joints]
+            given = [torque[j] for j in effect.joints]
+            values = memory.run(effect.report_at_instant, effect, own, given)
             for j, x in zip(effect.joints, values, strict=True):
                 torque[j] = x
     variance = [np.nan] * n
@@ -149,23 +138,25 @@ def program_from_model(model: DynamicModel) -> Program:
         (mean,), (variance[part.joint],) = part.regression.at_instant(seen)
         torque[part.joint] = torque[part.joint] + mean
     return Program(
-        joints=robot.joints,
-        tape=tape,
-        torque=tuple(torque),
-        variance=tuple(variance),
-        memory=tuple(memory.now),
-        memory_names=tuple(memory.names),
-        left_out=tuple(_why_not(robot.joints, e) for e in out),
-    )
+        robot.joints, tape, tuple(torque), tuple(variance), tuple(memory.now),
+        tuple(memory.names), tuple(left_out),
+    )  # fmt: skip
 
 
-def _why_not(names: Sequence[str], effect: Effect) -> str:
-    where = ", ".join(names[j] for j in effect.joints)
-    return f"{effect.id} of {where}: {effect.not_in_loop}"
+def _rigid_torque(
+    model: DynamicModel, change: tuple[Array, Array], q: Any, v: Any, a: Any
+) -> list[Any]:
+    """Torque of a change of links and gravity."""
+    chain, still = model.robot.chain, [0.0] * model.robot.size
+    links, gravity = (x.tolist() for x in change)
+    inertial, down = model.link_parameters.tolist(), chain.gravity.tolist()
+    moving = newton_euler(chain, links, down, q=q, v=v, a=a)
+    static = newton_euler(chain, inertial, gravity, q=q, v=still, a=still)
+    return [x + y for x, y in zip(moving, static, strict=True)]
 
 
 class _Memory:
-    """Slots of what effects remember."""
+    """Memory of all effects."""
 
     def __init__(self, tape: Tape) -> None:
         self.tape = tape
@@ -173,10 +164,10 @@ class _Memory:
         self.now: list[Any] = []
         self._first: dict[int, int] = {}
 
-    def step(
-        self, effect: Effect, joints: Sequence[JointState]
-    ) -> tuple[tuple[Any, ...], Any]:
-        """What an effect remembers, and the time since then."""
+    def run(
+        self, law: Any, effect: Effect, states: Sequence[JointState], given: Any
+    ) -> Sequence[Any]:
+        """Evaluate a law of an effect with its memory, and keep the new memory."""
         if id(effect) not in self._first:
             self._first[id(effect)] = len(self.names)
             where = "+".join(str(j + 1) for j in effect.joints)
@@ -187,14 +178,12 @@ class _Memory:
             self.tape.apply(
                 "where", known > 0.5, self.tape.input(f"memory[{first + i}]"), x
             )
-            for i, x in enumerate(effect.begin(joints))
+            for i, x in enumerate(effect.begin(states))
         )
-        return before, self.tape.input("step")
-
-    def keep(self, effect: Effect, values: Sequence[Any]) -> None:
-        """Remember for the next instant."""
-        first = self._first[id(effect)]
-        self.now[first : first + len(values)] = values
+        step = self.tape.input("step")
+        values, now = _traced(law, effect, given, before, step)
+        self.now[first : first + len(now)] = now
+        return values  # type: ignore[no-any-return]
 
 
 def _traced(law: Any, effect: Effect, *given: Any) -> Any:

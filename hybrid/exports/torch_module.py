@@ -1,8 +1,8 @@
-"""A program as a TorchScript archive in double precision, with a free batch axis.
+"""Write a program as TorchScript in double precision, with a free batch axis.
 
-An archive is a zip file of tensors, of operations as text, and of tables in the format
-of pickle. ``torch.jit.load`` reads these with a reader of its own, which knows numbers,
-tensors and the operations beside them, and imports and calls nothing of Python.
+An archive is a zip file of tensors, operations as text, and tables in pickle format.
+``torch.jit.load`` has its own reader for these, which only knows numbers, tensors and
+the operations of the archive. It imports and calls no Python code.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hybrid.exports.program import Program
 
 
 def _of_tensors(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """A function that takes numbers, too."""
+    """Let a function of tensors also take numbers."""
     return lambda *given: function(
         *(torch.as_tensor(x, dtype=None if isinstance(x, Tensor) else torch.float64)
           for x in given)
@@ -41,15 +41,15 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "minimum": _of_tensors(torch.minimum), "maximum": _of_tensors(torch.maximum),
     "where": _of_tensors(torch.where),
 }  # fmt: skip
-_BATCH = 3  # rows of the example; any number goes
+_BATCH = 3  # rows of the example for tracing
 
 
 class ProgramModule(torch.nn.Module):
-    """The program as a torch module, from and to what the ONNX export takes and gives.
+    """The program as a torch module, with the inputs and outputs of the ONNX export.
 
-    Inputs q, v and a, shape (N, n), and where they matter t, step, known (N, 1) and
-    memory (N, s), in this order; outputs tau and variance, shape (N, n), and memory_out
-    (N, s) if there is memory.
+    Inputs are q, v and a, shape (N, n), and if the program uses them t, step and known,
+    shape (N, 1), and memory, shape (N, s), in this order. Outputs are tau and variance,
+    shape (N, n), and memory_out, shape (N, s), if there is memory.
     """
 
     def __init__(self, program: Program) -> None:
@@ -74,7 +74,7 @@ class ProgramModule(torch.nn.Module):
 
 
 def _column(given: Mapping[str, Tensor], name: str) -> Tensor | None:
-    """An input of the tape, shape (N, 1); None if it does not matter."""
+    """Input of the tape, shape (N, 1); None if the program does not use it."""
     whole, _, index = name.partition("[")
     j = int(index.rstrip("]")) if index else 0
     return given[whole][:, j : j + 1] if whole in given else None
@@ -83,13 +83,7 @@ def _column(given: Mapping[str, Tensor], name: str) -> Tensor | None:
 def write_torchscript(
     program: Program, manifest: Mapping[str, Any], path: Path
 ) -> None:
-    """Write the archive, with the manifest inside as ``manifest.json``.
-
-    Args:
-        program: What to write.
-        manifest: What it is.
-        path: The file.
-    """
+    """Write the archive, which includes the manifest as ``manifest.json``."""
     module = ProgramModule(program)
     n, s = len(program.joints), len(program.memory)
     widths = [n] * 3 + [s if name == "memory" else 1 for name in module.names]
@@ -97,7 +91,7 @@ def write_torchscript(
         torch.full((_BATCH, width), 0.1, dtype=torch.float64) for width in widths
     )
     with warnings.catch_warnings():
-        # That TorchScript has a successor is no news to one who asks for it by name.
+        # torch warns that TorchScript has a successor.
         warnings.simplefilter("ignore")
         traced = torch.jit.trace(  # type: ignore[no-untyped-call]
             module, example, check_trace=False
@@ -105,7 +99,7 @@ def write_torchscript(
         text = json.dumps(dict(manifest), ensure_ascii=False)
         whole = io.BytesIO()
         torch.jit.save(traced, whole, _extra_files={"manifest.json": text})
-    # Without the notes for debuggers, which name files of this computer.
+    # Debug information is left out, because it names files of this computer.
     with zipfile.ZipFile(whole) as saved, zipfile.ZipFile(path, "w") as archive:
         for name in saved.namelist():
             if not name.endswith(".debug_pkl"):

@@ -4,7 +4,7 @@
 parameters, with δ ~ N(0, covariance of the baseline), C those of the effects that are
 followed, with g as uncertain as their usual size. The posterior of g is one regularised
 least squares. Residuals are correlated in time: a joint's samples weigh as many
-independent ones as :func:`hybrid.signals.memory` says.
+independent ones as :func:`hybrid.signals.autocorrelation_time` says.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hybrid.identification.preparation import prepare, taken
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
-from hybrid.signals import Motion, Sampler, memory
+from hybrid.signals import Motion, Sampler, autocorrelation_time
 
 _FROM_TOOL = 0.05  # m, that a payload is off the tool, and its size
 _DRAWS = 400  # of its centre
@@ -286,5 +286,7 @@ def _noise(left: Array) -> tuple[Array, Array]:
         moves = np.flatnonzero(np.isfinite(own))
         if len(moves):
             power[j] = np.mean(own[moves] ** 2)
-            weight[j] = 1.0 / max(power[j] * memory(own[moves], moves), 1e-300)
+            weight[j] = 1.0 / max(
+                power[j] * autocorrelation_time(own[moves], moves), 1e-300
+            )
     return power, weight

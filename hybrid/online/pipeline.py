@@ -76,13 +76,13 @@ class Pipeline:
             self._fitted = derive.fit(self._moments)
 
         def left() -> None:
-            self._left = derive.left(self._powers, self._q, self._fitted)
+            self._left = derive.residual(self._powers, self._q, self._fitted)
             self._states = derive.states(self._fitted)
 
         def spread() -> None:
             # Of a joint that stands one step of the encoder is all there is.
             stands = np.abs(self._states[1]) <= self._standing
-            here = (derive.is_spread(self._left) | stands).all(axis=1)
+            here = (derive.has_no_outlier(self._left) | stands).all(axis=1)
             self._spread = np.append(self._spread[-1], here)
 
         return [windows, fit, left, spread]

@@ -10,8 +10,8 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.robot.actuators import passive_motors
-from hybrid.robot.compiled import compiled
 from hybrid.robot.mjcf import joint_names, start
+from hybrid.robot.mujoco_model import compile_file
 from hybrid.signals import Motion
 
 
@@ -37,7 +37,7 @@ def file_inverse_dynamics(
     """
     import mujoco
 
-    model = compiled(file)
+    model = compile_file(file)
     off = mujoco.mjtDisableBit
     model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
     data, names = mujoco.MjData(model), joint_names(model)

@@ -1,4 +1,4 @@
-"""Joint logs: what they hold, where they come from, how they are read and written."""
+"""Joint logs: read, write, check and resample them."""
 
 from hybrid.recording.clock import resample, unbroken
 from hybrid.recording.read import read, read_all, recording_from_table

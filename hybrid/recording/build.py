@@ -1,4 +1,4 @@
-"""Columns of a table -> a recording in SI, block by block."""
+"""Build a recording in SI units from the columns of a table, block by block."""
 
 from __future__ import annotations
 
@@ -16,17 +16,8 @@ from hybrid.recording.table import LogTable
 from hybrid.recording.units import seconds
 
 
-def built(table: LogTable, reading: Reading, *, torque: bool) -> Recording:
-    """The recording of a table, each of whose numbers is held once.
-
-    Args:
-        table: Named columns.
-        reading: Which of them is what.
-        torque: Whether torques must be there.
-
-    Raises:
-        RecordingError: The samples are not a valid recording.
-    """
+def build_recording(table: LogTable, reading: Reading, *, torque: bool) -> Recording:
+    """Build the recording of a table; no number is in memory twice."""
     time, groups, notes = reading.time, reading.channels, list(reading.notes)
     clock, channels = _samples(table, time, groups)
     if time.index < 0:  # no clock, but a rate
@@ -36,7 +27,7 @@ def built(table: LogTable, reading: Reading, *, torque: bool) -> Recording:
     used = [replace(time, unit=unit, stated=time.stated or unit != "s")]
     for channel, group in groups.items():
         x = channels[channel]
-        # How ROS says that something was not measured.
+        # ROS writes NaN for what was not measured.
         if channel != "q" and x.size and np.isnan(x).all():
             notes.append(f"{channel} holds no number")
             del channels[channel]
@@ -56,9 +47,9 @@ def built(table: LogTable, reading: Reading, *, torque: bool) -> Recording:
 def _samples(
     table: LogTable, time: Used, groups: dict[str, tuple[Used, ...]]
 ) -> tuple[NDArray[Any], dict[str, Array]]:
-    """The clock as in the file, shape (N,), and channels in SI, shape (N, n).
+    """Clock of the file, shape (N,), and channels in SI, shape (N, n).
 
-    Where a map gives a rate in place of a clock, rows are counted.
+    If a map gives a rate in place of a clock, the clock counts rows.
     """
     columns = [time.index] * (time.index >= 0)
     columns += [u.index for group in groups.values() for u in group]
@@ -71,7 +62,7 @@ def _samples(
         for clock in clocks:
             _check_numbers(clock, time, table)
     for size in sizes:
-        block = blocks.pop(0)  # and nobody holds it any more
+        block = blocks.pop(0)  # its memory is free after this step
         for name, group in groups.items():
             _fill(channels[name][at : at + size], block, group, table)
         at += size
@@ -84,7 +75,7 @@ def _fill(
     used: tuple[Used, ...],
     table: LogTable,
 ) -> None:
-    """Put a block's samples of a channel, in SI, into their rows, shape (N, n)."""
+    """Write a block's samples of a channel, in SI, into ``values``, shape (N, n)."""
     for k, u in enumerate(used):
         x = block[u.index]
         _check_numbers(x, u, table)

@@ -1,4 +1,4 @@
-"""Irregular clock -> uniform clock; a log with holes -> logs without."""
+"""Resample a recording with an irregular clock; split one with gaps."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ import numpy as np
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording.recording import Recording, row_words
 
-JITTER = 0.01  # of a step: what stays is below the error of a central difference
-GAP = 10  # steps: a longer hole cannot be filled without inventing motion
-PART = 1.0  # s: what is left between two holes, at least, to be of any use
+JITTER = 0.01  # of a step; less is below the error of a central difference
+GAP = 10  # steps; a longer gap is not interpolated
+PART = 1.0  # s, shortest useful part between two gaps
 
 
 def resample(recording: Recording) -> Recording:
-    """Put a recording on a uniform clock at its median rate.
+    """Resample a recording to a uniform clock at its median rate.
 
     Positions are interpolated by PCHIP, which keeps speed continuous and does not
-    overshoot, the other channels linearly. A clock that keeps its step within 1 % is
-    left as it is.
+    overshoot; the other channels are interpolated linearly. A clock whose steps differ
+    by less than 1 % is not changed.
 
     Raises:
         RecordingError: Time jumps by more than 10 steps.
 
     Warns:
-        HybridWarning: The clock was irregular; says how much.
+        HybridWarning: The clock was irregular; the message says how much.
     """
     steps = np.diff(recording.t)
     step = float(np.median(steps))
-    off = np.abs(steps - step) / step
-    if np.max(off) <= JITTER:
+    error = np.abs(steps - step) / step
+    if np.max(error) <= JITTER:
         return recording
     gap = int(np.argmax(steps))
     if steps[gap] > GAP * step:
@@ -51,11 +51,11 @@ def resample(recording: Recording) -> Recording:
     }
     within = np.minimum(t, recording.t[-1])
     channels["q"] = PchipInterpolator(recording.t, recording.q, axis=0)(within)
-    uneven = int(np.sum(off > JITTER))
+    uneven = int(np.sum(error > JITTER))
     warnings.warn(
         f"{recording.source or 'recording'}: irregular clock: {uneven} of "
         f"{len(steps)} steps differ from the median {step:.6g} s by more than "
-        f"{JITTER:.0%} (at most {np.max(off):.0%}); resampled to {count} samples at "
+        f"{JITTER:.0%} (at most {np.max(error):.0%}); resampled to {count} samples at "
         f"{1 / step:.6g} Hz",
         HybridWarning,
         stacklevel=2,
@@ -64,33 +64,35 @@ def resample(recording: Recording) -> Recording:
 
 
 def unbroken(recording: Recording) -> tuple[Recording, ...]:
-    """Split a recording where its clock jumps too far to be filled.
+    """Split a recording at the gaps of its clock.
 
     Returns:
-        The stretches between jumps of more than 10 steps, each on the clock of the
-        whole; without those shorter than 1 s, unless all are.
+        The parts between gaps of more than 10 steps, with their original times.
+        Parts shorter than 1 s are left out. The recording itself if it has no gap, or
+        if all parts are shorter.
 
     Warns:
-        HybridWarning: It was split; says into how many, and how much was left out.
+        HybridWarning: It was split; the message says into how many parts, and how much
+            was left out.
     """
     steps = np.diff(recording.t)
     jumps = np.flatnonzero(steps > GAP * np.median(steps)) + 1
     if not len(jumps):
         return (recording,)
     rows = np.split(np.arange(len(recording.t)), jumps)
-    lasting = [r for r in rows if recording.t[r[-1]] - recording.t[r[0]] >= PART]
-    if not lasting:
+    kept = [r for r in rows if recording.t[r[-1]] - recording.t[r[0]] >= PART]
+    if not kept:
         return (recording,)
-    seconds = np.ptp(recording.t) - sum(np.ptp(recording.t[r]) for r in lasting)
+    seconds = np.ptp(recording.t) - sum(np.ptp(recording.t[r]) for r in kept)
     warnings.warn(
         f"{recording.source or 'recording'}: t, {row_words(int(jumps[0]))}: first of "
-        f"{len(jumps)} gaps of more than {GAP} steps; taken as {len(lasting)} "
+        f"{len(jumps)} gaps of more than {GAP} steps; taken as {len(kept)} "
         f"recordings, without {seconds:.3g} s of gaps and of parts below {PART:g} s",
         HybridWarning,
         stacklevel=2,
     )
     parts = []
-    for r in lasting:
+    for r in kept:
         channels = {name: x[r] for name, x in recording.channels.items()}
         parts.append(replace(recording, t=recording.t[r], **channels))  # type: ignore[arg-type]
     return tuple(parts)

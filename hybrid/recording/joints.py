@@ -1,4 +1,4 @@
-"""Names and numbers of joints in a file -> joints of the robot."""
+"""Match the names and numbers of joints in a file to the joints of the robot."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ def match_joints(
 ) -> tuple[str, ...]:
     """Find the robot's joint for each joint of a file.
 
-    By name: as written, or without case, separators and the word joint, or without a
-    prefix that all have. Numbers, and names that only count (``joint1``), are taken in
-    order, from 1 or from 0.
+    Names match as written, or without case, separators and the word joint, or without
+    a prefix that all names have. Numbers, and names that only count (``joint1``), are
+    taken in order, from 1 or from 0.
 
     Args:
         names: Joints as the file writes them.
-        numbers: Their numbers, None where it names them.
+        numbers: Joint numbers, None for a joint with a name.
         joints: Joint names of the robot, base to tip.
 
     Returns:
-        The robot's name of each, or the file's where the robot has none.
+        The robot's name of each joint, or the file's name if the robot has none.
     """
     if all(number is None for number in numbers):
         found = _by_name(names, joints)
@@ -47,37 +47,41 @@ def match_joints(
 
 
 def _by_name(names: Sequence[str], joints: tuple[str, ...]) -> dict[str, str]:
-    """The robot's joint for each name that has one, under the strictest spelling."""
+    """Robot's joint for each name that has one; exact spelling is preferred."""
     unique = tuple(dict.fromkeys(names))
-    ours, theirs = _prefix(joints), _prefix(unique)
+    skip_joint, skip_name = len(_prefix(joints)), len(_prefix(unique))
+
+    def short_name(name: str) -> str:
+        return _bare(name[skip_name:])
+
+    def short_joint(joint: str) -> str:
+        return _bare(joint[skip_joint:])
+
     spellings = (
         (str, str),
         (str.lower, str.lower),
         (_bare, _bare),
-        (_bare, lambda joint: _bare(joint[len(ours) :])),
-        (lambda name: _bare(name[len(theirs) :]), _bare),
-        (lambda name: _bare(name[len(theirs) :]),
-         lambda joint: _bare(joint[len(ours) :])),
-    )  # fmt: skip
+        (_bare, short_joint),
+        (short_name, _bare),
+        (short_name, short_joint),
+    )
     best: dict[str, str] = {}
     for of_name, of_joint in spellings:
         spelled: dict[str, list[str]] = {}
         for joint in joints:
             spelled.setdefault(of_joint(joint), []).append(joint)
         found = {n: spelled.get(of_name(n), []) for n in unique}
-        sure = {n: where[0] for n, where in found.items() if len(where) == 1}
-        if len(sure) > len(best) and len(set(sure.values())) == len(sure):
-            best = sure
-    if len(best) < len(joints):  # arms among others: left_elbow_joint of elbow_joint
-        ends = {j: [n for n in unique if _ends(n, j[len(ours) :])] for j in joints}
-        sure = {where[0]: j for j, where in ends.items() if len(where) == 1}
-        if len(sure) == len(joints):
-            best = sure
+        matched = {n: where[0] for n, where in found.items() if len(where) == 1}
+        if len(matched) > len(best) and len(set(matched.values())) == len(matched):
+            best = matched
+    if len(best) < len(joints):  # one of several arms: left_elbow_joint, elbow_joint
+        endings = {j: rf"(^|[\W_]){re.escape(j[skip_joint:].lower())}$" for j in joints}
+        ends = {j: [n for n in unique if re.search(endings[j], n.lower())]
+                for j in joints}  # fmt: skip
+        matched = {where[0]: j for j, where in ends.items() if len(where) == 1}
+        if len(matched) == len(joints):
+            best = matched
     return best
-
-
-def _ends(name: str, joint: str) -> bool:
-    return re.search(rf"(^|[\W_]){re.escape(joint.lower())}$", name.lower()) is not None
 
 
 def _bare(name: str) -> str:
@@ -86,7 +90,7 @@ def _bare(name: str) -> str:
 
 
 def _prefix(names: Sequence[str]) -> str:
-    """What all names begin with, up to a separator."""
+    """Common beginning of all names, up to a separator."""
     if len(names) < 2:
         return ""
     common = os.path.commonprefix(list(names))

@@ -1,4 +1,4 @@
-"""What a user, or a format, says about columns: ``--map`` and the presets."""
+"""Maps of columns to channels, from the user (``--map``) or from a preset."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 
 from hybrid.errors import RecordingError
 from hybrid.files import read_yaml
+from hybrid.recording.labels import split_unit
 from hybrid.recording.recording import CHANNELS
 from hybrid.recording.units import SI, converted
-from hybrid.recording.words import split_unit
 
 _FACTORS = ("torque_constant", "gear_ratio", "scale", "rate")
 _KEYS = ("preset", "joints", "topic", "time", *CHANNELS)
@@ -22,15 +22,15 @@ Factor = float | tuple[float, ...] | dict[str, float]
 
 @dataclass(frozen=True)
 class Source:
-    """Where a channel comes from.
+    """Source of a channel.
 
     Attributes:
-        columns: A pattern with ``{}`` for the joint's name or number, or the joint's
-            name or number from 1 -> label; None leaves it to the labels' words.
-        unit: Unit of the columns, whatever the file states; empty leaves it to that.
-        factors: Numbers to multiply with, each one for all joints, a list in the order
-            of the joints, or joint -> number.
-        dropped: Whether the channel is not to be read at all.
+        columns: A pattern with ``{}`` for the joint's name or number, or labels by the
+            joint's name or number from 1; None if the labels decide.
+        unit: Unit of the columns, which overrules the file; empty if the file decides.
+        factors: Factors by name: one number for all joints, a list in the order of the
+            joints, or numbers by joint.
+        dropped: Whether the channel is not read.
     """
 
     columns: str | dict[str, str] | None = None
@@ -39,17 +39,13 @@ class Source:
     dropped: bool = False
 
     def over(self, below: Source) -> Source:
-        """This source, completed from another."""
+        """Complete this source from another."""
         columns = below.columns if self.columns is None else self.columns
         factors = below.factors | self.factors
         return Source(columns, self.unit or below.unit, factors, self.dropped)
 
     def found(self, labels: Sequence[str]) -> dict[int, str]:
-        """Index of each column -> the joint that it is for.
-
-        Raises:
-            ValueError: A label is not there; says which.
-        """
+        """Find the columns of the channel: joint by index of the column."""
         if isinstance(self.columns, dict):
             for label in self.columns.values():
                 if label not in labels:
@@ -65,7 +61,7 @@ class Source:
         return found
 
     def factor(self, joint: str, place: int) -> float:
-        """Product of all factors for a joint at its place from 0."""
+        """Product of all factors for a joint, which is number ``place`` from 0."""
         product = 1.0
         for name, value in self.factors.items():
             try:
@@ -83,14 +79,14 @@ class Source:
 
 @dataclass(frozen=True)
 class Mapping:
-    """Which column is which channel of which joint in which unit.
+    """Map of columns to channels, joints and units.
 
     Attributes:
-        preset: Name of the preset it starts from; empty if none.
-        joints: Joint names of numbered columns, in their order; empty leaves them.
-        names: Joint's name in the file -> the robot's.
+        preset: Name of the preset that completes it; empty if none.
+        joints: Names of numbered joints, in their order; empty if not given.
+        names: Robot's joint name by the name in the file.
         topic: Beginning of the labels to read, such as a topic of a bag.
-        sources: ``time`` and channels that the labels' words do not decide.
+        sources: Sources of ``time`` and of channels.
         origin: File of the map, for messages.
     """
 
@@ -102,16 +98,16 @@ class Mapping:
     origin: str = "map"
 
     def source(self, channel: str) -> Source:
-        """The source of a channel; an empty one if the map does not mention it."""
+        """Source of a channel; an empty one if the map does not mention it."""
         return self.sources.get(channel, Source())
 
     def own(self, channel: str) -> bool:
-        """Whether the user, and not the preset, speaks of a channel."""
+        """Tell whether the user, and not only the preset, gives a channel."""
         preset = preset_of((), self.preset) if self.preset else Mapping()
         return self.source(channel) != preset.source(channel)
 
     def over(self, below: Mapping) -> Mapping:
-        """This map, completed from another."""
+        """Complete this map from another."""
         own = {k: x.over(below.source(k)) for k, x in self.sources.items()}
         return replace(
             self, preset=self.preset or below.preset,
@@ -123,14 +119,7 @@ Map = str | Path | MappingType[str, Any] | Mapping | None
 
 
 def read_mapping(given: Map) -> Mapping:
-    """The map of a YAML file, a dict, or the name of a preset.
-
-    Args:
-        given: Path, content, or a key of ``PRESETS``; None leaves all to the labels.
-
-    Raises:
-        RecordingError: The file cannot be read, or a key or value is none of a map.
-    """
+    """Read a map from a YAML file, a dict, or the name of a preset."""
     if given is None or isinstance(given, Mapping):
         return given or Mapping()
     if isinstance(given, MappingType):
@@ -149,7 +138,7 @@ def read_mapping(given: Map) -> Mapping:
 
 
 def preset_of(labels: tuple[str, ...], name: str = "") -> Mapping:
-    """The preset of a name, or the one that the labels show; an empty map if none."""
+    """Preset of a name, or the one that fits the labels; an empty map if none."""
     for key, (shown, content) in PRESETS.items():
         if key == name or (not name and shown and all(
             any(re.fullmatch(pattern, label) for label in labels) for pattern in shown
@@ -243,7 +232,7 @@ def _factor(value: Any, where: str) -> Factor:
         raise RecordingError(f"{where} is {value!r}; valid are numbers") from error
 
 
-# What labels must show for a preset to apply by itself, and what it then says.
+# Patterns of labels for which a preset applies by itself, and its content.
 PRESETS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "ur_rtde": (
         ("timestamp", r"actual_q_?\d", r"target_q_?\d"),

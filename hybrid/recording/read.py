@@ -1,4 +1,4 @@
-"""Files, folders and globs -> recordings."""
+"""Read recordings from files, folders, globs and tables in memory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording.formats import FOLDERS, READERS, STREAMED, kind_of
-from hybrid.recording.formats.frame import table_of_frame
+from hybrid.recording.formats.parquet import table_of_frame
 from hybrid.recording.formats.ros import read_ros
 from hybrid.recording.mapping import Map, read_mapping
 from hybrid.recording.recording import Recording
@@ -19,10 +19,11 @@ from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
 
 
 def read(path: str | Path, **options: Any) -> Recording:
-    """Read the one recording of a file or folder, as :func:`read_all` does.
+    """Read the only recording of a file or folder; options as in :func:`read_all`.
 
     Raises:
-        RecordingError: It is missing, of an unknown kind, not a valid log, or several.
+        RecordingError: The file is missing, of an unknown kind, not a valid log, or
+            holds several recordings.
     """
     logs = list(_logs(Path(path), options.pop("progress", None)))
     if len(logs) != 1:
@@ -47,20 +48,20 @@ def read_all(
 
     Args:
         paths: One or more of: a file; a folder, for all recordings in it; the folder of
-            a ROS 2 bag or of a LeRobot dataset; a glob. Folders and globs give their
-            files in alphabetical order.
-        joints: Joint names of the robot, base to tip: columns by name are put in this
-            order, columns by number get these names. None keeps the file's.
-        map: Which column is which channel: a YAML file, its content as a dict, or the
-            name of a preset. None leaves it to the labels and the file's format.
+            a ROS 2 bag or of a LeRobot dataset; a glob. Files of folders and globs are
+            read in alphabetical order.
+        joints: Joint names of the robot, base to tip. Named columns are put in this
+            order; numbered columns get these names. None keeps the file's names.
+        map: Map of columns to channels: a YAML file, its content as a dict, or the name
+            of a preset. By default labels and format decide.
         torque: Refuse a log without torques.
-        progress: Told now and then how far a large bag is read.
+        progress: Called with a message while a large bag is read.
 
     Raises:
         RecordingError: A path holds no recording, or one is not valid.
 
     Warns:
-        HybridWarning: Columns were set aside, or files of a folder that hold no joint.
+        HybridWarning: Columns were not used, or files without joints were left out.
     """
     found: dict[Path, bool] = {}
     for path in [paths] if isinstance(paths, (str, Path)) else paths:
@@ -96,20 +97,20 @@ def recording_from_table(
     map: Map = None,
     torque: bool = True,
 ) -> Recording:
-    """The recording of a pandas, polars or pyarrow table, or a dict of arrays.
+    """Turn a pandas, polars or pyarrow table, or a dict of arrays, into a recording.
 
     Args:
-        table: Table with named columns; labels, joints and units are told as in
-            files, an index of dates or of name ``time`` is a column.
+        table: Table with named columns, whose labels are those of files. An index of
+            dates, or one named ``time``, is a column, too.
         joints: Joint names of the robot, base to tip; None if not known.
-        map: As in :func:`read`.
+        map: As in :func:`read_all`.
         torque: Refuse a table without torques.
 
     Raises:
         RecordingError: It is no table, or no valid log.
 
     Warns:
-        HybridWarning: Columns were set aside.
+        HybridWarning: Columns were not used.
     """
     tables = (table_of_frame(table),)
     return recording_of(tables, joints=joints, map=map, torque=torque)
@@ -118,7 +119,7 @@ def recording_from_table(
 def _logs(
     path: Path, progress: Callable[[str], None] | None
 ) -> Iterable[tuple[LogTable, ...]]:
-    """The tables of each recording of a file or folder."""
+    """Tables of each recording of a file or folder."""
     kind = kind_of(path)
     if kind is None:
         what = "unknown kind of recording"
@@ -132,19 +133,11 @@ def _logs(
             f"{path}: {size:.3g} bytes; valid are {LARGEST_FILE:.3g} or less"
         )
     reader = (READERS | FOLDERS)[kind]
-    if reader is not read_ros or progress is None:
-        return reader(path)
-    tell = progress
-    return read_ros(
-        path,
-        tell=lambda done, total: tell(
-            f"reading {path.name}: {done:,} of {total:,} messages"
-        ),
-    )
+    return read_ros(path, progress) if reader is read_ros else reader(path)
 
 
 def _files(path: Path) -> list[tuple[Path, bool]]:
-    """Files of a path, each with whether it was asked for by itself."""
+    """Files of a path, and whether each is the only one."""
     if path.is_file() or kind_of(path) in FOLDERS:
         return [(path, True)]
     inside = sorted(path.iterdir()) if path.is_dir() else [
@@ -152,7 +145,7 @@ def _files(path: Path) -> list[tuple[Path, bool]]:
     found = [
         file
         for file in inside
-        # a name that starts with a dot is a file still being written
+        # a name that starts with a dot belongs to an unfinished file
         if kind_of(file) and file.name[0] != "." and file.exists()
     ]
     if not found:

@@ -1,4 +1,4 @@
-"""How a log was read: the channel of each column, and the unused columns."""
+"""Report of how a log was read: the channel of each column, and the unused columns."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Used:
-    """One column that was taken.
+    """One column that was read.
 
     Attributes:
-        index: Its place in the table, from 0; -1 for a rate in place of a clock.
-        label: Its label in the file.
+        index: Index of the column in its table; -1 for a rate in place of a clock.
+        label: Label in the file.
         channel: ``t``, or the field of the recording.
-        joint: Joint that it belongs to; empty for time.
-        unit: Unit in the file; the one of SI if none is stated.
+        joint: Joint of the column; empty for time.
+        unit: Unit in the file; that of SI if none is stated.
         stated: Whether the file, its format or the map states the unit.
-        factor: What its numbers were multiplied with.
-        offset: What was added after that.
+        factor: Factor from the file's numbers to SI.
+        offset: Offset that is added after that.
     """
 
     index: int
@@ -33,15 +33,15 @@ class Used:
 
 @dataclass(frozen=True)
 class Reading:
-    """How a recording was read.
+    """Report of how a recording was read.
 
     Attributes:
         kind: Name of the format.
-        name: Which recording of the file, such as an episode or a topic.
-        preset: Preset that applied; empty if none did.
-        columns: The columns taken, time first.
-        aside: Label and reason of each column that was not.
-        notes: What else was decided, one line each.
+        name: Name of the recording in the file, such as an episode or a topic.
+        preset: Preset that was used; empty if none was.
+        columns: Columns that were read, time first.
+        aside: Label of each column that was not read, and the reason.
+        notes: Further notes, one line each.
     """
 
     kind: str
@@ -53,19 +53,19 @@ class Reading:
 
     @property
     def time(self) -> Used:
-        """The column of time."""
+        """Column of time."""
         return self.columns[0]
 
     @property
     def channels(self) -> dict[str, tuple[Used, ...]]:
-        """The columns of each channel in the order of the joints."""
+        """Columns of each channel in the order of the joints."""
         found: dict[str, tuple[Used, ...]] = {}
         for u in self.columns[1:]:
             found[u.channel] = (*found.get(u.channel, ()), u)
         return found
 
     def as_dict(self) -> dict[str, Any]:
-        """The same in words and numbers of JSON."""
+        """Content for JSON."""
         return asdict(self) | {
             "aside": [{"label": label, "why": why} for label, why in self.aside]
         }

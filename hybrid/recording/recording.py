@@ -1,4 +1,4 @@
-"""One joint log on one clock."""
+"""The joint log of one recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CHANNELS = ("q", "tau", "v", "command", "temperature")
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a controller logged while the arm moved.
+    """Joint log of a controller, on one clock.
 
     Attributes:
         t: Time, strictly increasing, shape (N,), [s].
@@ -27,9 +27,8 @@ class Recording:
         command: Commanded joint position, shape (N, n), [rad], or None.
         temperature: Drive temperature, shape (N, n), [°C], or None.
         joints: Joint names in column order, length n; ``joint_1`` ... if not given.
-        source: Where it came from, for messages and provenance.
-        reading: How it was read: columns, units, what was set aside; None if it was
-            not read from a file or table.
+        source: File or folder, for messages.
+        reading: Report of how it was read; None if it is not from a file or table.
 
     Raises:
         RecordingError: Shapes disagree, a sample is not finite, or time does not
@@ -83,13 +82,13 @@ class Recording:
 
     @property
     def channels(self) -> dict[str, Array]:
-        """The joint channels that are present, by name, each of shape (N, n)."""
+        """Joint channels of the log by name, each of shape (N, n)."""
         present = {name: getattr(self, name) for name in CHANNELS}
         present["tau"] = self.tau if self.has_torque else None
         return {name: x for name, x in present.items() if x is not None}
 
     def __eq__(self, other: object) -> bool:
-        """Same joints, clock and samples; where it comes from does not count."""
+        """Tell whether joints, clock and samples are equal; the source may differ."""
         if not isinstance(other, Recording):
             return NotImplemented
         return (
@@ -104,7 +103,7 @@ class Recording:
     __hash__ = None  # type: ignore[assignment]
 
     def in_order(self, joints: tuple[str, ...]) -> Recording:
-        """The same log with its joints in another order; numbered ones get the names.
+        """Return the log with its joints in this order; numbered joints get the names.
 
         Raises:
             RecordingError: Joints are missing or unknown; both are listed.
@@ -124,7 +123,7 @@ class Recording:
         raise self._error(joint_mismatch(self.joints, joints))
 
     def place(self, channel: str, joint: int, row: int | None = None) -> str:
-        """Words for a column, and a row, as messages name them: counted from 1."""
+        """Name a column and a row for messages, which count both from 1."""
         where = f"{channel}{joint + 1} ({self.joints[joint]})"
         return where if row is None else f"{where}, {row_words(row)}"
 
@@ -185,12 +184,12 @@ def numbered_joints(size: int) -> tuple[str, ...]:
 
 
 def row_words(row: int) -> str:
-    """Words for a row index from 0, as messages count it."""
+    """Name a row, given by its index from 0, for messages."""
     return f"row {row + 1} (data rows count from 1)"
 
 
 def joint_mismatch(found: tuple[str, ...], joints: tuple[str, ...]) -> str:
-    """One line on which joints are missing, which are unknown, and which are valid."""
+    """Line for messages that lists missing, unknown and valid joints."""
     missing = [joint for joint in joints if joint not in found]
     unknown = [joint for joint in found if joint not in joints]
     parts = [f"missing joints: {', '.join(missing)}"] if missing else []

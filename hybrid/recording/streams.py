@@ -1,7 +1,7 @@
-"""Several streams of one log, each on its own clock -> one recording.
+"""Build one recording from several streams (topics), each with its own clock.
 
-The stream that has most of what is asked for, torques before all, is the recording; a
-command that it lacks comes from another stream, on the recording's clock.
+The stream with torques and the most channels becomes the recording. If it has no
+command, the command of another stream is interpolated to its clock.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid.errors import RecordingError
-from hybrid.recording.build import built
-from hybrid.recording.decide import Decider
+from hybrid.recording.assignment import Assignment
+from hybrid.recording.build import build_recording
 from hybrid.recording.mapping import Map, Mapping, read_mapping
 from hybrid.recording.reading import Reading
 from hybrid.recording.recording import Recording
@@ -27,22 +27,18 @@ def recording_of(
     map: Map = None,
     torque: bool = True,
 ) -> Recording:
-    """The recording of a log's streams; options as in :func:`read_all`.
-
-    Raises:
-        RecordingError: No stream has the joints, several have them alike, or the
-            samples are not a valid recording.
-    """
-    said = read_mapping(map)
-    tables = tuple(x for x in tables if x.name == said.topic) or tables
-    first = _best(tables, joints, said, torque) if len(tables) > 1 else tables[0]
-    reading = Decider(first, joints, said, torque).decide()
-    recording = built(first, reading, torque=torque)
+    """Build the recording of a log's streams; options as in :func:`read_all`."""
+    mapping = read_mapping(map)
+    tables = tuple(x for x in tables if x.name == mapping.topic) or tables
+    main = _best(tables, joints, mapping, torque) if len(tables) > 1 else tables[0]
+    reading = Assignment(main, joints, mapping, torque).reading()
+    recording = build_recording(main, reading, torque=torque)
     for table in tables if recording.command is None else ():
-        if table is not first:
-            other = Decider(table, recording.joints, replace(said, topic=""), False)
-            if commanded := other.command():
-                return _with_command(recording, first, table, commanded)
+        if table is not main:
+            all_topics = replace(mapping, topic="")
+            other = Assignment(table, recording.joints, all_topics, False)
+            if commanded := other.command_reading():
+                return _with_command(recording, main, table, commanded)
     return recording
 
 
@@ -52,12 +48,12 @@ def _best(
     mapping: Mapping,
     torque: bool,
 ) -> LogTable:
-    """The stream with most channels: torques before all, then joint states."""
+    """Choose a stream: first by torques, then by joint states, then by channels."""
     good: list[tuple[tuple[bool, bool, int], LogTable]] = []
     bad = list[RecordingError]()
     for table in tables:
         try:
-            reading = Decider(table, joints, mapping, torque).decide(quiet=True)
+            reading = Assignment(table, joints, mapping, torque).reading(quiet=True)
         except RecordingError as error:
             bad.append(error)
         else:
@@ -80,18 +76,17 @@ def _best(
 def _with_command(
     recording: Recording, main: LogTable, table: LogTable, commanded: Reading
 ) -> Recording:
-    """The recording with a command of another stream, interpolated to its clock.
+    """Add a command of another stream, interpolated to the clock of the recording.
 
-    A controller keeps to the last command; before the first, nothing is known, and the
-    arm is taken to stay at it.
+    The first command also holds before its time, and the last one after its time.
     """
     time, *used = commanded.columns
     wanted = tuple(u.index for u in commanded.columns)
     blocks = table.load(wanted)
     columns = {k: np.concatenate([block[k] for block in blocks]) for k in wanted}
-    first = main.load((0,))[0][0][0]
-    # Both clocks are nanoseconds of the same epoch.
-    at = seconds(columns[time.index] - first, "ns")[0] + recording.t[0]
+    start = main.load((0,))[0][0][0]
+    # Both clocks count nanoseconds of the same epoch.
+    at = seconds(columns[time.index] - start, "ns")[0] + recording.t[0]
     reading = recording.reading
     assert reading is not None
     if len(at) < 2 or at[-1] < recording.t[0] or at[0] > recording.t[-1]:

@@ -1,4 +1,4 @@
-"""What a reader of a format yields: named columns that are loaded when needed."""
+"""Table of named columns that the reader of a format returns; columns load later."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 
-LARGEST_FILE = 4 << 30  # bytes: an hour at 1 kHz of 50 joints is less
-MOST_COLUMNS = 20_000  # of a table: more are no log of an arm
+LARGEST_FILE = 4 << 30  # bytes; an hour at 1 kHz of 50 joints is less
+MOST_COLUMNS = 20_000  # of a table
 
 Load = Callable[[tuple[int, ...]], list[dict[int, NDArray[Any]]]]
 
@@ -22,20 +22,20 @@ class LogTable:
     """Named columns on one clock.
 
     Attributes:
-        source: File or folder that it comes from.
-        labels: Label of each column, as the file has it.
-        load: Gives the samples of columns by their indices, in blocks of rows, one
-            after the other: index -> shape (N,). A stream gives its blocks away, so
-            that a log is never held twice: the numbers can be had once.
-        units: Unit that the file states for each column apart from its label; empty
-            strings where it states none, or no strings at all.
-        joints: Joint names of the file, for columns that are only numbered.
+        source: File or folder.
+        labels: Label of each column in the file.
+        load: Loads the columns of the given indices, in successive blocks of rows:
+            index -> samples, shape (N,). A stream keeps no copy of its blocks, so that
+            they load only once.
+        units: Unit of each column that the file states apart from its label, or an
+            empty string; empty if it states none at all.
+        joints: Joint names of the file, for numbered columns.
         kind: Name of the format.
-        name: Which recording or topic of the source it is; empty if there is one.
-        preset: Name of the preset that the format itself stands for.
-        home: What warnings name instead of the source: the dataset of an episode, so
-            that a thousand episodes are warned of once.
-        note: What the reader decided, in one line; empty if nothing.
+        name: Name of the recording or topic in the source; empty if it has only one.
+        preset: Name of the preset of the format.
+        home: Name for warnings in place of the source. Episodes name their dataset, so
+            that a thousand of them cause one warning.
+        note: Note of the reader, in one line.
     """
 
     source: str
@@ -51,7 +51,7 @@ class LogTable:
 
     @property
     def place(self) -> str:
-        """Words for messages: the source, and which part of it."""
+        """Source, and the part of it, for messages."""
         return f"{self.source} ({self.name})" if self.name else self.source
 
     def unit(self, index: int) -> str:
@@ -60,13 +60,13 @@ class LogTable:
 
 
 @contextmanager
-def whole(source: object, kind: str) -> Iterator[None]:
-    """Turn whatever a library raises of a damaged file into one line."""
+def as_recording_error(source: object, kind: str) -> Iterator[None]:
+    """Turn any exception of a library that reads a damaged file into one line."""
     try:
         yield
     except RecordingError:
         raise
-    except Exception as error:  # a damaged file ends in any error of any library
+    except Exception as error:  # libraries raise any type for a damaged file
         reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise RecordingError(
             f"{source}: not a whole {kind} (truncated?): {reason}"
@@ -74,4 +74,4 @@ def whole(source: object, kind: str) -> Iterator[None]:
 
 
 class NoJointsError(RecordingError):
-    """A valid file without any joint channel; the message says what it has."""
+    """A valid file has no joint positions; the message says what it has."""

@@ -1,4 +1,4 @@
-"""Units that files state -> SI, by pint."""
+"""Convert units of files to SI, by pint."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _SPELLED = {
     "radians": "rad", "Ncm": "N*cm", "kNm": "kN*m",
 }  # fmt: skip
 _PLAIN = re.compile(r"[A-Za-zµμ°*/^ ·.²-]{1,16}(-1)?")
-EPOCH = 1e9  # s: times after 2001 that count from 1970
+EPOCH = 1e9  # s; later times count from 1970
 
 
 def converted(unit: str, channel: str) -> tuple[float, float] | None:
-    """Factor and offset from a unit to the channel's in SI; None if there are none."""
+    """Factor and offset from a unit to SI; None if it is no unit of the channel."""
     unit = unit.strip()
     unit = _SPELLED.get(unit, unit).replace("·", "*").replace("°", "deg")
     if unit in SI[channel]:
@@ -41,7 +41,7 @@ def converted(unit: str, channel: str) -> tuple[float, float] | None:
 
 
 def fits(unit: str, channel: str = "") -> bool:
-    """Whether text is a unit of a channel, or of any."""
+    """Tell whether a text is a unit of a channel; by default, of any channel."""
     channels = (channel,) if channel else tuple(SI)
     return any(converted(unit, name) is not None for name in channels)
 
@@ -62,21 +62,22 @@ def _by_pint(unit: str, channel: str) -> tuple[float, float] | None:
         parsed = registry.Unit(unit)
         root = registry.get_root_units(parsed)[1]
         for target in SI[channel]:
-            # Not by dimension: to pint, counts and radians have none.
+            # Root units, not dimensions: for pint, counts and radians have none.
             if root != registry.get_root_units(target)[1]:
                 continue
             zero, one = (registry.Quantity(x, parsed).to(target).m for x in (0.0, 1.0))
             return float(one - zero), float(zero)
-    except Exception:  # text that is no unit ends in any error of pint's parser
+    except Exception:  # pint's parser raises any type for a text that is no unit
         return None
     return None
 
 
 def seconds(x: NDArray[Any], unit: str) -> tuple[Array, str]:
-    """Time in seconds, and the unit that it was in.
+    """Convert a clock to seconds; return it with its original unit.
 
-    Times after 2001 that count from 1970 tell their unit by their size; other than
-    floating seconds they are counted from the first one, so that no digit is lost.
+    If the unit is not stated, it follows from the size of times that count from 1970.
+    Such times count from the first one afterwards, so that no digit is lost, unless
+    they are in seconds.
     """
     if x.dtype.kind == "M":
         x, unit = x.astype("datetime64[ns]").astype(np.int64), "ns"

@@ -1,4 +1,4 @@
-"""Recordings, and other columns of numbers, -> files."""
+"""Write recordings, and other columns of numbers, to files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 def write(recording: Recording, path: str | Path) -> None:
-    """Write one recording as :func:`write_columns` does; it reads back equal.
+    """Write one recording by :func:`write_columns`; it reads back equal.
 
     Raises:
         RecordingError: The suffix is unknown or the file cannot be written.
@@ -27,7 +27,7 @@ def write(recording: Recording, path: str | Path) -> None:
     for channel, x in recording.channels.items():
         for k, joint in enumerate(recording.joints):
             columns[f"{channel}{k + 1}" if numbered else f"{channel}_{joint}"] = x[:, k]
-    if Path(path).suffix.lower() == ".npz":  # whole arrays, and the names beside them
+    if Path(path).suffix.lower() == ".npz":
         columns = {"t": recording.t, "joints": np.array(recording.joints)}
         columns |= recording.channels
     try:
@@ -39,12 +39,12 @@ def write(recording: Recording, path: str | Path) -> None:
 
 
 def write_columns(path: str | Path, columns: Columns) -> None:
-    """Write columns; the suffix, ``.csv``, ``.parquet`` or ``.npz``, says how.
+    """Write columns to a ``.csv``, ``.parquet`` or ``.npz`` file.
 
-    The file appears whole or not at all, and every number reads back to the last bit.
+    The file is written whole or not at all, and every number reads back exactly.
 
     Args:
-        path: Where the file shall be.
+        path: Path of the file.
         columns: Samples by label, each of shape (N,).
 
     Raises:
@@ -57,7 +57,7 @@ def write_columns(path: str | Path, columns: Columns) -> None:
 
 
 def writer_of(path: Path) -> Callable[[Columns, Path], None]:
-    """The function that writes files of this suffix, or a RecordingError."""
+    """Function that writes files of this suffix."""
     if path.suffix.lower() not in WRITERS:
         raise RecordingError(
             f"{path}: unknown kind of file; valid are {', '.join(WRITERS)}"

@@ -1,4 +1,4 @@
-"""What actuators of MuJoCo's model do at the joints of an arm."""
+"""Read the actuators of a MuJoCo model: drives, servos, ripple and friction."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ from typing import Any
 
 import numpy as np
 
-_BALL = 1  # mjtJoint of joints that have no single axis, up to here
+_BALL = 1  # mjtJoint; joints of higher types have one axis
 
 
 def drives_of(model: Any) -> Iterator[tuple[int, int, float]]:
-    """Number, joint and gear of each actuator that works on a joint."""
+    """Number, joint and gear of each actuator with a control input, at a joint."""
     return (x for x in _on_joints(model) if model.actuator_ctrlnum[x[0]])
 
 
 def passive_motors(model: Any) -> Iterator[tuple[int, int, float]]:
-    """The same of each motor that nothing commands: cogging and friction (LuGre)."""
+    """Number, joint and gear of each motor without control input.
+
+    Such motors model cogging and friction (LuGre).
+    """
     return (x for x in _on_joints(model) if not model.actuator_ctrlnum[x[0]])
 
 
@@ -31,7 +34,7 @@ def _on_joints(model: Any) -> Iterator[tuple[int, int, float]]:
 
 
 def ripples(model: Any, index: list[int]) -> np.ndarray:
-    """Ripples of the joints, shape (R, 4); see :class:`~hybrid.robot.robot.Robot`."""
+    """Ripples, shape (R, 4), as in :class:`~hybrid.robot.robot.Robot`."""
     found = []
     for a, joint, gear in passive_motors(model):
         size, k, phase = model.actuator_biasprm[a, :3]
@@ -42,24 +45,24 @@ def ripples(model: Any, index: list[int]) -> np.ndarray:
 
 
 def bristles(model: Any, index: list[int]) -> np.ndarray:
-    """Friction of passive motors at the joints as they slide (LuGre), shape (B, 4).
+    """LuGre friction of passive motors, shape (B, 4).
 
     Returns:
-        Joint, level [N·m], what is above it at rest [N·m], and the speed that takes
-        this off [rad/s].
+        Joint, sliding friction [N·m], static less sliding friction [N·m], and Stribeck
+        speed [rad/s].
     """
     found = []
     for a, joint, gear in passive_motors(model):
         level, static, speed = model.actuator_biasprm[a, 3:6]
         if joint in index and model.actuator_dynprm[a, 5] > 0:
-            pull = abs(gear)
-            above = pull * (static - level)
-            found.append((index.index(joint), pull * level, above, speed / pull))
+            ratio = abs(gear)
+            above = ratio * (static - level)
+            found.append((index.index(joint), ratio * level, above, speed / ratio))
     return np.array(found).reshape(-1, 4)
 
 
 def with_drives(model: Any, name: str, drives: list[Any]) -> np.ndarray:
-    """Armature or damping of each dof, with that of actuators behind their gears."""
+    """Armature or damping of each dof, including that of actuators through gears."""
     values = getattr(model, f"dof_{name}").copy()
     for a, joint, gear in drives:
         own = getattr(model, f"actuator_{name}")[a]
@@ -68,7 +71,7 @@ def with_drives(model: Any, name: str, drives: list[Any]) -> np.ndarray:
 
 
 def torque_limit(model: Any, drives: list[Any]) -> np.ndarray:
-    """The tightest of joint, actuator and control ranges, at each joint."""
+    """Smallest torque limit at each joint: of joint, actuator and control range."""
     import mujoco
 
     limit = np.full(model.njnt, np.inf)
@@ -79,7 +82,7 @@ def torque_limit(model: Any, drives: list[Any]) -> np.ndarray:
             model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
             and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
         )
-        if plain and model.actuator_ctrllimited[a]:  # a motor: force is gain times ctrl
+        if plain and model.actuator_ctrllimited[a]:  # force is gain times control
             force = np.abs(model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a])
             limit[joint] = min(limit[joint], abs(gear) * force.max())
         if model.actuator_forcelimited[a]:
@@ -90,10 +93,10 @@ def torque_limit(model: Any, drives: list[Any]) -> np.ndarray:
 
 
 def servo_gains(model: Any, drives: list[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness and damping of position servos at the joint; NaN without one.
+    """Stiffness and damping of the position servo at each joint; NaN without one.
 
-    A servo pulls back by as much as its control pulls: ``position`` by position,
-    ``velocity`` by speed. Both at one joint, as PD control is often put, add up.
+    A servo's gain equals its feedback of position (``position``) or speed
+    (``velocity``). The gains of both kinds at one joint, a PD controller, are added.
     """
     import mujoco
 
@@ -114,5 +117,5 @@ def servo_gains(model: Any, drives: list[Any]) -> tuple[np.ndarray, np.ndarray]:
         if position or velocity:
             kp[joint] -= gear**2 * stiffness
             kd[joint] -= gear**2 * damping
-    there = kp > 0
-    return np.where(there, kp, np.nan), np.where(there, kd, np.nan)
+    has_servo = kp > 0
+    return np.where(has_servo, kp, np.nan), np.where(has_servo, kd, np.nan)

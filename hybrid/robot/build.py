@@ -1,4 +1,4 @@
-"""Chain -> pinocchio model and MuJoCo spec."""
+"""Build a pinocchio model and a MuJoCo spec from a chain."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from hybrid.robot.robot import Robot
 
-# MuJoCo asks for positive mass and inertia; far below anything that matters.
+# MuJoCo needs positive mass and inertia; these are negligible.
 _SMALLEST_MASS, _SMALLEST_INERTIA = 1e-9, 1e-12
 
 
@@ -78,14 +78,10 @@ def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
 
 
 def spec_text(spec: mujoco.MjSpec) -> str:
-    """A spec as MJCF that reads back to the last bit; MuJoCo's own has six digits.
-
-    Raises:
-        RobotError: This version of MuJoCo has no way to say how many digits it writes.
-    """
+    """Write a spec as MJCF with all digits; MuJoCo itself writes six."""
     from mujoco import _structs
 
-    # Part of MuJoCo's library for its own tests, and the only way there is.
+    # A function of MuJoCo for its own tests; there is no public one.
     library = ctypes.CDLL(_structs.__file__)
     try:
         digits = library._mjPRIVATE__get_xml_precision()
@@ -101,10 +97,10 @@ def spec_text(spec: mujoco.MjSpec) -> str:
 def simulable(
     mass: float, center: np.ndarray, inertia: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass, centre and inertia about it as MuJoCo takes them: both above zero."""
+    """Adapt mass and central inertia to MuJoCo, which needs both above zero."""
     _, _, c = moments = np.linalg.eigvalsh(inertia)
     excess = 2 * c - moments.sum()
-    if 0 < excess <= ROUNDED * c:  # by rounding no body: MuJoCo minds
+    if 0 < excess <= ROUNDED * c:  # rounding violates the triangle inequality
         inertia = inertia + 2 * excess * np.eye(3)
     lifted = np.where(np.eye(3), np.maximum(inertia, _SMALLEST_INERTIA), inertia)
     return max(mass, _SMALLEST_MASS), center, lifted

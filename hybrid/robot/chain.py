@@ -1,4 +1,4 @@
-"""The kinematic chain as constant arrays: all that batched dynamics needs."""
+"""The kinematic chain as constant arrays, for batched dynamics."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from hybrid.names import name_fault
 INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 INERTIAL_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 MOST_JOINTS = 128
-_ROUNDING = 1e-6  # of a rotation or a unit axis; files write six digits
-_MOST_GRAVITY = 1e3  # m/s²; a hundred times the earth's
+_ROUNDING = 1e-6  # of a rotation or a unit axis; files have six digits
+_MOST_GRAVITY = 1e3  # m/s²; a hundred times that of the earth
 
 
 @dataclass(frozen=True)
 class Chain:
-    """A serial chain of one-axis joints; link k hangs on joint k.
+    """A serial chain of joints with one axis each; joint k moves link k.
 
     Frames sit on the joint axes. The pose of link k in link k−1 is
     ``translation[k]``, ``rotation[k] · R(axis[k], q[k])`` for a revolute joint, and
@@ -38,8 +38,8 @@ class Chain:
         armature: Declared reflected rotor inertia, shape (n,), [kg·m²].
 
     Raises:
-        RobotError: There is no joint, there are too many, two have one name or one has
-            none, or an array has another shape or holds what it cannot mean.
+        RobotError: There is no joint, there are too many joints, a name is not valid or
+            not unique, or an array has a wrong shape or wrong values.
     """
 
     joints: tuple[str, ...]
@@ -73,9 +73,9 @@ class Chain:
                     f"{name} has shape {x.shape}; valid are finite numbers of shape "
                     f"{shape}"
                 )
-        self._check_meaning()
+        self._check_values()
 
-    def _check_meaning(self) -> None:
+    def _check_values(self) -> None:
         gram = self.rotation @ self.rotation.transpose(0, 2, 1) - np.eye(3)
         turned = np.linalg.det(self.rotation)
         length = np.linalg.norm(self.axis, axis=1)

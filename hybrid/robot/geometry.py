@@ -1,4 +1,4 @@
-"""Capsules that cover the collision geometry of the links."""
+"""Cover the collision geometry of the links by capsules."""
 
 from __future__ import annotations
 
@@ -15,30 +15,29 @@ from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.extras import check_extra
 from hybrid.names import printable
-from hybrid.robot.compiled import compiled
 from hybrid.robot.mjcf import matrix, mujoco_tree
-from hybrid.robot.tree import Tree
+from hybrid.robot.mujoco_model import compile_file
 from hybrid.robot.urdf import number, numbers, origin, urdf_root, urdf_tree
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
 
-_PIECES = 2  # capsules of a mesh: many links are bent
-_LONGEST_EDGE = 0.03  # m; longer ones are cut, so that pieces follow the surface
-_CIRCLE = 16  # points of a rim
-_FARTHEST = 1e3  # m; beyond, a number is wrong
+_PIECES = 2  # capsules of a mesh, because many links are bent
+_LONGEST_EDGE = 0.03  # m; longer edges are cut, so that pieces follow the surface
+_CIRCLE = 16  # points of a circle
+_FARTHEST = 1e3  # m; larger coordinates are wrong
 _MOST_TRIANGLES = 200_000
 
 
 @dataclass(frozen=True, eq=False)
 class Capsules:
-    """Segments with a radius, each fixed to a link; together they cover the arm.
+    """Capsules that are fixed to links and together cover the arm.
 
     Attributes:
-        link: Link of each, −1 for the base, shape (C,).
-        ends: End points in the link's frame, shape (C, 2, 3), [m].
-        radius: Radii, shape (C,), [m].
-        names: Name of the geometry that each covers, length C.
+        link: Link of each capsule, −1 for the base, shape (C,).
+        ends: End points of its axis in the link's frame, shape (C, 2, 3), [m].
+        radius: Radius, shape (C,), [m].
+        names: Name of the geometry that it covers, length C.
     """
 
     link: np.ndarray
@@ -48,13 +47,13 @@ class Capsules:
 
 
 def capsules_from_robot(robot: Robot) -> Capsules:
-    """Capsules around every collision geometry of the robot's file.
+    """Cover every collision geometry of the robot's file by capsules.
 
-    Every point of the geometry lies inside, so that links whose capsules keep apart
-    keep apart.
+    Every point of the geometry lies inside a capsule. Links therefore do not touch if
+    their capsules do not.
 
     Raises:
-        RobotError: The file is gone, cannot be read, or holds no geometry of the arm.
+        RobotError: The file is missing, not readable, or has no geometry of the arm.
     """
     path = Path(robot.path)
     if not path.is_file() or path.suffix.lower() == ".xacro":
@@ -62,23 +61,28 @@ def capsules_from_robot(robot: Robot) -> Capsules:
             f"{robot.name}: collision checks need the robot's URDF or MJCF file; "
             f"{path.name or 'none'} is not there, or no such file"
         )
-    tree, pieces = (_from_urdf if path.suffix.lower() == ".urdf" else _from_mjcf)(path)
+    if path.suffix.lower() == ".urdf":
+        root = urdf_root(path.read_bytes())
+        tree, pieces = urdf_tree(root, path), _urdf_pieces(root, path)
+    else:
+        model = compile_file(path)
+        tree, pieces = mujoco_tree(model, path), _mjcf_pieces(model)
     if not set(robot.joints) <= set(tree.parents):
         raise RobotError(f"{path.name} has not all joints of {robot.name}")
     places, _ = tree.places(robot.joints, robot.held)
     where = {n.body: place for n, place in zip(tree.nodes, places, strict=True)}
     link, ends, radius, names = [], [], [], []
-    for body, points, grown, name in pieces:
+    for body, points, extra, name in pieces:
         k, R, p = where[body]
-        if not np.abs(points).max(initial=grown) < _FARTHEST:
+        if not np.abs(points).max(initial=extra) < _FARTHEST:
             raise RobotError(
                 f"{path.name}: {printable(name)!r} reaches {_FARTHEST:g} m or more"
             )
-        for segment, r in _covering(points @ R.T + p, grown):
-            link.append(k)
-            ends.append(segment)
-            radius.append(r)
-            names.append(name)
+        segment, r = _covering(points @ R.T + p)
+        link.append(k)
+        ends.append(segment)
+        radius.append(r + extra)
+        names.append(name)
     if not any(k >= 0 for k in link):
         raise RobotError(f"{path.name} holds no collision geometry of the arm")
     return Capsules(np.array(link), np.array(ends), np.array(radius), tuple(names))
@@ -86,12 +90,8 @@ def capsules_from_robot(robot: Robot) -> Capsules:
 
 _STL_HEAD = 84  # bytes before the first triangle of a binary STL file
 _STL_TRIANGLE = np.dtype([("normal", "<3f4"), ("corners", "<9f4"), ("color", "<u2")])
-Piece = tuple[Any, Array, float, str]  # body, points in its frame, growth, name
-
-
-def _from_urdf(path: Path) -> tuple[Tree, Iterator[Piece]]:
-    root = urdf_root(path.read_bytes())
-    return urdf_tree(root, path), _urdf_pieces(root, path)
+# Body, points in its frame, radius of the ball around each point, name of the geometry.
+Piece = tuple[Any, Array, float, str]
 
 
 def _urdf_pieces(root: Element, path: Path) -> Iterator[Piece]:
@@ -100,12 +100,12 @@ def _urdf_pieces(root: Element, path: Path) -> Iterator[Piece]:
         for k, collision in enumerate(link.iterfind("collision")):
             R, p = origin(collision)
             for shape in collision.iterfind("geometry"):
-                for points, grown in _urdf_points(shape, path):
-                    yield body, points @ R.T + p, grown, f"{body}_{k}"
+                for points, extra in _urdf_points(shape, path):
+                    yield body, points @ R.T + p, extra, f"{body}_{k}"
 
 
 def _urdf_points(shape: Element, path: Path) -> Iterator[tuple[Array, float]]:
-    """Points of a shape, and how far it reaches around each."""
+    """Points of a shape, and the radius of the ball around each."""
     tag = shape[0].tag if len(shape) else ""
     radius, length = (number(shape, tag, x, 0.0) for x in ("radius", "length"))
     if tag == "sphere":
@@ -123,10 +123,7 @@ def _urdf_points(shape: Element, path: Path) -> Iterator[tuple[Array, float]]:
 
 
 def _mesh_file(name: str, path: Path) -> Path:
-    """A mesh of a URDF file, by its name there.
-
-    Meshes are named from the root of a package, which may lie anywhere above.
-    """
+    """Find a mesh of a URDF file; its name starts at a folder above the file."""
     inner = re.sub("^(package|file|model)://", "", name).lstrip("/")
     for folder in path.resolve().parents:
         if inner and (folder / inner).is_file():
@@ -137,7 +134,7 @@ def _mesh_file(name: str, path: Path) -> Path:
 
 
 def _mesh(file: Path) -> tuple[Array, np.ndarray]:
-    """A mesh's points, shape (P, 3), [m], and its triangles' corners, shape (T, 3)."""
+    """Points of a mesh, shape (P, 3), [m], and corners of triangles, shape (T, 3)."""
     content = file.read_bytes()
     count = (len(content) - _STL_HEAD) // _STL_TRIANGLE.itemsize
     if count > 0 and content[_STL_HEAD - 4 : _STL_HEAD] == count.to_bytes(4, "little"):
@@ -154,11 +151,6 @@ def _mesh(file: Path) -> tuple[Array, np.ndarray]:
         raise RobotError(f"{file}: not a readable mesh ({reason})") from error
     triangles = (mesh.tri_indices(k) for k in range(mesh.num_tris))
     return mesh.vertices(), np.array([[x[0], x[1], x[2]] for x in triangles], dtype=int)
-
-
-def _from_mjcf(path: Path) -> tuple[Tree, Iterator[Piece]]:
-    model: Any = compiled(path)
-    return mujoco_tree(model, path), _mjcf_pieces(model)
 
 
 def _mjcf_pieces(model: Any) -> Iterator[Piece]:
@@ -186,9 +178,9 @@ def _mjcf_pieces(model: Any) -> Iterator[Piece]:
         else:  # a box, or an ellipsoid in its box
             clouds = [(_box(size), 0.0)]
         R, body = matrix(model.geom_quat[g]), int(model.geom_bodyid[g])
-        for points, grown in clouds:
+        for points, extra in clouds:
             name = model.geom(g).name or f"geom_{g}"
-            yield body, points @ R.T + model.geom_pos[g], grown, name
+            yield body, points @ R.T + model.geom_pos[g], extra, name
 
 
 def _segment(half: float) -> Array:
@@ -208,7 +200,7 @@ def _box(half: Array) -> Array:
 
 
 def _pieces(points: Array, triangles: np.ndarray) -> Iterator[Array]:
-    """Points of a mesh in a few groups; each triangle lies in one of them."""
+    """Split the points of a mesh into groups; each triangle lies in one group."""
     from scipy.cluster.vq import kmeans2
 
     if len(triangles) == 0:
@@ -229,7 +221,7 @@ def _pieces(points: Array, triangles: np.ndarray) -> Iterator[Array]:
 
 
 def _halved(corners: Array, edges: Array, chosen: np.ndarray) -> Array:
-    """The chosen triangles, cut in two at the middle of their longest edge."""
+    """Cut the chosen triangles in two at the middle of their longest edge."""
     part, k = corners[chosen], edges[chosen].argmax(axis=1)
     at = np.arange(len(part))
     first, second, apex = part[at, k - 1], part[at, k], part[at, (k + 1) % 3]
@@ -239,28 +231,26 @@ def _halved(corners: Array, edges: Array, chosen: np.ndarray) -> Array:
     )
 
 
-def _covering(points: Array, grown: float) -> Iterator[tuple[Array, float]]:
-    """A thin capsule around points that are balls of radius ``grown``."""
+def _covering(points: Array) -> tuple[Array, float]:
+    """End points and radius of a small capsule around points."""
     if len(points) <= 2:
-        yield np.array([points[0], points[-1]]), grown
-        return
+        return np.array([points[0], points[-1]]), 0.0
+
+    def volume(capsule: tuple[Array, float]) -> float:
+        (start, end), radius = capsule
+        length = float(np.linalg.norm(end - start))
+        return float(np.pi * radius**2 * (length + 4 * radius / 3))
+
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
-    best: tuple[float, Array, float] | None = None
-    for axis in axes:
-        segment, radius = _capsule_along(points, axis)
-        length = float(np.linalg.norm(segment[1] - segment[0]))
-        volume = np.pi * radius**2 * (length + 4 * radius / 3)
-        if best is None or volume < best[0]:
-            best = (volume, segment, radius)
-    assert best is not None
-    yield best[1], best[2] + grown
+    return min((_capsule_along(points, axis) for axis in axes), key=volume)
 
 
 def _capsule_along(points: Array, axis: Array) -> tuple[Array, float]:
+    """End points and radius of a capsule around points, along an axis."""
     along = points @ axis
     across = points - np.outer(along, axis)
     center = (across.max(axis=0) + across.min(axis=0)) / 2
-    for k in range(200):  # towards the center of the smallest circle around them
+    for k in range(200):  # converges to the center of the smallest enclosing circle
         away = across - center
         far = np.einsum("ij,ij->i", away, away).argmax()
         center = center + away[far] / (k + 2)

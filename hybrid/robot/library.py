@@ -1,4 +1,4 @@
-"""Robots by name: files that this package or others have put on this computer."""
+"""Find robot files by name, in this package and other installed packages."""
 
 from __future__ import annotations
 
@@ -17,16 +17,15 @@ _EXAMPLES, _DESCRIPTIONS = "example-robot-data", "robot_descriptions"
 
 
 def robot_file(source: str | Path, home: Path | None = None) -> Path:
-    """The file of a robot that is given by its path or by a name.
+    """Find the file of a robot by its path or its name.
 
-    Names are those of the files of ``example-robot-data`` (``ur5``, ``panda``), and
-    after them those of ``robot_descriptions`` (``ur5e``, ``ur5e_mj_description``), of
-    which only what its cache holds is used. Last come the arms of this package
-    (``coman_like``, and ``ur10`` without the shapes of its links).
+    Names are searched first in ``example-robot-data`` (``ur5``, ``panda``), then in
+    the cache of ``robot_descriptions`` (``ur5e``, ``ur5e_mj_description``), and last in
+    this package (``coman_like``, and ``ur10`` without shapes of its links).
 
     Args:
-        source: A path; or a name, which has no folder.
-        home: Folder that a path starts from.
+        source: A path, or a name without a folder.
+        home: Folder of a relative path.
 
     Raises:
         RobotError: No robot has the name, or it is not on this computer.
@@ -53,7 +52,7 @@ def robot_file(source: str | Path, home: Path | None = None) -> Path:
 
 
 def _examples() -> Mapping[str, Path]:
-    """Files of the package ``example-robot-data``; the folder tells namesakes apart."""
+    """Files of ``example-robot-data`` by name, or by folder if names are not unique."""
     try:
         listed = files(_EXAMPLES) or ()
     except PackageNotFoundError:
@@ -68,7 +67,7 @@ def _examples() -> Mapping[str, Path]:
 
 
 def _described() -> Mapping[str, str]:
-    """Names that ``robot_descriptions`` knows, and the repository of each."""
+    """Repository of each robot in ``robot_descriptions``, by name."""
     if find_spec(_DESCRIPTIONS) is None:
         return {}
     known = import_module(f"{_DESCRIPTIONS}._descriptions").DESCRIPTIONS
@@ -76,14 +75,14 @@ def _described() -> Mapping[str, str]:
 
 
 def _cached(name: str, repository: str) -> Path:
-    """File of a description whose repository was fetched before.
+    """File of a description whose repository is in the cache.
 
-    The module of a description fetches its repository unless the cache has it.
+    The module of a description would download its repository otherwise.
     """
     known = import_module(f"{_DESCRIPTIONS}._repositories").REPOSITORIES[repository]
     cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")
     folder = Path(cache).expanduser() / known.cache_path
-    if not _has(folder, known.commit):
+    if not _has_commit(folder, known.commit):
         raise RobotError(
             f"{name}: not in the cache of {_DESCRIPTIONS}; run `python -m "
             f"{_DESCRIPTIONS} pull {name}` once"
@@ -92,19 +91,19 @@ def _cached(name: str, repository: str) -> Path:
     for kind in ("MJCF_PATH", "URDF_PATH"):
         if hasattr(module, kind):
             return Path(getattr(module, kind))
-    try:  # of a xacro file and what it is to be given, such as ur_type
+    try:  # a xacro file with its arguments, such as ur_type
         return Path(import_module(f"{_DESCRIPTIONS}._xacro").get_urdf_path(module))
     except ModuleNotFoundError as error:
         raise RobotError(
             f"{name}: a xacro file; install xacrodoc to expand it: pip install xacrodoc"
         ) from error
-    except Exception as error:  # a template ends in any error of xacro
+    except Exception as error:  # xacro raises any type for a template
         reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise RobotError(f"{name}: xacro cannot expand it ({reason})") from error
 
 
-def _has(folder: Path, commit: str) -> bool:
-    """Whether a folder is a repository that knows a commit."""
+def _has_commit(folder: Path, commit: str) -> bool:
+    """Tell whether a folder is a Git repository with a commit."""
     import git
 
     try:

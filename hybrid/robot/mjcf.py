@@ -1,7 +1,7 @@
-"""MuJoCo's model of a file -> chain and declared properties.
+"""Read chain and declared properties of an arm from a MuJoCo model.
 
-Compiling with MuJoCo, rather than parsing the XML a second way, keeps defaults,
-includes, angle units and geometry-derived inertias exactly as MuJoCo sees them.
+MuJoCo itself compiles the file, so that defaults, includes, angle units and inertias
+from geometry are exactly those of MuJoCo.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hybrid.robot.actuators import (
 from hybrid.robot.spatial import rotation_from_axis_angle
 from hybrid.robot.tree import Node, Tree, serial_joints
 
-_FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint; mujoco is imported only when used
+_FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint; mujoco is imported in functions
 _KINDS = {_FREE: "is free", _BALL: "is a ball"}
 
 
@@ -34,22 +34,12 @@ def fields_of_mujoco(
     where: str,
     joints: tuple[str, ...] | None,
     held: Mapping[str, float],
-    wanting: Mapping[int, str],
+    missing_inertia: Mapping[int, str],
 ) -> dict[str, Any]:
-    """Fields of a :class:`~hybrid.robot.robot.Robot` read from MuJoCo's model.
+    """Read the fields of a :class:`~hybrid.robot.robot.Robot` from a MuJoCo model.
 
-    Velocity and acceleration limits, which MJCF has no place for, are read from the
-    custom numerics ``velocity_limit`` and ``acceleration_limit`` (one value a joint).
-
-    Args:
-        model: MuJoCo's model.
-        where: The file or object, for messages.
-        joints: Joints to keep, or None for the arm that the tree holds.
-        held: Positions of other joints, [rad or m].
-        wanting: The missing file that each body's inertia would come from.
-
-    Raises:
-        RobotError: There is no serial arm, or the inertia of a link is missing.
+    MJCF has no velocity and acceleration limits. They are read from the custom numerics
+    ``velocity_limit`` and ``acceleration_limit``, with one value per joint.
     """
     names, tree = joint_names(model), mujoco_tree(model, where)
     keep = serial_joints(tree, joints, held)
@@ -61,7 +51,7 @@ def fields_of_mujoco(
     places, _ = tree.places(keep, held)
     bodies = [n.body for n, p in zip(tree.nodes, places, strict=True) if p.link >= 0]
     moved = [body for body in bodies if body is not None]
-    _check_inertias(model, moved, wanting)
+    _check_inertias(model, moved, missing_inertia)
     gravity = _gravity(model, index, moved)
     armature = with_drives(model, "armature", drives)[model.jnt_dofadr[index]]
     falling = bristles(model, index)[:, [0, 2, 3]]
@@ -83,12 +73,12 @@ def fields_of_mujoco(
 
 
 def joint_names(model: Any) -> list[str]:
-    """Names of the joints; those without one are numbered."""
+    """Names of the joints; a joint without a name gets its number."""
     return [model.joint(j).name or f"joint_{j + 1}" for j in range(model.njnt)]
 
 
 def start(model: Any, held: Mapping[str, float]) -> np.ndarray:
-    """Position of the whole model with some joints held elsewhere, shape (nq,)."""
+    """Initial position of the model with some joints held elsewhere, shape (nq,)."""
     q, names = model.qpos0.copy(), joint_names(model)
     for name, position in held.items():
         q[model.jnt_qposadr[names.index(name)]] = position
@@ -100,21 +90,21 @@ def _passive(model: Any, index: list[int], drives: list[Any]) -> dict[str, Any]:
     dofs = model.jnt_dofadr[index]
     damping = with_drives(model, "damping", drives)
     damper, spring, dry = (
-        _on(model, name) for name in ("DAMPER", "SPRING", "FRICTIONLOSS")
+        _enabled(model, name) for name in ("DAMPER", "SPRING", "FRICTIONLOSS")
     )
     quadratic, cubic = damper * model.dof_dampingpoly[dofs].T
     level, slope = dry * model.dof_frictionloss[dofs], knee_slope(model)[dofs]
     soft = (level > 0) & np.isfinite(slope)
-    beside = np.zeros(model.nv)
-    for t, dof, pull in single_tendons(model):
-        beside[dof] += dry * pull * model.tendon_frictionloss[t]
+    other = np.zeros(model.nv)  # dry friction of tendons and passive motors
+    for t, dof, ratio in single_tendons(model):
+        other[dof] += dry * ratio * model.tendon_frictionloss[t]
     for j, sliding, _, _ in bristles(model, index):
-        beside[dofs[int(j)]] += sliding
+        other[dofs[int(j)]] += sliding
     return {
         "damping": damper * damping[dofs],
         "quadratic": quadratic,
         "cubic": cubic,
-        "frictionloss": np.where(soft, 0.0, level) + beside[dofs],
+        "frictionloss": np.where(soft, 0.0, level) + other[dofs],
         "knee": np.where(soft, level, 0.0),
         "knee_speed": np.where(soft, level / slope, 0.0),
         "stiffness": spring * model.jnt_stiffness[index],
@@ -123,19 +113,19 @@ def _passive(model: Any, index: list[int], drives: list[Any]) -> dict[str, Any]:
 
 
 def knee_slope(model: Any) -> np.ndarray:
-    """Friction of each dof per speed up to its level, [N·m·s/rad]; inf if it is dry.
+    """Slope of each dof's friction below its level, [N·m·s/rad]; inf if it is dry.
 
-    MuJoCo softens all dry friction by numbers that say how nearly a constraint holds.
-    A ``solreffriction`` of stiffness 0 and a damping is meant: it is this slope.
+    MuJoCo softens all dry friction. The slope is finite only if ``solreffriction`` has
+    stiffness 0 and a damping, which the writer of this package uses for it.
     """
     stiffness, damping = model.dof_solref.T
-    loose = (1.0 - model.dof_solimp[:, 0]) * model.dof_invweight0
-    said = (stiffness <= 0) & (damping < 0) & (loose > 0)
-    return np.where(said, -damping / np.where(said, loose, 1.0), np.inf)
+    softness = (1.0 - model.dof_solimp[:, 0]) * model.dof_invweight0
+    has_slope = (stiffness <= 0) & (damping < 0) & (softness > 0)
+    return np.where(has_slope, -damping / np.where(has_slope, softness, 1.0), np.inf)
 
 
 def single_tendons(model: Any) -> Iterator[tuple[int, int, float]]:
-    """Number, dof and torque per force of each tendon that is on one joint only."""
+    """Number, dof and torque per force of each tendon on a single joint."""
     import mujoco
 
     for t in np.flatnonzero(model.tendon_num == 1).tolist():
@@ -145,8 +135,8 @@ def single_tendons(model: Any) -> Iterator[tuple[int, int, float]]:
             yield t, dof, abs(float(model.wrap_prm[at]))
 
 
-def _on(model: Any, flag: str) -> float:
-    """One, or zero where the file's option switches a kind of force off."""
+def _enabled(model: Any, flag: str) -> float:
+    """One, or zero if an option of the file disables a kind of force."""
     import mujoco
 
     off = int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}"))
@@ -154,14 +144,9 @@ def _on(model: Any, flag: str) -> float:
 
 
 def mujoco_tree(model: Any, where: str | Path) -> Tree:
-    """Bodies of MuJoCo's model, each behind its joints, whose frames are at anchors.
-
-    Args:
-        model: MuJoCo's model.
-        where: The file or object, for messages.
-    """
+    """Tree of the bodies of a MuJoCo model, each after its joints."""
     names, nodes = joint_names(model), [Node(-1, body=0, name="world")]
-    last = {0: 0}  # number of each body's frame
+    last = {0: 0}  # frame of each body
     for body in range(1, model.nbody):
         parent = last[int(model.body_parentid[body])]
         R, p = matrix(model.body_quat[body]), model.body_pos[body]
@@ -191,13 +176,16 @@ def mujoco_tree(model: Any, where: str | Path) -> Tree:
 def joint_frame(
     model: Any, joint: int, R: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frame of a hinge or slide at zero, and where it is in the body, by the body's.
+    """Frame of a hinge or slide at position zero.
 
     Args:
         model: MuJoCo's model.
         joint: The joint.
-        R: Turn of the body where the file has the joint, shape (3, 3).
-        p: Place of the body there, shape (3,), [m].
+        R: Rotation of the body at the joint's position in the file, shape (3, 3).
+        p: Position of the body there, shape (3,), [m].
+
+    Returns:
+        Rotation and position of the frame, and its offset in the body, [m].
     """
     axis, offset = model.jnt_axis[joint], model.jnt_pos[joint]
     back = -model.qpos0[model.jnt_qposadr[joint]]
@@ -207,34 +195,36 @@ def joint_frame(
     return R, p + back * (R @ axis), offset
 
 
-def _check_inertias(model: Any, moved: list[int], wanting: Mapping[int, str]) -> None:
+def _check_inertias(
+    model: Any, moved: list[int], missing_inertia: Mapping[int, str]
+) -> None:
     for body in moved:
-        if body in wanting:
+        if body in missing_inertia:
             raise RobotError(
                 f"link {model.body(body).name or body!r} has no inertia of its own, "
-                f"and its mesh {wanting[body]!r} is missing; add the mesh or an "
-                "<inertial>"
+                f"and its mesh {missing_inertia[body]!r} is missing; add the mesh or "
+                "an <inertial>"
             )
 
 
 def _gravity(model: Any, index: list[int], moved: list[int]) -> np.ndarray:
-    """Gravity as drives carry it, less what the file takes off all links alike."""
-    gravity = _on(model, "GRAVITY") * model.opt.gravity
-    relief = model.body_gravcomp[[b for b in moved if model.body_mass[b] > 0]]
+    """Gravity that drives carry, less a uniform gravity compensation of the file."""
+    gravity = _enabled(model, "GRAVITY") * model.opt.gravity
+    share = model.body_gravcomp[[b for b in moved if model.body_mass[b] > 0]]
     by_drives = model.jnt_actgravcomp[index].all()
-    if not relief.any() or by_drives or np.ptp(relief) > 0:
+    if not share.any() or by_drives or np.ptp(share) > 0:
         return np.asarray(gravity)
     warnings.warn(
-        f"gravcomp of the file takes {relief[0]:.0%} of the links' weight off the "
+        f"gravcomp of the file takes {share[0]:.0%} of the links' weight off the "
         "drives; if the torque of a log carries it, take gravcomp out",
         HybridWarning,
         stacklevel=5,
     )
-    return np.asarray((1.0 - relief[0]) * gravity)
+    return np.asarray((1.0 - share[0]) * gravity)
 
 
 def matrix(quaternion: np.ndarray) -> np.ndarray:
-    """Turn of a quaternion, scalar first, shape (3, 3)."""
+    """Rotation matrix of a quaternion with the scalar first, shape (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()

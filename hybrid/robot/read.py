@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from hybrid.errors import RobotError
-from hybrid.robot.compiled import compiled_spec, compiled_without_files
+from hybrid.robot.demand import check_demand
 from hybrid.robot.library import robot_file
-from hybrid.robot.measure import check_demand
 from hybrid.robot.mjcf import fields_of_mujoco
+from hybrid.robot.mujoco_model import compile_spec, compile_without_assets
 from hybrid.robot.tree import Node, Tree, serial_joints
 from hybrid.robot.urdf import limit, read_urdf
 
@@ -23,18 +23,14 @@ Read = tuple[dict[str, Any], Any]  # fields, and MuJoCo's model or None
 def read_robot(
     source: Any, joints: tuple[str, ...] | None, held: Mapping[str, float]
 ) -> Read:
-    """Fields of a robot from a file, a name, or another library's model.
-
-    Raises:
-        RobotError: It is none of these, or holds no serial arm.
-    """
+    """Read the fields of a robot from a file, a name, or another library's model."""
     home = type(source).__module__.partition(".")[0]
     match home, type(source).__name__:
         case ("mujoco", "MjModel"):
             return _of_mujoco((source.__copy__(), {}), "MjModel", joints, held)
         case ("mujoco", "MjSpec"):
             spec = source.copy()
-            return _of_mujoco(compiled_spec(spec, "MjSpec"), "MjSpec", joints, held)
+            return _of_mujoco(compile_spec(spec, "MjSpec"), "MjSpec", joints, held)
         case ("pinocchio", "Model"):
             return _of_pinocchio(source, joints, held), None
     if not isinstance(source, (str, Path)):
@@ -54,13 +50,13 @@ def read_robot(
 
 
 def _of_mujoco(
-    made: tuple[Any, Mapping[int, str]],
+    compiled: tuple[Any, Mapping[int, str]],
     where: str,
     joints: tuple[str, ...] | None,
     held: Mapping[str, float],
 ) -> Read:
-    model, wanting = made
-    fields = fields_of_mujoco(model, where, joints, held, wanting)
+    model, missing_inertia = compiled
+    fields = fields_of_mujoco(model, where, joints, held, missing_inertia)
     name = model.names[: model.names.index(b"\0")].decode()
     return {"name": name, **fields}, model
 
@@ -82,15 +78,14 @@ def _of_file(
         content = path.read_bytes()
     if suffix in (".urdf", ".xacro"):
         return {**read_urdf(content, path, joints, held), "path": str(path)}, None
-    made = compiled_without_files(path)
-    fields, model = _of_mujoco(made, str(path), joints, held)
+    compiled = compile_without_assets(path)
+    fields, model = _of_mujoco(compiled, str(path), joints, held)
     return {**fields, "name": path.stem, "path": str(path)}, model
 
 
 def _of_pinocchio(
     model: Any, joints: tuple[str, ...] | None, held: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Fields of a robot read from pinocchio's model."""
     tree = _tree(model)
     keep = serial_joints(tree, joints, held)
     held = tree.held(held)
@@ -112,7 +107,7 @@ def _of_pinocchio(
 
 
 def _tree(model: Any) -> Tree:
-    """Joints of a model of pinocchio; what is fixed to one is part of its body."""
+    """Tree of a pinocchio model; bodies that are fixed to a joint are one body."""
     import pinocchio as pin
 
     links: dict[int, str] = {}
@@ -152,22 +147,18 @@ def _tree(model: Any) -> Tree:
 
 
 def expanded(path: Path) -> str:
-    """A xacro file as URDF.
-
-    Raises:
-        RobotError: xacro is not installed, or cannot expand the file.
-    """
-    by_hand = f"xacro {path.name} > {path.name.split('.')[0]}.urdf"
+    """Expand a xacro file to URDF."""
+    command = f"xacro {path.name} > {path.name.split('.')[0]}.urdf"
     try:
         import xacro
     except ModuleNotFoundError as error:
         raise RobotError(
-            f"{path}: install xacro to expand it, or run `{by_hand}`"
+            f"{path}: install xacro to expand it, or run `{command}`"
         ) from error
     try:
         return str(xacro.process_file(str(path)).toxml())
-    except Exception as error:  # its own, and those of Python in a file's expressions
+    except Exception as error:  # expressions in the file raise any type
         reason = " ".join(str(error).split())
         raise RobotError(
-            f"{path}: xacro cannot expand it ({reason}); try `{by_hand}`"
+            f"{path}: xacro cannot expand it ({reason}); try `{command}`"
         ) from error

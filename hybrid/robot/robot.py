@@ -1,4 +1,4 @@
-"""A serial arm: its chain, limits and the friction its file declares."""
+"""A serial arm: its chain, its limits, and the friction that its file declares."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _SERVO = ("kp", "kd")
 class Robot:
     """The nominal simulator of a serial arm of n joints.
 
-    Its drives need the torque of the links, and at each joint that of rotor, friction
-    and spring: armature·a + damping·v + quadratic·v|v| + cubic·v³ +
+    The torque of a drive is that of the links, and of rotor, friction and spring at its
+    joint: armature·a + damping·v + quadratic·v|v| + cubic·v³ +
     stiffness·(q − springref) + frictionloss·sgn v + knee·clip(v / knee_speed),
-    ripples sine·sin(k q) + cosine·cos(k q), and friction that falls as it moves,
+    ripples sine·sin(k q) + cosine·cos(k q), and Stribeck friction
     level·exp(−(v/v_s)²)·sgn v.
 
     Attributes:
@@ -49,22 +49,22 @@ class Robot:
         damping: Declared viscous friction, shape (n,), [N·m·s/rad].
         frictionloss: Declared dry friction, shape (n,), [N·m].
         path: File it was read from.
-        kp: Declared stiffness of position servos, shape (n,), [N·m/rad]; NaN where
-            there is none.
-        kd: Their declared damping, shape (n,), [N·m·s/rad]; NaN where there is none.
+        kp: Declared stiffness of position servos, shape (n,), [N·m/rad]; NaN without
+            a servo.
+        kd: Declared damping of servos, shape (n,), [N·m·s/rad]; NaN without a servo.
         timestep: Declared step of the simulation, [s]; NaN without one.
-        quadratic: Declared friction by the square of speed, shape (n,), [N·m·s²/rad²].
-        cubic: Declared friction by its cube, shape (n,), [N·m·s³/rad³].
+        quadratic: Declared quadratic friction, shape (n,), [N·m·s²/rad²].
+        cubic: Declared cubic friction, shape (n,), [N·m·s³/rad³].
         stiffness: Declared stiffness of springs, shape (n,), [N·m/rad].
-        springref: Position at which they are relaxed, shape (n,), [rad or m].
-        knee: Declared level of friction that rises to it from rest, shape (n,), [N·m].
-        knee_speed: Speed at which it is there, shape (n,), [rad/s].
+        springref: Rest position of springs, shape (n,), [rad or m].
+        knee: Declared level of friction that is linear at low speed, shape (n,), [N·m].
+        knee_speed: Speed from which it is constant, shape (n,), [rad/s].
         ripple: Declared ripples, shape (R, 4): joint, sine [N·m], cosine [N·m] and k,
             [1/rad].
-        falling: Declared friction that falls, shape (F, 3): joint, level [N·m], and v_s
+        falling: Declared Stribeck friction, shape (F, 3): joint, level [N·m], and v_s
             [rad/s].
-        held: Positions at which joints off the arm are held, [rad or m], where those
-            are not the file's.
+        held: Positions of joints outside the arm, [rad or m], if they differ from the
+            file.
     """
 
     name: str
@@ -123,21 +123,21 @@ class Robot:
         """Read a serial arm from a robot file, by name, or from a model of a library.
 
         Args:
-            source: A ``.urdf``, ``.xml``, ``.mjcf`` or ``.xacro`` file, whose meshes
-                are not needed where links have inertias; the name of a robot of
+            source: A ``.urdf``, ``.xml``, ``.mjcf`` or ``.xacro`` file (meshes are not
+                needed if links have inertias); the name of a robot of
                 ``example-robot-data`` or ``robot_descriptions``; or a model of MuJoCo
-                or pinocchio, which stays as it is.
-            joints: Joints to keep; the others are held where the file has them. By
-                default the longest chain, ending where a gripper forks.
+                or pinocchio, which is not changed.
+            joints: Joints to keep; the others are held at their positions in the file.
+                By default the longest chain, which ends where a gripper forks.
             held: Positions of other joints by name, [rad or m].
 
         Raises:
             RobotError: The file is missing or unreadable, holds no serial arm, or
-                declares what acts on the arm and is not modelled.
+                declares forces on the arm that are not modelled.
 
         Warns:
-            HybridWarning: Joints off the arm are held; or the file takes weight off
-                the drives.
+            HybridWarning: Joints outside the arm are held; or the file compensates
+                gravity.
         """
         held = {} if held is None else {name: float(x) for name, x in held.items()}
         fields, model = read_robot(source, joints, held)
@@ -173,7 +173,7 @@ class Robot:
         )
 
     def joint_torque(self, q: Array, v: Array, a: Array) -> Array:
-        """Torque of rotors, springs, ripple and friction, but for dry friction.
+        """Torque of rotors, springs, ripple and friction, without dry friction.
 
         Args:
             q: Position, shape (N, n), [rad].
@@ -195,7 +195,7 @@ class Robot:
         return torque
 
     def dry_friction(self, v: Array) -> Array:
-        """Friction that opposes motion however slow it is, shape (N, n), [N·m].
+        """Dry friction, including Stribeck friction, shape (N, n), [N·m].
 
         Args:
             v: Speed, shape (N, n), [rad/s].
@@ -214,11 +214,11 @@ class Robot:
         return slope
 
     def with_inertial(self, inertial: Array) -> Robot:
-        """This arm with other link parameters, shape (n, 10)."""
+        """Return the arm with other link parameters, shape (n, 10)."""
         return replace(self, chain=replace(self.chain, inertial=np.array(inertial)))
 
     def pinocchio(self) -> pinocchio.Model:
-        """The arm as a pinocchio model (every joint has one coordinate).
+        """Build a pinocchio model of the arm (every joint has one coordinate).
 
         Raises:
             HybridError: pinocchio is not installed.
@@ -228,17 +228,16 @@ class Robot:
         return pinocchio_model(self)
 
     def mujoco_spec(self) -> mujoco.MjSpec:
-        """The arm as a MuJoCo spec: bodies named by joint, no geometry, no actuators.
+        """Build a MuJoCo spec of the arm from its chain.
 
-        It is built from the chain, so that URDF and MJCF arms simulate alike and no
-        mesh is needed.
+        Bodies are named by joint. There is no geometry and there are no actuators.
         """
         from hybrid.robot.build import mujoco_spec
 
         return mujoco_spec(self)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-ready content; infinite limits and gains not declared are ``None``."""
+        """Content for JSON; infinite limits and undeclared gains are ``None``."""
         content: dict[str, Any] = {"name": self.name, "path": Path(self.path).name}
         content["chain"] = {
             f.name: _plain(getattr(self.chain, f.name)) for f in fields(Chain)
@@ -253,7 +252,7 @@ class Robot:
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Robot:
-        """The arm that :meth:`as_dict` described, equal to the last bit.
+        """Rebuild the arm from :meth:`as_dict`; it is equal to the last bit.
 
         Raises:
             RobotError: A field is missing or has the wrong shape.
@@ -273,7 +272,7 @@ class Robot:
             step = _numbers("timestep", [content["timestep"]], none=np.nan)
             return cls(
                 name=content["name"],
-                path=Path(content["path"]).name,  # beside the model, wherever that is
+                path=Path(content["path"]).name,  # relative to the model's folder
                 chain=Chain(joints=joints, revolute=np.array(turning), **arrays),
                 **own,
                 timestep=float(step[0]),
@@ -285,7 +284,7 @@ class Robot:
             raise RobotError(f"not a saved robot: {error!r}") from error
 
     def fingerprint(self) -> str:
-        """Short hash of kinematics and joint order, to tell one arm from another."""
+        """Short hash of kinematics and joint order, which identifies the arm."""
         digest = hashlib.sha256("|".join(self.joints).encode())
         chain = self.chain
         for values in (chain.rotation, chain.translation, chain.axis, chain.revolute):
@@ -303,7 +302,7 @@ def _plain(values: Any) -> Any:
 
 
 def _numbers(name: str, values: Any, *, none: float | None = None) -> Array:
-    """Numbers in lists as an array; ``none`` stands for those that are not there."""
+    """Convert lists of numbers to an array; ``none`` replaces ``None``."""
     found = np.array(values)
     if none is not None:
         found = np.array([none if x is None else x for x in values])
@@ -313,5 +312,5 @@ def _numbers(name: str, values: Any, *, none: float | None = None) -> Array:
 
 
 def _none(name: str) -> float:
-    """What it means that a limit or a gain is not there."""
+    """Value of a limit or a gain that is ``None``."""
     return np.nan if name in _SERVO else -np.inf if name == "q_min" else np.inf

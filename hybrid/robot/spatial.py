@@ -1,4 +1,4 @@
-"""Small rigid-body geometry shared by the readers and writers of robot files."""
+"""Rotations and inertias of rigid bodies, for readers and writers of robot files."""
 
 from __future__ import annotations
 
@@ -6,23 +6,22 @@ import numpy as np
 
 from hybrid.arrays import Array
 
-# Of a moment of inertia: three numbers of six digits may be off by this much.
-ROUNDED = 1.5e-5
-_SMALLEST = 1e-9  # kg·m²: moments of which rounding does not matter
+ROUNDED = 1.5e-5  # of a moment of inertia: rounding error of three six-digit numbers
+_SMALLEST = 1e-9  # kg·m²; rounding of smaller moments is ignored
 
 
 def skew(x: Array) -> Array:
-    """Matrix of the cross product, ``skew(x) @ y == cross(x, y)``; shape (3, 3)."""
+    """Matrix of the cross product, ``skew(x) @ y == cross(x, y)``, shape (3, 3)."""
     return np.array(
         [[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]], dtype=np.float64
     )
 
 
 def rotation_from_axis_angle(axis: Array, angle: float) -> Array:
-    """Rotation by ``angle`` [rad] about the unit ``axis``; shape (3, 3)."""
+    """Rotation by ``angle`` [rad] about the unit ``axis``, shape (3, 3)."""
     k = skew(axis)
-    turn: Array = np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
-    return turn
+    R: Array = np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+    return R
 
 
 def inertial_about(mass: float, center: Array, inertia: Array) -> Array:
@@ -42,12 +41,6 @@ def inertial_about(mass: float, center: Array, inertia: Array) -> Array:
     return np.array([mass, *(mass * center), *six])
 
 
-def inertia_matrix(inertial: Array) -> Array:
-    """Inertia about the frame origin from ten parameters; shape (3, 3), [kg·m²]."""
-    xx, xy, yy, xz, yz, zz = inertial[4:]
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
 def central_inertia(inertial: Array) -> tuple[float, Array, Array]:
     """Mass, centre of mass and central inertia from ten parameters.
 
@@ -59,11 +52,13 @@ def central_inertia(inertial: Array) -> tuple[float, Array, Array]:
     mass = float(inertial[0])
     center = inertial[1:4] / mass if mass > 0 else np.zeros(3)
     k = skew(center)
-    return mass, center, inertia_matrix(inertial) + mass * (k @ k)
+    xx, xy, yy, xz, yz, zz = inertial[4:]
+    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return mass, center, about_origin + mass * (k @ k)
 
 
 def inertia_fault(mass: float, about: Array) -> str:
-    """Say why no body can have a mass and an inertia; empty if one can.
+    """Say why a mass and an inertia are not physical; empty if they are.
 
     Args:
         mass: Mass, [kg].
@@ -83,10 +78,10 @@ def inertia_fault(mass: float, about: Array) -> str:
 
 
 def link_spread(inertial: Array) -> Array:
-    """Scale of each link parameter, by which a relative error of it is meant.
+    """Scale of each link parameter, for relative errors.
 
-    A coordinate of the centre of mass that the file puts at zero may still be off: its
-    scale is at least a third of the link's radius of gyration.
+    A coordinate of the centre of mass that is zero in the file may still be wrong. Its
+    scale is therefore at least a third of the link's radius of gyration.
 
     Args:
         inertial: Link parameters, shape (n, 10).

@@ -1,4 +1,4 @@
-"""The tree of a robot file, as every reader gives it: frames, joints and bodies."""
+"""The tree of a robot file: frames, joints and bodies, the same for all formats."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ Body = tuple[float, Array, Array]  # mass, centre (3,), inertia about it (3, 3)
 
 @dataclass(frozen=True)
 class Node:
-    """A frame, fixed to the one before it or moved by a joint, and what it carries.
+    """A frame, which is fixed to its parent frame or moved by a joint, and its body.
 
     Attributes:
-        parent: Number of the frame that it hangs on, −1 for the world.
-        rotation: Turn in that one with the joint at zero, shape (3, 3).
-        translation: Place in it, shape (3,), [m].
-        joint: Name of the joint, empty if it is fixed.
-        kind: What the joint is if it does not turn or slide along one axis of its own.
-        follows: Joint that it follows, by which ratio, from where; None by itself.
+        parent: Index of the parent frame, −1 for the world.
+        rotation: Rotation in the parent with the joint at zero, shape (3, 3).
+        translation: Position in the parent, shape (3,), [m].
+        joint: Name of the joint, empty if the frame is fixed.
+        kind: Kind of a joint that an arm cannot have; empty for a hinge or slide.
+        follows: Joint that this joint follows, ratio and offset (mimic), or None.
         axis: Unit axis of the joint, shape (3,).
-        revolute: Whether it turns about it.
-        home: Position where the file has the joint, [rad or m].
+        revolute: Whether the joint rotates about its axis.
+        home: Position of the joint in the file, [rad or m].
         body: The body with this frame: its number in MuJoCo's model, or its name in a
-            URDF file; None if no body has it.
-        name: The body's name, for messages.
-        mass: The body's mass, [kg].
-        center: Its centre of mass, shape (3,), [m].
-        inertia: Its inertia about that, shape (3, 3), [kg·m²].
+            URDF file; None without a body.
+        name: Name of the body, for messages.
+        mass: Mass of the body, [kg].
+        center: Centre of mass, shape (3,), [m].
+        inertia: Inertia about the centre of mass, shape (3, 3), [kg·m²].
     """
 
     parent: int
@@ -64,12 +64,12 @@ class Node:
 
 
 class Place(NamedTuple):
-    """Where a frame is: the link of the arm that it is fixed to, and its pose there.
+    """Link of the arm that a frame is fixed to, and the frame's pose in it.
 
     Attributes:
-        link: The link, counted from 0; −1 is the base, whose frame is the world's.
-        rotation: Turn, shape (3, 3).
-        position: Place, shape (3,), [m].
+        link: Index of the link from 0; −1 is the base, whose frame is the world's.
+        rotation: Rotation in the link, shape (3, 3).
+        position: Position in the link, shape (3,), [m].
     """
 
     link: int
@@ -77,7 +77,7 @@ class Place(NamedTuple):
     position: Array
 
     def body(self, node: Node) -> Body:
-        """A frame's body in the link."""
+        """Body of a frame, in the frame of the link."""
         R = self.rotation
         center = self.position + R @ node.center
         return node.mass, center, R @ node.inertia @ R.T
@@ -109,16 +109,16 @@ class Tree:
 
     @cached_property
     def kinds(self) -> Mapping[str, str]:
-        """What the joints are that an arm cannot have."""
+        """Kind of each joint that an arm cannot have."""
         follow = {x: f"follows joint {y!r} (mimic)" for x, y in self.leaders.items()}
         kinds = {x.joint: follow.get(x.joint, x.kind) for x in self.nodes}
         return {name: kind for name, kind in kinds.items() if kind}
 
     @cached_property
     def leaders(self) -> Mapping[str, str]:
-        """Which joint each follows that follows one; an arm ends before those.
+        """Leading joint of each joint that follows one (mimic).
 
-        A finger that is fixed where it would follow goes by the name of its link.
+        A fixed joint that would follow has the name of its link.
         """
         return {x.joint or x.name: x.follows[0] for x in self.nodes if x.follows}
 
@@ -128,7 +128,7 @@ class Tree:
         return [name for name in self.parents if name not in self.kinds]
 
     def line(self, name: str, among: Collection[str]) -> list[str]:
-        """A joint and its ancestors within a set, base first."""
+        """Joint and its ancestors within a set, base first."""
         line: list[str] = []
         here: str | None = name
         while here is not None and here in among:
@@ -137,7 +137,7 @@ class Tree:
         return line[::-1]
 
     def held(self, held: Mapping[str, float]) -> dict[str, float]:
-        """Positions of joints that are held, and of those that follow them."""
+        """Positions of held joints, and of those that follow them."""
         moved = {
             node.joint: node.follows[1] * held.get(node.follows[0], 0.0)
             + node.follows[2]
@@ -149,14 +149,14 @@ class Tree:
     def places(
         self, joints: Sequence[str], held: Mapping[str, float]
     ) -> tuple[list[Place], list[Place]]:
-        """Where everything is in the links of an arm.
+        """Find the place of each frame in the links of an arm.
 
         Args:
             joints: Joints of the arm, base to tip.
-            held: Positions of other joints that are not where the file has them.
+            held: Positions of other joints, if they differ from the file.
 
         Returns:
-            Place of each node, and of the frame of each joint in the link before it.
+            Place of each node, and of each joint's frame in the link before it.
         """
         places: list[Place] = []
         frames: list[Place] = []
@@ -183,14 +183,10 @@ class Tree:
         gravity: Array,
         armature: Array,
     ) -> Chain:
-        """The arm of some joints; what a held joint carries is part of a link.
-
-        Raises:
-            RobotError: A link is no body that could be built.
-        """
+        """Chain of an arm; bodies on held joints are part of its links."""
         places, frames = self.places(joints, held)
         bodies: list[list[Body]] = [[] for _ in joints]
-        names = list(joints)  # of the links, which a joint without a body lends its own
+        names = list(joints)  # names of links; a link without a body has the joint's
         for node, place in zip(reversed(self.nodes), reversed(places), strict=True):
             if place.link >= 0 and node.body is not None:
                 bodies[place.link].append(place.body(node))
@@ -210,7 +206,7 @@ class Tree:
 
 
 def _link(name: str, bodies: Sequence[Body]) -> Body:
-    """Bodies that move as one; refuses what cannot be one."""
+    """Combine bodies that move together, and check the inertia of the sum."""
     mass = sum(m for m, _, _ in bodies)
     center = sum((m * c for m, c, _ in bodies), np.zeros(3))
     center = center / mass if mass > 0 else center
@@ -231,22 +227,23 @@ def _link(name: str, bodies: Sequence[Body]) -> Body:
 def serial_joints(
     tree: Tree, joints: tuple[str, ...] | None, held: Mapping[str, float]
 ) -> tuple[str, ...]:
-    """Joints of the serial arm in a joint tree, base to tip.
+    """Choose the joints of the serial arm in a tree, base to tip.
 
-    At a fork the branch with the deepest chain goes on, the first of several. Where
-    those are no longer than what led there (the fingers of a gripper) the arm ends.
+    At a fork the arm goes on with the branch of the longest chain, the first of equal
+    ones. It ends if equal branches are not longer than the chain before the fork, as
+    the fingers of a gripper are.
 
     Args:
-        tree: The joints.
-        joints: Joints the user wants, in any order, or None to choose.
-        held: Positions of joints that are off the arm, [rad or m].
+        tree: The tree of joints.
+        joints: Joints that the user wants, in any order, or None to choose.
+        held: Positions of joints outside the arm, [rad or m].
 
     Raises:
-        RobotError: No joint, an unknown joint, joints on different branches, or one
-            that an arm cannot have between others.
+        RobotError: There is no joint, an unknown joint, joints on different branches,
+            or a joint between others that an arm cannot have.
 
     Warns:
-        HybridWarning: Joints are held, or one of several arms was taken.
+        HybridWarning: Joints are held, or the first of several arms was chosen.
     """
     kept = _chosen_chain(tree, joints) if joints is not None else _longest_chain(tree)
     if len(kept) > MOST_JOINTS:
@@ -275,13 +272,15 @@ def serial_joints(
             )
     others = {name for name in tree.parents if name not in kept}
     if others:
-        warnings.warn(_said(tree, kept, others, held), HybridWarning, stacklevel=5)
+        text = _choice(tree, kept, others, held)
+        warnings.warn(text, HybridWarning, stacklevel=5)
     return kept
 
 
-def _said(
+def _choice(
     tree: Tree, kept: tuple[str, ...], others: set[str], held: Mapping[str, float]
 ) -> str:
+    """Warning that lists the joints of the arm and the joints that are held."""
     inner = {tree.parents[name] for name in others}
     ends = [name for name in tree.parents if name in others and name not in inner]
     chains = [tree.line(name, others) for name in ends]
@@ -295,17 +294,17 @@ def _said(
 
 def _longest_chain(tree: Tree) -> tuple[str, ...]:
     if not tree.free:
-        there = [f"; joint {name!r} {kind}" for name, kind in tree.kinds.items()]
+        others = [f"; joint {name!r} {kind}" for name, kind in tree.kinds.items()]
         raise RobotError(
             f"{tree.where}: no movable joint of an arm; valid are joints that turn or "
-            f"slide along one axis{''.join(there[:1])}"
+            f"slide along one axis{''.join(others[:1])}"
         )
     children: dict[str | None, list[str]] = {}
     for name, parent in tree.parents.items():
         children.setdefault(parent, []).append(name)
 
-    depth: dict[str, int] = {}  # of the longest chain from each joint on
-    for name in reversed(list(tree.parents)):  # children stand behind their parents
+    depth: dict[str, int] = {}  # length of the longest chain from each joint
+    for name in reversed(list(tree.parents)):  # children before parents
         below = [depth[child] for child in children.get(name, [])]
         depth[name] = (name not in tree.kinds) + max(below, default=0)
 
@@ -334,10 +333,10 @@ def _chosen_chain(tree: Tree, joints: tuple[str, ...]) -> tuple[str, ...]:
         )
     lines = {name: tree.line(name, tree.parents) for name in joints}
     tip = max(joints, key=lambda name: len(lines[name]))
-    astray = [name for name in joints if name not in lines[tip]]
-    if astray:
+    elsewhere = [name for name in joints if name not in lines[tip]]
+    if elsewhere:
         raise RobotError(
-            f"{tree.where}: joints {', '.join(astray)} are not on the way to {tip!r}; "
-            "the joints of one serial arm are needed"
+            f"{tree.where}: joints {', '.join(elsewhere)} are not on the way "
+            f"to {tip!r}; the joints of one serial arm are needed"
         )
     return tuple(name for name in lines[tip] if name in joints)

@@ -1,9 +1,9 @@
-"""Compare a robot with MuJoCo's model of its file, to find forces not modelled.
+"""Compare a robot with the MuJoCo model of its file, to find forces not modelled.
 
-MuJoCo is asked for the torque of the same motions of both. Where they differ, the
-elements of the file without which its torque is another are those that are not
-modelled. Contacts and limits, which a log shows as such, and dry friction, which MuJoCo
-softens, stay out of it.
+MuJoCo computes the torque of both for the same states. If they differ, the elements
+that are not modelled are those that change the torque of the file when disabled.
+Contacts, limits and dry friction are left out, because a log shows the first two, and
+MuJoCo softens the last.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from hybrid.robot.mjcf import joint_names, single_tendons, start
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
 
-_STATES = 3
+_STATES = 3  # number of random states
 _SAME = 1e-6  # of the largest torque
-# What MuJoCo knows besides links, by the arrays that switch each of them off.
+# Elements of MuJoCo besides links, and the arrays that disable each of them.
 _ELEMENTS = {
     "tendon": (
         "tendon_stiffness", "tendon_stiffnesspoly", "tendon_damping",
@@ -37,15 +37,7 @@ _ELEMENTS = {
 
 
 def check_modelled(robot: Robot, model: Any) -> None:
-    """Refuse a robot whose torque differs from that of MuJoCo's model.
-
-    Args:
-        robot: What was read of the model.
-        model: MuJoCo's model; it is changed.
-
-    Raises:
-        RobotError: Something else acts on the arm's joints; it is named.
-    """
+    """Refuse a robot whose torque differs from that of its MuJoCo model."""
     import mujoco
 
     off = mujoco.mjtDisableBit
@@ -55,19 +47,19 @@ def check_modelled(robot: Robot, model: Any) -> None:
     names, home = joint_names(model), start(model, robot.held)
     index = [names.index(name) for name in robot.joints]
     states = np.random.default_rng(0).uniform(-1.0, 1.0, (3, _STATES, robot.size))
-    theirs = _torque(model, index, states, home)
+    expected = _torque(model, index, states, home)
     own = replace(robot, frictionloss=np.zeros(robot.size)).mujoco_spec().compile()
-    ours = _torque(own, list(range(robot.size)), states, own.qpos0)
-    different = np.abs(theirs - ours).max(axis=0)
-    if (different <= _SAME * np.abs(theirs).max()).all():
+    found = _torque(own, list(range(robot.size)), states, own.qpos0)
+    error = np.abs(expected - found).max(axis=0)
+    if (error <= _SAME * np.abs(expected).max()).all():
         return
-    guilty = [
+    causes = [
         name
-        for name in _without(model)
-        if not np.allclose(_torque(model, index, states, home), theirs, rtol=_SAME)
+        for name in _disabled_in_turn(model)
+        if not np.allclose(_torque(model, index, states, home), expected, rtol=_SAME)
     ]
-    joint = robot.joints[int(np.argmax(different))]
-    what = ", ".join(guilty) or f"something at joint {joint!r}"
+    joint = robot.joints[int(np.argmax(error))]
+    what = ", ".join(causes) or f"something at joint {joint!r}"
     raise RobotError(
         f"{robot.path or robot.name}: {what} acts on the arm and is not modelled; take "
         "it out of the file, or choose joints that it does not act on"
@@ -75,7 +67,7 @@ def check_modelled(robot: Robot, model: Any) -> None:
 
 
 def _torque(model: Any, index: list[int], states: Array, home: Array) -> Array:
-    """Torque that MuJoCo needs, shape (samples, n)."""
+    """Inverse dynamics by MuJoCo, shape (samples, n), [N·m]."""
     import mujoco
 
     data = mujoco.MjData(model)
@@ -89,8 +81,8 @@ def _torque(model: Any, index: list[int], states: Array, home: Array) -> Array:
     return np.array(found)
 
 
-def _without(model: Any) -> Iterator[str]:
-    """Names of elements, each while it is switched off."""
+def _disabled_in_turn(model: Any) -> Iterator[str]:
+    """Disable each element in turn, and yield its name meanwhile."""
     for kind, fields in _ELEMENTS.items():
         arrays = [getattr(model, field) for field in fields]
         accessor = getattr(model, kind.rpartition(" ")[2])

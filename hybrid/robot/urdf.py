@@ -1,9 +1,9 @@
-"""URDF file -> tree, and the declared properties of an arm in it.
+"""Read the tree of a URDF file, and the declared properties of an arm in it.
 
-What plain URDF has no place for is read from the tags of simulators: rotor inertia and
-acceleration limits from Drake's (``drake:rotor_inertia`` and ``drake:gear_ratio`` of a
-transmission's actuator, ``drake:acceleration`` of a joint's limit), springs from
-Gazebo's (``springStiffness`` and ``springReference``).
+Plain URDF lacks some properties, which are read from the tags of simulators: rotor
+inertia and acceleration limits from Drake (``drake:rotor_inertia`` and
+``drake:gear_ratio`` of a transmission's actuator, ``drake:acceleration`` of a joint's
+limit), springs from Gazebo (``springStiffness`` and ``springReference``).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hybrid.errors import RobotError
 from hybrid.names import printable
 from hybrid.robot.tree import Node, Tree, serial_joints
 
-# What an arm cannot have of the joints of URDF, in words.
+# Types of joints in URDF; those that an arm cannot have are named for messages.
 _KINDS = {
     "revolute": "", "continuous": "", "prismatic": "", "fixed": "",
     "floating": "is free", "planar": "is planar",
@@ -36,17 +36,7 @@ def read_urdf(
     joints: tuple[str, ...] | None,
     held: Mapping[str, float],
 ) -> dict[str, Any]:
-    """Fields of a :class:`~hybrid.robot.robot.Robot` read from a URDF file.
-
-    Args:
-        content: What the URDF file holds; meshes are not needed.
-        where: The file, for messages.
-        joints: Joints to keep, or None for the arm that the file's tree holds.
-        held: Positions of other joints, [rad or m].
-
-    Raises:
-        RobotError: The file is not a URDF, or holds no serial arm.
-    """
+    """Read the fields of a :class:`~hybrid.robot.robot.Robot` from a URDF file."""
     root = urdf_root(content)
     tree = urdf_tree(root, where)
     keep = serial_joints(tree, joints, held)
@@ -78,11 +68,7 @@ def read_urdf(
 
 
 def urdf_root(content: bytes) -> Element:
-    """Elements of a URDF file; prefixes, which many never declare, are in their names.
-
-    Raises:
-        RobotError: The file is not a URDF.
-    """
+    """Parse a URDF file; undeclared prefixes are part of the names."""
     builder, parser = TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     parser.CharacterDataHandler = builder.data
@@ -101,31 +87,23 @@ def urdf_root(content: bytes) -> Element:
 
 
 def urdf_tree(root: Element, where: str | Path) -> Tree:
-    """Links of a URDF file, each behind its joint; joints of one link by name.
-
-    Args:
-        root: The file's elements.
-        where: The file, for messages.
-
-    Raises:
-        RobotError: Links and joints make no tree, or a number in them is none.
-    """
+    """Tree of the links of a URDF file; joints of one link are sorted by name."""
     links = _named(root, "link")
     below: dict[str, list[tuple[Element, str]]] = {name: [] for name in links}
-    ends = set(links)  # links that no joint leads to
+    roots = set(links)  # links without a parent
     for name, joint in sorted(_named(root, "joint").items()):
         parent, child = (_attribute(joint, x, "link") for x in ("parent", "child"))
         for link in (parent, child):
             if link not in links:
                 raise RobotError(f"joint {name!r}: there is no link {link!r}")
-        if child not in ends:
+        if child not in roots:
             raise RobotError(f"link {child!r} is the child of two joints")
-        ends.remove(child)
+        roots.remove(child)
         below[parent].append((joint, child))
-    if len(ends) != 1:
-        shown = ", ".join(map(repr, sorted(ends))) or "none"
+    if len(roots) != 1:
+        shown = ", ".join(map(repr, sorted(roots))) or "none"
         raise RobotError(f"links without a parent: {shown}; valid is one")
-    nodes = [_node(-1, None, links[ends.pop()])]
+    nodes = [_node(-1, None, links[roots.pop()])]
     todo = [(0, *x) for x in reversed(below[nodes[0].name])]
     while todo:
         parent_node, joint, child = todo.pop()
@@ -133,18 +111,18 @@ def urdf_tree(root: Element, where: str | Path) -> Tree:
         todo += [(len(nodes) - 1, *x) for x in reversed(below[child])]
     if len(nodes) < len(links):
         reached = {node.name for node in nodes}
-        lost = next(name for name in links if name not in reached)
-        raise RobotError(f"link {lost!r} is in a loop of joints; valid are trees")
+        looped = next(name for name in links if name not in reached)
+        raise RobotError(f"link {looped!r} is in a loop of joints; valid are trees")
     return Tree(str(where), nodes)
 
 
 def _node(parent: int, joint: Element | None, link: Element) -> Node:
-    """A link, behind a joint if it is not the first."""
+    """Node of a link and the joint before it; the first link has no joint."""
     name = link.get("name", "")
     own: dict[str, Any] = {"parent": parent, "body": name, "name": name}
     if joint is not None:
         own["rotation"], own["translation"] = origin(joint)
-        own |= _motion(joint)
+        own |= _joint_fields(joint)
     inertial = link.find("inertial")
     if inertial is not None:
         R, own["center"] = origin(inertial)
@@ -158,8 +136,8 @@ def _node(parent: int, joint: Element | None, link: Element) -> Node:
     return Node(**own)
 
 
-def _motion(joint: Element) -> dict[str, Any]:
-    """How a joint moves, by the names of a node's attributes."""
+def _joint_fields(joint: Element) -> dict[str, Any]:
+    """Attributes of a node that describe its joint."""
     name, kind = joint.get("name", ""), joint.get("type", "")
     if kind not in _KINDS:
         raise RobotError(
@@ -191,7 +169,7 @@ def _follows(joint: Element) -> tuple[str, float, float] | None:
 
 
 def origin(element: Element) -> tuple[Array, Array]:
-    """Turn and place of what is in an element, shapes (3, 3) and (3,)."""
+    """Rotation and position from an element's ``origin``, shapes (3, 3) and (3,)."""
     from scipy.spatial.transform import Rotation
 
     xyz, rpy = (numbers(element, "origin", x, 0.0, 0.0, 0.0) for x in ("xyz", "rpy"))
@@ -199,7 +177,7 @@ def origin(element: Element) -> tuple[Array, Array]:
 
 
 def roll_pitch_yaw(R: Array) -> Array:
-    """Angles about fixed x, y and z; unlike a library's, silent at pitch ±90°."""
+    """Angles about fixed x, y and z, [rad]; SciPy's would warn at pitch ±90°."""
     pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
     if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
         return np.array([np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0])
@@ -208,7 +186,7 @@ def roll_pitch_yaw(R: Array) -> Array:
 
 
 def _named(root: Element, tag: str) -> dict[str, Element]:
-    """Elements by their names, of which each has its own."""
+    """Elements by name; names must be unique."""
     found: dict[str, Element] = {}
     for element in root.iterfind(tag):
         name = element.get("name", "")
@@ -220,7 +198,7 @@ def _named(root: Element, tag: str) -> dict[str, Element]:
 
 
 def _rotors(root: Element) -> Iterator[tuple[str, float]]:
-    """Joints with the rotor inertia that Drake's tags of their drives give them."""
+    """Joint and reflected rotor inertia of each transmission with Drake's tags."""
     for drive in root.iter("transmission"):
         actuator = drive.find("actuator")
         if actuator is not None and drive.find("joint") is not None:
@@ -230,7 +208,7 @@ def _rotors(root: Element) -> Iterator[tuple[str, float]]:
 
 
 def _springs(root: Element) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Joints with stiffness and rest of the springs that Gazebo's tags give them."""
+    """Joint, and stiffness and rest position, of each spring in Gazebo's tags."""
     for tag in root.iter("gazebo"):
         stiffness, rest = (
             _number(tag.findtext(x, "0"), x)
@@ -249,16 +227,13 @@ def _attribute(element: Element, tag: str, name: str) -> str:
 
 
 def numbers(element: Element, tag: str, name: str, *usual: float) -> Array:
-    """Numbers of an attribute in an element's first part of a kind.
+    """Numbers of an attribute in an element's first child with a tag.
 
     Args:
         element: The element.
-        tag: Kind of the part in it.
+        tag: Tag of the child.
         name: Name of the attribute.
-        usual: What they are without it; as many are valid.
-
-    Raises:
-        RobotError: There are more or fewer, or one is none.
+        usual: Numbers if the attribute is missing; their count is the valid one.
     """
     inner = element.find(tag)
     text = None if inner is None else inner.get(name)
@@ -272,7 +247,7 @@ def numbers(element: Element, tag: str, name: str, *usual: float) -> Array:
 
 
 def number(element: Element, tag: str, name: str, usual: float) -> float:
-    """The one number of an attribute; see :func:`numbers`."""
+    """Single number of an attribute, as :func:`numbers` reads it."""
     return float(numbers(element, tag, name, usual)[0])
 
 
@@ -293,5 +268,5 @@ def _shown(element: Element) -> str:
 
 
 def limit(values: Array) -> Array:
-    """Upper limits with "none" (0 in many files) read as infinity."""
+    """Upper limits; 0, which means "none" in many files, becomes infinity."""
     return np.where((values > 0) & (values < 1e300), values, np.inf)

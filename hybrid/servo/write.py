@@ -13,12 +13,11 @@ from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot import Robot
 from hybrid.robot.build import spec_text
-from hybrid.robot.edit.beside import drop_motors
 from hybrid.robot.edit.change import Edit
-from hybrid.robot.edit.document import Document, element
+from hybrid.robot.edit.document import Document, element, joint_tag
 from hybrid.robot.edit.drives import actuator_tags
+from hybrid.robot.edit.extra_friction import remove_passive_motors
 from hybrid.robot.edit.mjcf import edit_mjcf, turn_unit
-from hybrid.robot.edit.parsed import joint_tag
 from hybrid.servo.drive import Drive
 from hybrid.servo.model import (
     dampings,
@@ -64,7 +63,7 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
         edit_mjcf(document, Edit(replace(robot, chain=chain)), robot)
     _set_servos(document, robot, drive)
     with atomic_path(path) as temporary:
-        temporary.write_bytes(document.written())
+        temporary.write_bytes(document.edited())
 
 
 def _skeleton(robot: Robot) -> Document:
@@ -106,7 +105,9 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
         document.set(joint, given)
         motor = _MOTOR | {name: x[j].tolist() for name, x in parameters.items()}
         motor |= _delay(float(drive["delay"][j]), step)
-        drop_motors(document, name)  # a servo's friction is all that the joint has
+        remove_passive_motors(
+            document, name
+        )  # a servo's friction is all that the joint has
         own = actuator_tags(document, name)
         sections = document.find("mujoco", "actuator")
         if own:
@@ -114,7 +115,7 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             document.set(own[0], motor, drop=drop, name="general")
         elif sections:
             text = element("general", {"name": name, "joint": name, **motor})
-            document.put_in(sections[0], text)
+            document.insert_child(sections[0], text)
         else:
             raise RobotError(f"{robot.path}: no <actuator> section to put a servo into")
 

@@ -1,9 +1,10 @@
-"""Recording -> motion: fuse, filter, differentiate, decimate.
+"""Turn a recording into a motion: filter, differentiate and decimate.
 
-Columns of a model are evaluated at full rate from a :class:`Motion`; columns and
+Regressor columns are computed from a :class:`Motion` at its full rate. Columns and
 measured torque then pass through the same :class:`Sampler`.
 """
 
+from hybrid.signals.autocorrelation import autocorrelation_time
 from hybrid.signals.cutoff import choose_cutoff
 from hybrid.signals.filters import (
     Sampler,
@@ -12,7 +13,6 @@ from hybrid.signals.filters import (
     central_difference,
     filter_reach,
 )
-from hybrid.signals.memory import memory
 from hybrid.signals.motion import Motion, motion_from_recording
 from hybrid.signals.speed import SpeedCheck, speed_against_position
 
@@ -25,7 +25,7 @@ __all__ = [
     "central_difference",
     "choose_cutoff",
     "filter_reach",
-    "memory",
+    "autocorrelation_time",
     "motion_from_recording",
     "speed_against_position",
 ]

@@ -1,4 +1,4 @@
-"""Where motion ends and noise begins, from the spectrum of positions."""
+"""Choose the cut-off between motion and noise from the spectrum of positions."""
 
 from __future__ import annotations
 
@@ -7,23 +7,22 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.recording.recording import Recording
 
-QUIET = (0.3, 0.45)  # of the rate: frequencies at which an arm does not move
+NOISE_BAND = (0.3, 0.45)  # of the rate: frequencies at which an arm does not move
 
 
 def choose_cutoff(recording: Recording) -> float:
-    """Cut-off above which positions hold more noise than motion.
+    """Choose the cut-off above which positions hold more noise than motion.
 
-    The noise floor of a joint is the median of its position spectrum (segments of 4 s,
-    Blackman-Harris window, whose leakage is below encoder noise) between 0.3 and 0.45
-    of the rate. Its motion ends where the spectrum comes within 30 times (15 dB) of
-    that floor for the first time. The cut-off is 1.5 times the median end over the
-    joints that move.
+    The noise floor of a joint is the median of its position spectrum between 0.3 and
+    0.45 of the rate (segments of 4 s, Blackman-Harris window). Its motion ends at the
+    lowest frequency where the spectrum is less than 30 times (15 dB) this floor. The
+    cut-off is 1.5 times the median of these frequencies over the joints that move.
 
     Args:
         recording: Joint log on a uniform clock.
 
     Returns:
-        Cut-off within 5 Hz and 0.4 of the rate, [Hz].
+        Cut-off between 5 Hz and 0.4 of the rate, [Hz].
     """
     rate = recording.rate
     q = recording.q[:, np.ptp(recording.q, axis=0) > 0]
@@ -32,11 +31,11 @@ def choose_cutoff(recording: Recording) -> float:
         return float(highest)
     size = min(len(q), int(4 * rate))
     f, power = np.fft.rfftfreq(size, 1 / rate), _power(q, size)
-    quiet = (f > QUIET[0] * rate) & (f < QUIET[1] * rate)
-    noise = np.median(power[quiet], axis=0)
-    # A simulated log has no noise: then encoder resolution, 1e-14 of the peak, counts.
+    in_band = (f > NOISE_BAND[0] * rate) & (f < NOISE_BAND[1] * rate)
+    noise = np.median(power[in_band], axis=0)
+    # A simulated log has no noise; the floor is then 1e-14 of the peak.
     above = power > 30 * np.maximum(noise, 1e-14 * power.max(axis=0))
-    # Single bins above or below the floor by chance do not count: majority over 2 Hz.
+    # The majority of the bins within 2 Hz decides, because single bins scatter.
     width = max(1, int(np.searchsorted(f, 2.0)))
     window = np.ones(width) / width
     share = np.apply_along_axis(np.convolve, 0, above, window, mode="same")
@@ -46,12 +45,11 @@ def choose_cutoff(recording: Recording) -> float:
 
 
 def _power(x: Array, size: int) -> Array:
-    """Mean power of signals (N, n) over half-overlapping segments, trends removed.
+    """Power spectrum of signals (N, n), shape (size//2 + 1, n), in any unit.
+
+    It is the mean over half-overlapping segments without their linear trends.
 
     Source: Welch 1967, doi 10.1109/TAU.1967.1161901.
-
-    Returns:
-        Power at each frequency of ``rfft``, shape (size//2 + 1, n), in any unit.
     """
     from scipy.fft import rfft
 
@@ -68,7 +66,7 @@ def _power(x: Array, size: int) -> Array:
 
 
 def blackman_harris(size: int) -> Array:
-    """Window whose leakage is below 1e-9 of the power, shape (size,).
+    """Blackman-Harris window, shape (size,); its leakage is below 1e-9 of the power.
 
     Source: Harris 1978, doi 10.1109/PROC.1978.10837.
     """

@@ -1,4 +1,4 @@
-"""Zero-phase low-pass filter, decimation and differentiation of arrays."""
+"""Filter arrays without phase shift, decimate and differentiate them."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from hybrid.arrays import Array
 Label = TypeVar("Label", bound=np.generic)
 Spectrum = NDArray[np.complex128]
 
-_ORDER = 5  # of one pass
-_SAMPLES = 3.5  # that are kept of a period of the cut-off
-_AT_ONCE = 6  # signals filtered: more would not stay in the cache
-_PART = 0.7  # of a signal: to filter less than that alone is worth the cut
+_ORDER = 5  # of the Butterworth filter in one pass
+_SAMPLES_PER_PERIOD = 3.5  # of the cut-off, that decimation keeps
+_BLOCK = 6  # signals filtered at a time: they fit into the processor's cache
+_SHORT = 0.7  # of a signal: a shorter non-zero part is filtered alone
 
 
 @dataclass(frozen=True)
 class Sampler:
-    """Zero-phase low-pass and decimation, the same for columns and torque.
+    """Zero-phase low-pass filter and decimation, the same for columns and torque.
 
-    A long recording may pass in chunks: start each chunk at a multiple of ``factor``
-    (rounded up) and let it overlap its neighbours by ``margin`` samples; inside, the
-    outcome is that of the whole to 1e-6.
+    A long recording may be filtered in chunks. Each chunk starts at a multiple of
+    ``factor`` and overlaps its neighbours by ``margin`` samples. The samples inside
+    then differ from those of the whole recording by less than 1e-6.
 
     Attributes:
         rate: Rate of the input, [Hz].
@@ -47,17 +47,17 @@ class Sampler:
 
     @classmethod
     def for_rate(cls, rate: float, cutoff: float) -> Sampler:
-        """The strongest decimation that keeps 3.5 samples per cut-off period.
+        """Choose the largest factor that keeps 3.5 samples per cut-off period.
 
-        What falls into the band then comes from 2.5 times the cut-off or beyond, of
-        which the filter passes 1e-4 of the amplitude: aliasing does not matter.
+        Only frequencies above 2.5 times the cut-off are then aliased below it. The
+        filter passes 1e-4 of their amplitude, so that aliasing is negligible.
         """
-        factor = max(1, int(rate / (_SAMPLES * cutoff) + 1e-9))
+        factor = max(1, int(rate / (_SAMPLES_PER_PERIOD * cutoff) + 1e-9))
         return cls(rate=rate, cutoff=cutoff, factor=factor)
 
     @property
     def margin(self) -> int:
-        """Input samples after which the influence of a sample is below 1e-6."""
+        """Number of input samples after which the influence of one is below 1e-6."""
         if passes_all(self.rate, self.cutoff):
             return 0
         return filter_reach(self.cutoff / self.rate)
@@ -67,31 +67,31 @@ class Sampler:
 
         Args:
             x: Signals in any unit, N samples along ``axis``.
-            axis: The axis of time. The last one is fastest.
+            axis: Axis of time; the last one is fastest.
 
         Returns:
-            The same with ceil(N / factor) samples along ``axis``, contiguous.
+            Signals with ceil(N / factor) samples along ``axis``, contiguous.
         """
         return _filtered(x, self.rate, self.cutoff, axis, self.factor)
 
     def keep(self, x: NDArray[Label]) -> NDArray[Label]:
-        """Masks or labels (N, ...) of the samples that decimation keeps."""
+        """Select the rows of masks or labels, shape (N, ...), that decimation keeps."""
         return x[:: self.factor]
 
 
 def butterworth(x: Array, *, rate: float, cutoff: float) -> Array:
     """Low-pass filter without delay: a Butterworth filter run forward and backward.
 
-    The product of both passes is the squared gain of the bilinear Butterworth filter of
-    order 5, 1 / (1 + (tan(π f / rate) / tan(π cutoff / rate))^10), applied here in the
-    frequency domain: a third of the time of second-order sections, no start-up state.
-    Edges are continued by their point reflection, which keeps value and slope.
+    The gain of both passes together is that of the bilinear filter of order 5, squared:
+    1 / (1 + (tan(π f / rate) / tan(π cutoff / rate))^10). It is applied in the
+    frequency domain, in a third of the time of second-order sections. Beyond its ends
+    a signal is continued by point reflection, which keeps value and slope.
 
     Args:
         x: Signals in any unit, uniform samples along the first axis.
         rate: Samples per second, [Hz].
-        cutoff: Frequency at which half of the amplitude is left, [Hz]. From 0.98 of
-            the Nyquist frequency, and at inf, ``x`` is returned unchanged.
+        cutoff: Frequency at which the gain is one half, [Hz]. From 0.98 of the Nyquist
+            frequency on, ``x`` is returned unchanged.
 
     Returns:
         Filtered signals, the shape of ``x``.
@@ -100,7 +100,7 @@ def butterworth(x: Array, *, rate: float, cutoff: float) -> Array:
 
 
 def butterworth_gain(frequency: Array, *, rate: float, cutoff: float) -> Array:
-    """Gain of :func:`butterworth` at some frequencies, [Hz]; 0 above half the rate."""
+    """Gain of :func:`butterworth` at frequencies in [Hz]; 0 above half the rate."""
     if passes_all(rate, cutoff):
         return np.asarray(frequency < rate / 2, dtype=np.float64)
     below = np.clip(np.abs(frequency) / rate, 0.0, 0.4999)
@@ -111,24 +111,24 @@ def butterworth_gain(frequency: Array, *, rate: float, cutoff: float) -> Array:
 
 @lru_cache(maxsize=64)
 def filter_reach(relative_cutoff: float, *, tolerance: float = 1e-6) -> int:
-    """Samples beyond which :func:`butterworth` weighs less than ``tolerance``.
+    """Number of samples after which the impulse response of the filter is negligible.
 
     Args:
         relative_cutoff: Cut-off divided by rate.
-        tolerance: Sum of the absolute weights that may lie farther off; a quarter of
-            it is used, as point reflection may be off by four times the signal.
+        tolerance: Largest sum of the absolute weights beyond. A quarter of it is used,
+            because point reflection may err by four times the signal.
     """
     size = 1 << int(np.ceil(np.log2(64 * _ORDER / relative_cutoff)))
     weights = np.abs(np.fft.irfft(_gain(relative_cutoff, size)))[: size // 2]
-    outside = 2 * np.cumsum(weights[::-1])[::-1]  # weight from lag k on, both sides
+    outside = 2 * np.cumsum(weights[::-1])[::-1]  # from lag k on, on both sides
     return int(np.argmax(outside < tolerance / 4))
 
 
 def central_difference(x: Array, *, rate: float) -> Array:
-    """Time derivative by differences of fourth order, of second order at the edges.
+    """Time derivative by central differences of order 4, of order 2 at the edges.
 
     Args:
-        x: Signals in any unit, three uniform samples or more along the first axis.
+        x: Signals in any unit, at least three uniform samples along the first axis.
         rate: Samples per second, [Hz].
 
     Returns:
@@ -142,11 +142,7 @@ def central_difference(x: Array, *, rate: float) -> Array:
 
 
 def passes_all(rate: float, cutoff: float) -> bool:
-    """Whether a cut-off, [Hz], is so near the Nyquist frequency that all passes.
-
-    Raises:
-        ValueError: The cut-off is not positive.
-    """
+    """Tell whether a cut-off in [Hz] is so near Nyquist that all passes."""
     if not cutoff > 0:
         raise ValueError(f"cutoff {cutoff} Hz; valid is a positive frequency or inf")
     return cutoff >= 0.98 * rate / 2
@@ -159,15 +155,16 @@ def _gain(relative_cutoff: float, size: int) -> Array:
     return butterworth_gain(f, rate=1.0, cutoff=relative_cutoff)
 
 
-def _folded(spectrum: Spectrum, size: int, factor: int) -> Spectrum:
-    """Spectra (k, size//2 + 1) of ``rfft`` once only every ``factor``-th sample stays.
+def _aliased(spectrum: Spectrum, size: int, factor: int) -> Spectrum:
+    """Spectra of decimated signals from those of ``rfft``, shape (k, size//2 + 1).
 
-    The size is a multiple of the factor: of how many frequencies fall onto each one.
+    The size is a multiple of the factor. As many frequencies as the factor says fall
+    onto each one.
     """
-    few = size // factor
-    half = few // 2 + 1
+    decimated = size // factor
+    half = decimated // 2 + 1
     out = spectrum[:, :half].copy()
-    for first in range(few, size, few):
+    for first in range(decimated, size, decimated):
         direct = spectrum[:, first : first + half]
         count = direct.shape[1]
         out[:, :count] += direct
@@ -186,46 +183,46 @@ def _filtered(x: Array, rate: float, cutoff: float, axis: int, factor: int) -> A
     pad = filter_reach(cutoff / rate, tolerance=1e-9)
     pad = -(-pad // factor) * factor
     kept = -(-samples // factor)
-    first, last = _support(x, pad, factor)
-    if last - first < samples:  # nothing happens elsewhere
+    first, last = _nonzero_range(x, pad, factor)
+    if last - first < samples:
         out = np.zeros((*x.shape[:-1], kept))
         if last > first:
             part = _filtered(x[..., first:last], rate, cutoff, -1, factor)
             out[..., first // factor :][..., : part.shape[-1]] = part
         return np.ascontiguousarray(np.moveaxis(out, -1, axis))
-    few = next_fast_len(-(-(samples + 2 * pad) // factor), real=True)
-    size = factor * few
+    decimated = next_fast_len(-(-(samples + 2 * pad) // factor), real=True)
+    size = factor * decimated
     gain = _gain(cutoff / rate, size) / factor
     signals = np.ascontiguousarray(x).reshape(-1, samples)
     out = np.empty((len(signals), kept))
-    for i in range(0, len(signals), _AT_ONCE):
-        spectrum = rfft(_continued(signals[i : i + _AT_ONCE], pad), size)
+    for i in range(0, len(signals), _BLOCK):
+        spectrum = rfft(_padded(signals[i : i + _BLOCK], pad), size)
         spectrum *= gain
-        spectrum = _folded(spectrum, size, factor)
-        out[i : i + _AT_ONCE] = irfft(spectrum, few)[:, pad // factor :][:, :kept]
+        spectrum = _aliased(spectrum, size, factor)
+        out[i : i + _BLOCK] = irfft(spectrum, decimated)[:, pad // factor :][:, :kept]
     out = out.reshape(*x.shape[:-1], kept)
     return np.ascontiguousarray(np.moveaxis(out, -1, axis))
 
 
-def _support(x: Array, pad: int, factor: int) -> tuple[int, int]:
-    """Samples within reach of any signal that is not zero, as a range.
+def _nonzero_range(x: Array, pad: int, factor: int) -> tuple[int, int]:
+    """First sample and end of the part where filtered signals are not zero.
 
-    It starts at a multiple of ``factor``, and is everything where that is most of it,
-    or where something happens at either end.
+    It starts at a multiple of ``factor``. It is the whole range if the part is long, or
+    if a signal is not zero at either end.
     """
     samples = x.shape[-1]
     if x[..., 0].any() or x[..., -1].any():
         return 0, samples
-    there = np.flatnonzero(x.any(axis=tuple(range(x.ndim - 1))))
-    if not len(there):
+    nonzero = np.flatnonzero(x.any(axis=tuple(range(x.ndim - 1))))
+    if not len(nonzero):
         return 0, 0
-    first = max(there[0] - 2 * pad, 0) // factor * factor
-    last = min(there[-1] + 1 + 2 * pad, samples)
-    return (int(first), int(last)) if last - first < _PART * samples else (0, samples)
+    first = max(nonzero[0] - 2 * pad, 0) // factor * factor
+    last = min(nonzero[-1] + 1 + 2 * pad, samples)
+    return (int(first), int(last)) if last - first < _SHORT * samples else (0, samples)
 
 
-def _continued(x: Array, pad: int) -> Array:
-    """Signals (k, N) and ``pad`` samples of their point reflection at either end."""
+def _padded(x: Array, pad: int) -> Array:
+    """Signals (k, N) with ``pad`` samples of their point reflection at either end."""
     if pad >= x.shape[1]:
         ends = (0, 0), (pad, pad)
         return np.pad(x, ends, mode="reflect", reflect_type="odd")

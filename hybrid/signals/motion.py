@@ -1,4 +1,4 @@
-"""Recording -> motion: fuse, filter and differentiate."""
+"""Turn a recording into a motion: filter and differentiate positions."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from hybrid.signals.speed import SpeedCheck, correction_by_speed
 class Motion:
     """One motion on a uniform clock, at the full rate of its recording.
 
-    ``tau`` is as measured: it is filtered together with the columns of a model, by the
-    same :class:`Sampler`, so that both lose the same frequencies.
+    ``tau`` is not filtered here. The same :class:`Sampler` later filters it and the
+    regressor columns, so that both lose the same frequencies.
 
     Attributes:
         t: Time, uniform, shape (N,), [s].
@@ -34,13 +34,13 @@ class Motion:
         a: Joint acceleration, shape (N, n), [rad/s²].
         tau: Measured drive torque, shape (N, n), [N·m].
         temperature: Drive temperature, shape (N, n), [°C], or None.
-        mask: True where a sample may be used, shape (N,); the edges, where filters
-            and differences are not valid, are False.
+        mask: True where a sample may be used, shape (N,); False at the edges, where
+            filters and differences are not valid.
         joints: Joint names in column order.
-        source: Where it came from.
-        number: Which of several recordings it is, counted from 0.
-        asked: Torque asked of the drives, shape (N, n), [N·m], where ``tau`` is
-            simulated: the same but where the log shows much else; None if not known.
+        source: File or folder of the recording.
+        number: Index of the recording among several, from 0.
+        asked: Torque that the controller commands to the drives, shape (N, n), [N·m];
+            None if not known.
     """
 
     t: Array
@@ -69,19 +69,19 @@ def motion_from_recording(
 ) -> Motion:
     """Filter and differentiate positions; torque stays as measured.
 
-    A measured speed corrects positions where it knows better than they do (see
-    :func:`correction_by_speed`); speed and acceleration are the derivatives of these
-    positions, exactly consistent with them and with each other.
+    A measured speed corrects positions at the frequencies where it has less noise (see
+    :func:`correction_by_speed`). Speed and acceleration are the derivatives of the
+    corrected positions.
 
     Args:
         recording: Joint log; an irregular clock is made uniform first, with a warning.
-        cutoff: Cut-off of the position filter, [Hz]; inf for none; chosen from the
-            spectrum by :func:`choose_cutoff` if not given.
-        speed: What the measured speed of such a log is worth, if that is known.
+        cutoff: Cut-off of the position filter, [Hz]; inf for none; by default
+            :func:`choose_cutoff` chooses it.
+        speed: Check of the measured speed, if it was made before.
 
     Returns:
-        The motion at the full rate; its mask leaves out both edges for as long as the
-        filter gives what lies outside the log a weight above 1 %.
+        The motion at the full rate. Its mask excludes samples at both edges, where
+        values beyond the ends of the log have a weight above 1 % in the filter.
     """
     recording = resample(recording)
     rate = (len(recording.t) - 1) / recording.duration

@@ -1,20 +1,20 @@
-"""Measured speed: what it is worth beside differentiated position, and both as one.
+"""Check a measured speed against positions, and correct positions by it.
 
-Position q + e_q and speed q̇ + e_v with noise densities N_q, N_v tell of one motion. At
-each frequency, the estimate of least variance from both is
+Position q + e_q and speed q̇ + e_v are measured with noise densities N_q and N_v. At
+each frequency, the estimate of position with the least variance is
 
-    Q̂ = Q + G · (V − jωQ) / jω,     G = ω² N_q / (ω² N_q + N_v):
+    Q̂ = Q + G · (V − jωQ) / jω,     G = ω² N_q / (ω² N_q + N_v).
 
-position below the crossover of the two noises, integrated speed above. The noise of
-positions is white: what of their spectrum, where nothing moves, is not in the speed too
-(one that was computed from them shares all). That of a speed is its spectrum there and,
-elsewhere, by how much more than their noise it contradicts positions: a speed that is
-filtered or wrong loses its weight at the frequencies at which that shows.
+N_q is white. It is the part of the position spectrum in the noise band that is not
+coherent with the speed, because a speed that was computed from positions has the same
+noise. N_v is the speed spectrum in the noise band or, if larger, the difference between
+speed and position beyond N_q. A speed that is filtered or wrong therefore has no weight
+at the frequencies where it differs from positions.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,40 +22,40 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.recording.recording import Recording
-from hybrid.signals.cutoff import QUIET, blackman_harris
+from hybrid.signals.cutoff import NOISE_BAND, blackman_harris
 from hybrid.signals.filters import Spectrum, butterworth_gain
 
-_SEGMENT = 4.0  # s: of a spectrum
-_FEWEST = 64  # samples of which a spectrum is made
-_LATEST = 0.05  # s: drivers average over less
-_BAND = 1.2  # ratio of frequencies that are alike
-# A speed is used if it is one: it agrees with positions where the arm moves, in rad/s.
-_COHERENT = 0.9
-_WORST_SCALE = 0.05  # off one
-_MOST_SHIFTS, _SHIFTED = 3, 0.05  # passes; samples
-# Times their usual noise that positions are corrected, at most: twice the largest of a
-# log's many samples, as some noise is greater where the arm is fast.
-_FARTHEST = 8.0
+_SEGMENT = 4.0  # s, length of a spectrum
+_FEWEST = 64  # samples of a spectrum
+_LARGEST_LAG = 0.05  # s, longer than any driver's average
+_BAND = 1.2  # ratio of the frequencies over which noise is averaged
+# A speed is used only if it agrees with positions where the arm moves.
+_COHERENCE = 0.9
+_SCALE_ERROR = 0.05
+_LAG_PASSES, _LAG_TOLERANCE = 3, 0.05  # passes; samples
+# Largest correction in standard deviations of its expected noise. It is twice the
+# largest value among a log's many samples, because noise may grow with speed.
+_LARGEST_CORRECTION = 8.0
 _TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedCheck:
-    """Measured speed held against position, v(t) ≈ scale · q̇(t − lag).
+    """Comparison of measured speed and position, v(t) ≈ scale · q̇(t − lag).
 
-    What cannot be told (no speed in the log, a joint that stands) is NaN.
+    Values are NaN if the log has no speed or the joint does not move.
 
     Attributes:
         scale: Factor of each joint, shape (n,); 1 for a speed in rad/s.
-        scale_std: Its standard deviation, shape (n,).
-        lag: Time by which the speed comes late, shape (n,), [s].
-        coherence: Share of the speed's power that position explains where the joint
-            moves, shape (n,), 0 to 1.
-        same_noise: The same where nothing moves, shape (n,): near 1 for a speed that
-            was computed from these positions, and adds nothing to them.
-        noise: Density of the positions' own noise, shape (n,), [rad²/Hz].
+        scale_std: Standard deviation of the scale, shape (n,).
+        lag: Delay of the speed, shape (n,), [s].
+        coherence: Coherence of speed and position at the frequencies of the motion,
+            shape (n,), 0 to 1.
+        same_noise: Coherence in the noise band, shape (n,). It is near 1 if the speed
+            was computed from these positions, and then adds no information.
+        noise: Noise density of the positions, shape (n,), [rad²/Hz].
         frequency: Frequencies of the weight, shape (F,), [Hz].
-        weight: Weight G of the speed, shape (F, n); 0 for a speed not to be used.
+        weight: Weight G of the speed, shape (F, n); 0 for a speed that is not used.
     """
 
     scale: Array
@@ -69,49 +69,53 @@ class SpeedCheck:
 
 
 def speed_against_position(recording: Recording) -> SpeedCheck:
-    """Scale, lag and coherence of each joint's measured speed, and its best weight.
+    """Compare each joint's measured speed with position, and weight it.
 
-    The clock is uniform. Scale and lag are those of least squares in the frequency
-    domain. Each frequency counts by the noise of both channels there, so only those at
-    which the arm moves do.
+    The clock must be uniform. Scale and lag are found by least squares in the frequency
+    domain. Each frequency is weighted by the inverse noise of both channels.
     """
     n, v = recording.size, recording.v
     if v is None or len(v) < _FEWEST:
         return SpeedCheck(*(np.full(n, np.nan),) * 6, np.zeros(1), np.zeros((1, n)))
     rate = (len(v) - 1) / recording.duration
-    u, prompt, lag = _difference(recording), v, np.zeros(n)
-    both = _spectra(u, prompt, rate)
-    for _ in range(_MOST_SHIFTS):
-        late = both.lag
-        if np.abs(late).max() * rate < _SHIFTED:
+    u, lag = _position_difference(recording), np.zeros(n)
+    check = _compare(u, v, rate)
+    for _ in range(_LAG_PASSES):
+        if np.abs(check.lag).max() * rate < _LAG_TOLERANCE:
             break
-        lag = np.clip(lag + late, -_LATEST, _LATEST)
-        prompt = _earlier(v, lag, rate)
-        both = _spectra(u, prompt, rate)
-    return _judged(both, lag)
+        lag = np.clip(lag + check.lag, -_LARGEST_LAG, _LARGEST_LAG)
+        check = _compare(u, _advanced(v, lag, rate), rate)
+    return replace(check, lag=np.where(np.isnan(check.scale), np.nan, lag))
 
 
-def _judged(both: _Spectra, lag: Array) -> SpeedCheck:
-    """Judge spectra of two signals that are in step, after one came late."""
-    uu, vv, uv = both.uu, both.vv, both.uv
-    worth, of_position = both.worth, both.of_position
+def _compare(u: Array, v: Array, rate: float) -> SpeedCheck:
+    """Compare central differences u of position with speeds v, shapes (N, n)."""
+    f, count, densities = _densities(u, v, rate)
+    uu, vv, uv, aa, av, au = (x.real for x in densities)
+    w, in_band = 2 * np.pi * f[:, None], f >= f[-1] * NOISE_BAND[0] / NOISE_BAND[1]
+    coherence = np.abs(densities[2]) ** 2 / np.maximum(uu * vv, _TINY)
+    same_noise = np.mean(coherence[in_band], axis=0)
+    noise = (1 - same_noise) * np.median((uu / w**2)[in_band], axis=0)
+    position_noise, speed_noise = w**2 * noise, np.median(vv[in_band], axis=0)
+    weight = 1 / np.maximum(position_noise + speed_noise, _TINY)
+    weight = np.where(uu > 2 * position_noise, weight, 0)
+    signal = weight * np.maximum(uu - position_noise, 0)
+    power, terms = signal.sum(axis=0), (uv, au, uu, av, aa, vv)
+    uv_, au_, uu_, av_, aa_, vv_ = ((weight * x).sum(axis=0) for x in terms)
     with np.errstate(divide="ignore", invalid="ignore"):
-        moving = worth * np.maximum(uu - of_position, 0)
-        power, shared = moving.sum(axis=0), (worth * uv).sum(axis=0)
-        scale = shared / power
-        apart = np.maximum(vv / scale**2 + uu - 2 * uv / scale, 0)
-        std = np.sqrt((moving * worth * apart).sum(axis=0) / both.count) / power
-        present = np.maximum((worth * vv).sum(axis=0), _TINY)
-        coherence = shared**2 / (worth * uu).sum(axis=0) / present
-        good = (coherence > _COHERENT) & (np.abs(scale - 1) < _WORST_SCALE)
-        more = np.maximum(
-            _smooth(both.f, apart) - of_position, both.of_speed / scale**2
+        # Least squares of v ≈ scale · (u − lag · a).
+        lag = np.nan_to_num((au_ * uv_ - uu_ * av_) / (aa_ * uv_ - au_ * av_))
+        scale = uv_ / power
+        error = np.maximum(vv / scale**2 + uu - 2 * uv / scale, 0)
+        std = np.sqrt((signal * weight * error).sum(axis=0) / count) / power
+        coherence = uv_**2 / uu_ / np.maximum(vv_, _TINY)
+        good = (coherence > _COHERENCE) & (np.abs(scale - 1) < _SCALE_ERROR)
+        speed_noise = np.maximum(
+            _smooth(f, error) - position_noise, speed_noise / scale**2
         )
-        weight = np.nan_to_num(np.where(good, 1 / (1 + more / of_position), 0))
-    lag = np.where(np.isnan(scale), np.nan, lag)
-    return SpeedCheck(
-        scale, std, lag, coherence, both.same_noise, both.noise, both.f, weight
-    )
+        gain = np.where(good, 1 / (1 + speed_noise / position_noise), 0)
+    gain = np.nan_to_num(gain)
+    return SpeedCheck(scale, std, lag, coherence, same_noise, noise, f, gain)
 
 
 def correction_by_speed(
@@ -121,22 +125,22 @@ def correction_by_speed(
     mask: NDArray[np.bool_],
     check: SpeedCheck | None = None,
 ) -> Array:
-    """Correction (N, n) of low-passed positions by measured speed, for the least noise.
+    """Correction of low-passed positions by the measured speed, shape (N, n), [rad].
 
-    Where that is more than the noise of positions can be, a speed contradicts them: it
-    is then not used at all, and the correction exactly zero.
+    If the correction of a joint is larger than the noise of positions can be, the speed
+    contradicts them. It is then not used, and the correction is zero.
 
     Args:
         recording: Joint log on a uniform clock.
-        cutoff: Cut-off of the same filter as :func:`butterworth`, [Hz]; inf for none.
-        mask: Samples by which a speed is judged, shape (N,).
-        check: What :func:`speed_against_position` says of it, if that is known.
+        cutoff: Cut-off of :func:`butterworth`, [Hz]; inf for none.
+        mask: Samples whose correction is compared with the noise, shape (N,).
+        check: Result of :func:`speed_against_position`, if it was made before.
     """
     check, v = check or speed_against_position(recording), recording.v
-    added = np.zeros_like(recording.q)
+    correction = np.zeros_like(recording.q)
     use = np.flatnonzero(check.weight.any(axis=0))
     if v is None or not len(use):
-        return added
+        return correction
     from scipy.fft import irfft, next_fast_len, rfft
 
     samples, rate = len(v), (len(v) - 1) / recording.duration
@@ -145,78 +149,28 @@ def correction_by_speed(
     f = _moving_band(size, rate)
     w, slope = 2 * np.pi * f, np.sinc(2 * f / rate)
     low = butterworth_gain(f, rate=rate, cutoff=cutoff)
-    u, v = _difference(recording), _earlier(v, np.nan_to_num(check.lag), rate)
+    u = _position_difference(recording)
+    v = _advanced(v, np.nan_to_num(check.lag), rate)
     for j in use:
         both = np.pad(np.stack([u[:, j], v[:, j]]), ((0, 0), (pad, pad)), "reflect")
         U, V = rfft(both, size)[:, 1 : len(f) + 1]
-        apart = V / check.scale[j] - U / slope
+        error = V / check.scale[j] - U / slope
         gain = low * np.interp(f, check.frequency, check.weight[:, j])
-        found = irfft(np.append(0, gain * apart / (1j * w)), size)[pad : pad + samples]
-        usual = np.sqrt(check.noise[j] * (low * gain).sum() * f[0])
-        if np.abs(found[mask]).max(initial=0.0) < _FARTHEST * usual:
-            added[:, j] = found
-    return added
+        found = irfft(np.append(0, gain * error / (1j * w)), size)[pad : pad + samples]
+        expected = np.sqrt(check.noise[j] * (low * gain).sum() * f[0])
+        if np.abs(found[mask]).max(initial=0.0) < _LARGEST_CORRECTION * expected:
+            correction[:, j] = found
+    return correction
 
 
-def _difference(recording: Recording) -> Array:
-    """Central differences of position, (N, n): q̇ less a gain of sinc(2 f / rate)."""
+def _position_difference(recording: Recording) -> Array:
+    """Central differences of position, (N, n): q̇ with a gain of sinc(2 f / rate)."""
     rate = (len(recording.t) - 1) / recording.duration
     return np.asarray(np.gradient(recording.q, axis=0) * rate)
 
 
-@dataclass(frozen=True)
-class _Spectra:
-    """What spectra tell of differentiated positions u and speeds v.
-
-    Attributes:
-        f: Frequencies, shape (F,), [Hz].
-        uu: Density of u, shape (F, n), [rad²/s²/Hz].
-        vv: Of v.
-        uv: Of both, real part.
-        count: Number of segments they are means of.
-        same_noise: Coherence where nothing moves, shape (n,).
-        noise: Density of the positions' noise that is not in v, shape (n,), [rad²/Hz].
-        of_position: The same in u, shape (F, n).
-        of_speed: Noise of v where nothing moves, shape (n,).
-        worth: Weight of each frequency in least squares, shape (F, n); 0 for noise.
-        lag: By least squares of v ≈ scale · (u − lag · du/dt), shape (n,), [s].
-    """
-
-    f: Array
-    uu: Array
-    vv: Array
-    uv: Array
-    count: int
-    same_noise: Array
-    noise: Array
-    of_position: Array
-    of_speed: Array
-    worth: Array
-    lag: Array
-
-
-def _spectra(u: Array, v: Array, rate: float) -> _Spectra:
-    """Spectra of central differences of position and of speed, shapes (N, n)."""
-    f, count, densities = _densities(u, v, rate)
-    uu, vv, uv, aa, av, au = (x.real for x in densities)
-    w, still = 2 * np.pi * f[:, None], f >= f[-1] * QUIET[0] / QUIET[1]
-    alike = np.abs(densities[2]) ** 2 / np.maximum(uu * vv, _TINY)
-    same = np.mean(alike[still], axis=0)
-    noise = (1 - same) * np.median((uu / w**2)[still], axis=0)
-    of_position, of_speed = w**2 * noise, np.median(vv[still], axis=0)
-    worth = 1 / np.maximum(of_position + of_speed, _TINY)
-    worth = np.where(uu > 2 * of_position, worth, 0)
-    terms = (uv, au, uu, av, aa)
-    uv_, au_, uu_, av_, aa_ = ((worth * x).sum(axis=0) for x in terms)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        lag = np.nan_to_num((au_ * uv_ - uu_ * av_) / (aa_ * uv_ - au_ * av_))
-    return _Spectra(
-        f, uu, vv, uv, count, same, noise, of_position, of_speed, worth, lag
-    )
-
-
 def _densities(u: Array, v: Array, rate: float) -> tuple[Array, int, list[Spectrum]]:
-    """Frequencies, segments, and densities of pairs of u, its slope a, and v."""
+    """Frequencies, number of segments, and cross densities of u, a = du/dt and v."""
     from scipy.fft import rfft
 
     size = min(len(u), int(_SEGMENT * rate))
@@ -237,27 +191,27 @@ def _densities(u: Array, v: Array, rate: float) -> tuple[Array, int, list[Spectr
 
 
 def _moving_band(size: int, rate: float) -> Array:
-    """Frequencies of ``rfft`` above zero at which differences tell a slope, [Hz]."""
+    """Frequencies of ``rfft`` between zero and the end of the noise band, [Hz]."""
     f = np.asarray(np.fft.rfftfreq(size, 1 / rate), dtype=np.float64)
-    return f[1 : np.searchsorted(f, QUIET[1] * rate)]
+    return f[1 : np.searchsorted(f, NOISE_BAND[1] * rate)]
 
 
-def _earlier(x: Array, lag: Array, rate: float) -> Array:
-    """Signals (N, n), each earlier by its lag, shape (n,), [s]."""
+def _advanced(x: Array, lag: Array, rate: float) -> Array:
+    """Shift signals (N, n) to earlier times, each by its lag, shape (n,), [s]."""
     from scipy.fft import irfft, next_fast_len, rfft
 
-    pad = min(int(2 * _LATEST * rate) + 1, len(x) - 1)
+    pad = min(int(2 * _LARGEST_LAG * rate) + 1, len(x) - 1)
     size = next_fast_len(len(x) + 2 * pad, real=True)
     w = 2 * np.pi * np.fft.rfftfreq(size, 1 / rate)
-    # Point reflection keeps value and slope at the ends, which shifts bring in.
-    longer = np.pad(x.T, ((0, 0), (pad, pad)), "reflect", reflect_type="odd")
-    spectrum = rfft(longer, size)
+    # Point reflection keeps value and slope at the ends.
+    padded = np.pad(x.T, ((0, 0), (pad, pad)), "reflect", reflect_type="odd")
+    spectrum = rfft(padded, size)
     shifted = irfft(spectrum * np.exp(1j * w * lag[:, None]), size)
     return np.asarray(shifted[:, pad : pad + len(x)].T)
 
 
 def _smooth(f: Array, x: Array) -> Array:
-    """Mean over a band of frequencies around each, shape (F, n)."""
+    """Mean over the band of frequencies around each one, shape (F, n)."""
     first = np.searchsorted(f, f / _BAND)
     last = np.searchsorted(f, f * _BAND, side="right")
     sums = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])

@@ -1,4 +1,4 @@
-"""Filters of a stream, a block at a time: derivatives by time stamp, and a low-pass."""
+"""Filter a stream block by block: derivatives by time stamp, and a low-pass filter."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 
 _ORDER = 4  # of the local polynomial
-_WIDER = 2.5  # bandwidth of the derivatives in cut-offs
-# Samples of a window that hold all that is left of it, at least, and of how many one.
-_HOLDERS, _ONE_OF = 2.5, 8
-STRETCH = 1.25  # of a window, at most: its bandwidth is still two cut-offs
+_BANDWIDTH = 2.5  # of the derivatives, in cut-offs
+# Without an outlier, the residual is spread over this many samples at least: so many,
+# or, in a short window, so large a share of it.
+_SPREAD, _SPREAD_SHARE = 2.5, 1 / 8
+STRETCH = 1.25  # largest factor of a window's length: bandwidth is still two cut-offs
 
 
 class LocalPolynomial:
-    """Position, speed and acceleration from a polynomial through the samples around.
+    """Position, speed and acceleration from a polynomial that is fitted to a window.
 
-    The samples count at their own time stamps: one that is missing, or comes early,
-    leaves no error behind. All three are those of one polynomial at the mean time of a
-    group of samples in the middle of its window, so that they belong to each other, and
-    to the mean torque of the group.
+    The fit uses the time stamp of each sample, so that missing and early samples cause
+    no error. The polynomial is evaluated at the mean time of the group of samples in
+    the middle of its window. All three thus belong to the mean torque of the group.
 
     Source: Savitzky and Golay 1964, doi 10.1021/ac60214a047; Schafer 2011,
     doi 10.1109/MSP.2011.941097 (their bandwidth).
@@ -33,7 +33,7 @@ class LocalPolynomial:
         group: Samples in a group g.
 
     Attributes:
-        margin: Samples of a window before its group, and behind it.
+        margin: Number of samples in a window before its group, and after it.
         span: Time from the first to the last sample of a window, [s].
 
     Raises:
@@ -41,39 +41,39 @@ class LocalPolynomial:
     """
 
     def __init__(self, rate: float, cutoff: float, group: int = 1) -> None:
-        if not (rate > 0 and cutoff > 0 and _WIDER * cutoff < rate / 2):
+        if not (rate > 0 and cutoff > 0 and _BANDWIDTH * cutoff < rate / 2):
             raise RecordingError(
                 f"{rate:g} Hz; valid for a cut-off of {cutoff:g} Hz is a rate above "
-                f"{2 * _WIDER * cutoff:g} Hz"
+                f"{2 * _BANDWIDTH * cutoff:g} Hz"
             )
-        half = ((_ORDER + 1) * rate / (2 * _WIDER * cutoff) + 4.6) / 3.2
+        half = ((_ORDER + 1) * rate / (2 * _BANDWIDTH * cutoff) + 4.6) / 3.2
         self.margin = max(3, round(half - (group - 1) / 2))
         self._group, self._length = group, 2 * self.margin + group
         self.span = (self._length - 1) / rate
         self._even = np.linspace(-1.0, 1.0, self._length)
         self._middle = np.zeros(self._length)
         self._middle[self.margin : self.margin + group] = 1.0 / group
-        self._known = np.zeros((0, 0), dtype=np.intp)
+        self._cached = np.zeros((0, 0), dtype=np.intp)
 
     def windows(self, t: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Powers of time in the window around every one of B groups.
+        """Powers of time in the window around each of B groups.
 
         Returns:
             Powers 0 to 4 of the time from the middle in half spans, shape (B, 5, W);
-            and whether the window is as long as it should be, shape (B,). One that is
-            not is filled as if it were.
+            and whether the window has the nominal length, shape (B,). A window of
+            another length gets uniform times.
         """
         around = t[self._index(len(t))]
         s = around - (around @ self._middle)[:, None]
         s *= 2.0 / self.span
         stretch = 0.5 * (s[:, -1] - s[:, 0])
-        whole = (stretch < STRETCH) & (stretch > 1.0 / STRETCH)
-        s[~whole] = self._even
+        nominal = (stretch < STRETCH) & (stretch > 1.0 / STRETCH)
+        s[~nominal] = self._even
         powers = np.empty((len(s), _ORDER + 1, self._length))
         powers[:, 0] = 1.0
         for k in range(_ORDER):
             np.multiply(powers[:, k], s, out=powers[:, k + 1])
-        return powers, whole
+        return powers, nominal
 
     def moments(self, powers: Array, q: Array) -> tuple[Array, Array]:
         """Products of the powers with each other, (B, 5, 5), and with q, (B, 5, n)."""
@@ -92,42 +92,42 @@ class LocalPolynomial:
             fitted[:, 2] * (2.0 * per_second**2),
         )
 
-    def left(self, powers: Array, q: Array, fitted: Array) -> Array:
-        """What the polynomials leave of the positions, shape (B, W, n), [rad]."""
-        found: Array = q[self._index(len(q))] - powers.transpose(0, 2, 1) @ fitted
-        return found
+    def residual(self, powers: Array, q: Array, fitted: Array) -> Array:
+        """Positions less the fitted polynomials, shape (B, W, n), [rad]."""
+        residual: Array = q[self._index(len(q))] - powers.transpose(0, 2, 1) @ fitted
+        return residual
 
-    def is_spread(self, left: Array) -> NDArray[np.bool_]:
-        """Whether what is left is spread over the window, for every joint, (B, n).
+    def has_no_outlier(self, residual: Array) -> NDArray[np.bool_]:
+        """Tell whether no single sample dominates the residual r, shape (B, n).
 
-        If one or two samples hold it, they are wrong, or have the stamps of others. The
-        number that do is (Σ r²)²/Σ r⁴; of white noise it is a third of all.
+        A dominant sample has a wrong value or a wrong time stamp. The effective number
+        of samples in the residual is (Σ r²)²/Σ r⁴; for white noise it is W/3.
         """
-        square = left * left
+        square = residual * residual
         total = square.sum(axis=1)
         square *= square
-        holders = min(_HOLDERS, self._length / _ONE_OF)
-        return np.asarray(total**2 >= holders * square.sum(axis=1))
+        least = min(_SPREAD, self._length * _SPREAD_SHARE)
+        return np.asarray(total**2 >= least * square.sum(axis=1))
 
     def _index(self, samples: int) -> NDArray[np.intp]:
-        """Samples of every window, shape (B, W)."""
-        if self._known.size == 0 or self._known[-1, -1] != samples - 1:
+        """Indices of the samples of each window, shape (B, W)."""
+        if self._cached.size == 0 or self._cached[-1, -1] != samples - 1:
             first = np.arange(0, samples - self._length + 1, self._group)
-            self._known = first[:, None] + np.arange(self._length)
-        return self._known
+            self._cached = first[:, None] + np.arange(self._length)
+        return self._cached
 
 
 class BlockLowPass:
-    """Second-order Butterworth filter of which every B-th output is wanted.
+    """Second-order Butterworth filter that returns every B-th output.
 
-    A block of B inputs, the state before it, the state after it and the last output are
-    linear in each other, so that one small product does the work of B steps. The filter
-    starts settled on the first sample.
+    The last output and the new state are linear in a block of B inputs and the old
+    state, so that one small matrix product does B steps. The filter starts in the
+    steady state of the first sample.
 
     Args:
         rate: Samples per second, [Hz].
-        cutoff: Frequency at which 71 % of the amplitude is left, [Hz].
-        block: Samples in a block B.
+        cutoff: Frequency at which the gain is 0.71, [Hz].
+        block: Number of samples in a block B.
     """
 
     def __init__(self, rate: float, cutoff: float, block: int) -> None:
@@ -141,7 +141,7 @@ class BlockLowPass:
         self._state: Array | None = None
 
     def __call__(self, x: Array) -> Array:
-        """The last output, shape (P,), of a block of inputs, shape (B, P)."""
+        """Filter a block of inputs (B, P); return the last output, shape (P,)."""
         if self._state is None:
             self._state = np.multiply.outer(np.array(self._settled), x[0])
         out = self._step @ np.concatenate([self._state, x])

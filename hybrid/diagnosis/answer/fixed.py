@@ -14,7 +14,7 @@ from hybrid.diagnosis.explanations.refit import solve_all
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.dynamics import stacked_base
 from hybrid.effects import Effect
-from hybrid.exports.simulator import build_simulator
+from hybrid.exports.simulator.simulator import build_simulator
 from hybrid.identification import DynamicModel
 from hybrid.identification.data import visited
 from hybrid.model.declared import declared_effects

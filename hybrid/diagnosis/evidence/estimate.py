@@ -19,7 +19,7 @@ from hybrid.diagnosis.evidence.noise import (
 )
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.prior import Prior
-from hybrid.signals import memory
+from hybrid.signals import autocorrelation_time
 
 _LESS = 0.9  # of a variance: a fall that is worth another search
 _RIDGES = 10.0 ** np.arange(-5, 5)  # for columns of unit length
@@ -41,12 +41,14 @@ def estimate_noise(evidence: Evidence, index: Index) -> None:
         for x in (left, evidence.left[i][back]):
             use = without_events(x, row[back], evidence.gap.rate)
             if not use.all():
-                usual = memory(x[use], row[back][use]) * np.mean(x[use] ** 2)
+                usual = autocorrelation_time(x[use], row[back][use]) * np.mean(
+                    x[use] ** 2
+                )
                 found.append((float(usual), x[use], row[back][use]))
         noise, x, own = min(found, key=lambda x: x[0])
         evidence.noise[i] = max(noise, _least_noise(evidence, i, least))
         covariance = autocovariance(x, own, LAGS)
-        covariance *= noise / max(memory(x, own) * covariance[0], 1e-300)
+        covariance *= noise / max(autocorrelation_time(x, own) * covariance[0], 1e-300)
         evidence.covariances[i] = covariance
 
 
@@ -69,7 +71,7 @@ def lower_noise(evidence: Evidence, measured: Array, index: Index) -> Array:
         left = residuals[i][back]
         fitted = len(evidence.base_columns(index, i)[0])
         left /= max(1.0 - fitted / _dimensions(evidence, i), 1e-3)
-        lasts = memory(left, row[back])
+        lasts = autocorrelation_time(left, row[back])
         power = float(left @ left) / len(row)
         if power < _LESS * evidence.covariances[i][0]:
             noise[i] = max(power * lasts, _least_noise(evidence, i, lasts))
@@ -101,14 +103,16 @@ def set_noise_model(
             torque = gap.measured[rows[back], i]
             torque -= np.mean(torque)
             solver = prior.solver_error**2 * np.mean(torque**2)
-            solver *= memory(torque, rows[back])
+            solver *= autocorrelation_time(torque, rows[back])
             law = prior.law_error**2 * autocovariance(left, rows[back], LAGS)
-            evidence.noise[i] += solver + law[0] * memory(left, rows[back])
+            evidence.noise[i] += solver + law[0] * autocorrelation_time(
+                left, rows[back]
+            )
             if gap.subtracted is not None:
                 known, part = gap.subtracted[rows[back], i], prior.real_law_error**2
                 law += part * autocovariance(known, rows[back], LAGS)
                 evidence.noise[i] += (
-                    part * np.mean(known**2) * memory(known, rows[back])
+                    part * np.mean(known**2) * autocorrelation_time(known, rows[back])
                 )
             covariance += law
             covariance[0] += law[0] + solver
@@ -153,7 +157,7 @@ def _flexible(evidence: Evidence, i: int, index: Index) -> tuple[Array, float, f
         w = np.array([_ridge(A - g, b - x, ridge) for g, x in folds])
         power = np.einsum("fk,fk->", w, (G @ w[..., None])[..., 0] - 2 * c)
         left = (gap - (_ridge(A.copy(), b, ridge) / size) @ columns)[back]
-        lasts = memory(left, row)
+        lasts = autocorrelation_time(left, row)
         found.append((left, (gap @ gap + power) / len(row) * lasts, lasts, ridge))
     left, noise, lasts, ridge = min(found, key=lambda x: x[1])
     free = ridge * np.trace(_ridge(A, np.eye(len(A)), ridge))

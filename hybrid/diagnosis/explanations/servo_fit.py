@@ -17,7 +17,7 @@ from hybrid.diagnosis.gap.servo import (
     Law,
     ServoLog,
 )
-from hybrid.signals import memory
+from hybrid.signals import autocorrelation_time
 
 WORTH = 14.0  # nat, odds against one more parameter of a servo
 _ROUNDS, _LONGEST, _CONVERGED = 12, 0.004, 1e-6  # iterations; steps, [s]
@@ -139,7 +139,7 @@ def hidden_damping(servo: ServoLog, found: Fit, rate: float, cutoff: float) -> f
 
 def log_likelihood_ratio(servo: ServoLog, first: Fit, second: Fit) -> float:
     """Log likelihood of the second fit less that of the first, [nat]."""
-    independent = len(servo.row) / memory(second.left, servo.row)
+    independent = len(servo.row) / autocorrelation_time(second.left, servo.row)
     before, after = first.left @ first.left, second.left @ second.left
     return float(independent / 2 * np.log(before / after))
 
@@ -197,7 +197,7 @@ def _refined(servo: ServoLog, law: Law, x: Array, basis: Array) -> Fit:
             x = np.zeros(2)
     d = _inverse(np.linalg.norm(J, axis=0))
     spread = np.linalg.pinv((J * d).T @ (J * d), rcond=1e-12) * d * d[:, None]
-    spread *= left @ left / len(left) * memory(left, servo.row)
+    spread *= left @ left / len(left) * autocorrelation_time(left, servo.row)
     wide = np.eye(2 + len(gains))[:, 2:]
     wide = np.column_stack([np.pad(basis, ((0, len(gains)), (0, 0))), wide])
     return Fit(law, float(x[0]), float(x[1]), gains, left, wide @ spread @ wide.T)

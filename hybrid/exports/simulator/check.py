@@ -1,9 +1,9 @@
-"""A simulator's file held against recordings, as the simulator computes torque."""
+"""Compare the torque of a simulator's file with recordings."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,45 +20,40 @@ from hybrid.signals import Motion
 def gaps(
     model: DynamicModel, file: str | Path, motions: Sequence[Motion]
 ) -> dict[str, Array]:
-    """RMS of the torque that a model and simulators miss, where a joint moves.
+    """RMS torque error of a model and of simulators while a joint moves.
 
     Args:
-        model: A model; ``model.robot`` is the simulator as it was.
-        file: The simulator that was written of it, ``.xml`` or ``.urdf``.
+        model: A model; ``model.robot`` is the original simulator.
+        file: The simulator that was exported from it, ``.xml`` or ``.urdf``.
         motions: Motions with torque.
 
     Returns:
-        By ``as it was``, ``exported`` and ``model``, shape (n,), [N·m].
+        RMS of ``as it was``, ``exported`` and ``model``, shape (n,), [N·m].
     """
+    moving = np.concatenate(
+        [(np.abs(m.v) > model.standing) & m.mask[:, None] for m in motions]
+    )
+
+    def rms(predict: Callable[[Motion], Array]) -> Array:
+        error = np.concatenate([m.tau - predict(m) for m in motions])
+        return np.asarray(np.sqrt(np.mean(error**2, axis=0, where=moving)))
+
     own = model.robot.path or model.robot
     return {
-        "as it was": left(
-            motions, [file_torque(own, model, m) for m in motions], model
-        ),
-        "exported": left(
-            motions, [file_torque(file, model, m) for m in motions], model
-        ),
-        "model": left(motions, [model.predict(m) for m in motions], model),
+        "as it was": rms(lambda m: file_torque(own, model, m)),
+        "exported": rms(lambda m: file_torque(file, model, m)),
+        "model": rms(model.predict),
     }
 
 
-def left(
-    motions: Sequence[Motion], torque: Sequence[Array], model: DynamicModel
-) -> Array:
-    """RMS of what torques are off, where a joint moves, shape (n,), [N·m]."""
-    off = np.concatenate([m.tau - x for m, x in zip(motions, torque, strict=True)])
-    moving = [(np.abs(m.v) > model.standing) & m.mask[:, None] for m in motions]
-    return np.asarray(np.sqrt(np.mean(off**2, axis=0, where=np.concatenate(moving))))
-
-
 def file_torque(file: str | Path | Robot, model: DynamicModel, motion: Motion) -> Array:
-    """Torque that a simulator's joints need along a motion, shape (N, n), [N·m].
+    """Inverse dynamics of a simulator along a motion, shape (N, n), [N·m].
 
-    MuJoCo itself computes that of an MJCF file, with tendons and all.
+    For an MJCF file, MuJoCo itself computes it, including tendons.
 
     Args:
-        file: The simulator, or the arm that it has.
-        model: Of the same arm.
+        file: File of the simulator, or its arm.
+        model: A model of the same arm.
         motion: Motion of N samples.
     """
     joints, held = model.robot.joints, dict(model.robot.held)

@@ -1,4 +1,4 @@
-"""An identified model as a simulator, and what the simulator lacks as a model."""
+"""Turn an identified model into a simulator, and the remaining effects into a model."""
 
 from __future__ import annotations
 
@@ -11,8 +11,12 @@ import numpy as np
 
 from hybrid.effects.payload import LinkInertia
 from hybrid.errors import HybridError
-from hybrid.exports.simulator.simulator import Simulator, build_simulator, said
-from hybrid.exports.simulator.typical import typical_motion
+from hybrid.exports.simulator.friction import typical_motion
+from hybrid.exports.simulator.simulator import (
+    Simulator,
+    build_simulator,
+    planned_robot,
+)
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -27,14 +31,14 @@ def model_simulator(
     motions: Sequence[Motion] = (),
     folder: str | Path | None = None,
 ) -> Simulator:
-    """The file of a model's arm with what was identified.
+    """Write the identified parameters of a model into the file of its arm.
 
     Args:
         model: An identified model; ``model.robot.path`` is the file.
         kind: ``mjcf`` or ``urdf``.
         motions: Motions with the speeds at which friction is fitted; by default one
-            within the range that was seen in fitting.
-        folder: Where the file will stand, if not where it stood.
+            within the range of the recordings.
+        folder: Folder of the new file, if it is another one.
 
     Raises:
         HybridError: No physically consistent links were identified.
@@ -45,74 +49,63 @@ def model_simulator(
             "consistent=True, on the command line --consistent"
         )
     motions = motions or (usual_motion(model),)
+    parts = model.remainder.parts if model.remainder else ()
+    learned = ", ".join(model.robot.joints[part.joint] for part in parts)
     return build_simulator(
         _bare(model).with_inertial(model.inertial),
         model.effects,
         kind=kind,
         motions=motions,
         folder=folder,
-        notes=learned(model),
+        notes=[f"learned remainder of {learned}"] if learned else (),
     )
 
 
 def missing_model(model: DynamicModel, made: Simulator) -> DynamicModel:
-    """What has to be added to the torque of a simulator, as a model.
+    """Model of the effects that a simulator lacks.
 
-    Exported as C it runs beside any simulator: its torque is taken off the joints. The
-    links are there for effects that depend on their load, and taken out of the sum.
+    Exported as C it can run together with any simulator, which subtracts its torque at
+    the joints. It keeps its links for effects that depend on their load, and subtracts
+    their torque by negative links.
 
     Args:
-        model: What was made a simulator of.
-        made: The simulator.
+        model: The identified model.
+        made: The simulator that was built from it.
     """
-    none = [
+    negative = [
         LinkInertia((k,), dict(zip(_TEN, (-x).tolist(), strict=True)))
         for k, x in enumerate(model.link_parameters)
         if x.any()
     ]
-    return replace(model, effects=(*made.rest, *none), simpler={})
-
-
-def learned(model: DynamicModel) -> tuple[str, ...]:
-    """The learned remainder in words, if there is one."""
-    if model.remainder is None or not model.remainder.parts:
-        return ()
-    joints = [model.robot.joints[p.joint] for p in model.remainder.parts]
-    return (f"learned remainder of {', '.join(joints)}",)
+    return replace(model, effects=(*made.rest, *negative), simpler={})
 
 
 def _bare(model: DynamicModel) -> Robot:
-    """The arm without what its file declares of its joints: effects have all of it."""
-    robot, none = model.robot, np.zeros(model.robot.size)
+    """The arm without declared rotors, friction and springs; effects have them all."""
+    robot, zero = model.robot, np.zeros(model.robot.size)
     names = "damping", "frictionloss", "quadratic", "cubic", "stiffness", "knee"
-    own: dict[str, Any] = dict.fromkeys(names, none)
+    own: dict[str, Any] = dict.fromkeys(names, zero)
     own |= {"ripple": np.zeros((0, 4)), "falling": np.zeros((0, 3))}
-    return replace(robot, chain=replace(robot.chain, armature=none), **own)
+    return replace(robot, chain=replace(robot.chain, armature=zero), **own)
 
 
 def fields_of_model(
     model: DynamicModel, motions: Sequence[Motion], kind: str = "mjcf"
 ) -> Robot:
-    """The arm with all of a model that a kind of file has a place for.
-
-    Args:
-        model: A model with links that could be built.
-        motions: Motions with the speeds at which friction is fitted.
-        kind: ``mjcf`` or ``urdf``.
-    """
+    """The arm with all parameters of a model that a kind of file can express."""
     assert model.inertial is not None
     robot = _bare(model).with_inertial(model.inertial)
-    return said(robot, model.effects, kind, motions)
+    return planned_robot(robot, model.effects, kind, motions)
 
 
 def usual_motion(model: DynamicModel) -> Motion:
-    """A motion within the range that was seen in fitting, at all speeds of it."""
+    """Random motion at all positions and speeds of the recordings of a model."""
     names = {"q_min", "q_max", "v_max"} & model.range.keys()
-    seen: dict[str, Any] = {name: model.range[name] for name in names}
-    if "v_max" in seen:  # as fast as it was seen, however long it takes to be so
-        seen["v_max"] = np.maximum(seen["v_max"], 1e-6)
-    motion = typical_motion(replace(model.robot, **seen))
-    if "v_max" not in seen:
+    limits: dict[str, Any] = {name: model.range[name] for name in names}
+    if "v_max" in limits:
+        limits["v_max"] = np.maximum(limits["v_max"], 1e-6)
+    motion = typical_motion(replace(model.robot, **limits))
+    if "v_max" not in limits:
         return motion
-    # A curve goes astray beyond the speeds that it is fitted at.
-    return replace(motion, v=motion.v * seen["v_max"] / np.abs(motion.v).max(axis=0))
+    # Scale to the highest speed, because a fitted curve does not extrapolate.
+    return replace(motion, v=motion.v * limits["v_max"] / np.abs(motion.v).max(axis=0))

@@ -1,4 +1,4 @@
-"""Models like an identified one, as likely as the recordings leave them."""
+"""Draw models from the posterior of an identified one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hybrid.effects import Effect
 from hybrid.errors import HybridError
 from hybrid.model.dynamic_model import DynamicModel
 
-_THIN = 1e-6  # smallest width of a drawn link, as a share of the usual one, squared
+_THINNEST = 1e-6  # smallest squared width of a drawn link, relative to the nominal one
 
 
 def sample(
@@ -24,13 +24,13 @@ def sample(
 ) -> tuple[DynamicModel, ...]:
     """Draw models from the posterior of an identified one.
 
-    Base parameters and linear gains are drawn together, by their covariance; gains that
-    it does not have by their own standard deviation. Links that could not be built
-    become the nearest that could, and friction below zero is none.
+    Base parameters and linear gains are drawn from their joint covariance, other gains
+    from their own standard deviations. A link that is not physical is replaced by the
+    nearest one that is, and negative friction by zero.
 
     Args:
-        model: An identified model with links that could be built.
-        n: How many.
+        model: An identified model with physically consistent links.
+        n: Number of models.
         seed: Seed or generator.
 
     Raises:
@@ -42,39 +42,39 @@ def sample(
             "identify again with consistent=True, on the command line --consistent"
         )
     factor = _factor(model.covariance)
-    spread = _spread(model)
+    jacobian = _link_jacobian(model)
     rng = np.random.default_rng(seed)
-    return tuple(_draw(model, factor, spread, rng) for _ in range(n))
+    return tuple(_draw(model, factor, jacobian, rng) for _ in range(n))
 
 
 def _draw(
-    model: DynamicModel, factor: Array, spread: Array, rng: np.random.Generator
+    model: DynamicModel, factor: Array, jacobian: Array, rng: np.random.Generator
 ) -> DynamicModel:
     assert model.inertial is not None
     rigid = np.array(model.base.kept) < 10 * model.robot.size
     change = factor @ rng.standard_normal(factor.shape[1])
-    inertial = model.inertial + (spread @ change[rigid]).reshape(-1, 10)
+    inertial = model.inertial + (jacobian @ change[rigid]).reshape(-1, 10)
     names = [label for k, label in enumerate(model.base.kept_labels) if not rigid[k]]
     gains = dict(zip(names, change[~rigid], strict=True))
-    effects = tuple(_moved(model, e, gains, rng) for e in model.effects)
+    effects = tuple(_changed(model, e, gains, rng) for e in model.effects)
     links = _physical(model, inertial)
     return replace(model, inertial=links, effects=effects, simpler={})
 
 
 def _physical(model: DynamicModel, inertial: Array) -> Array:
-    """Links that could be built: no principal part of a pseudo-inertia below zero."""
+    """Project links to physical ones, whose pseudo-inertia has positive eigenvalues."""
     assert model.inertial is not None
     root = np.linalg.cholesky(nominal_bodies(model.robot.chain, model.inertial))
     inverse = np.linalg.inv(root)
     X = inverse @ pseudo_inertia(inertial) @ inverse.transpose(0, 2, 1)
     values, vectors = np.linalg.eigh(X)
-    X = (vectors * np.maximum(values, _THIN)[:, None]) @ vectors.transpose(0, 2, 1)
+    X = (vectors * np.maximum(values, _THINNEST)[:, None]) @ vectors.transpose(0, 2, 1)
     found = inertial_from_pseudo(root @ X @ root.transpose(0, 2, 1))
-    there = np.any(model.inertial, axis=1, keepdims=True)
-    return np.where(there, found, model.inertial)
+    has_mass = np.any(model.inertial, axis=1, keepdims=True)
+    return np.where(has_mass, found, model.inertial)
 
 
-def _moved(
+def _changed(
     model: DynamicModel,
     effect: Effect,
     gains: dict[str, float],
@@ -91,10 +91,10 @@ def _moved(
     return effect.at(values)
 
 
-def _spread(model: DynamicModel) -> Array:
-    """Change of link parameters per change of base ones, shape (10n, rigid).
+def _link_jacobian(model: DynamicModel) -> Array:
+    """Change of link parameters per change of base parameters, shape (10n, rigid).
 
-    Of all that have the torque, that which changes parameters least, of their size.
+    It is the change with the least norm, relative to the size of the parameters.
     """
     assert model.inertial is not None
     count = 10 * model.robot.size
@@ -106,6 +106,6 @@ def _spread(model: DynamicModel) -> Array:
 
 
 def _factor(covariance: Array) -> Array:
-    """A matrix whose product with its transpose is the covariance."""
+    """Square root L of a covariance, L @ L.T."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.clip(values, 0.0, None)))

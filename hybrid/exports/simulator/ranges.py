@@ -1,4 +1,4 @@
-"""How far each number of a simulator may be off, for training on what is left open."""
+"""Intervals of a simulator's parameters, for domain randomisation."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Ranges:
-    """Numbers of a simulator with what the recordings leave open; p of them.
+    """The p uncertain parameters of a simulator, with their intervals.
 
     Attributes:
         joints: Joints of the arm.
-        keys: Joint and name of each number, length p.
+        keys: Joint and name of each parameter, length p.
         units: Units, length p.
         nominal: Values of the simulator, shape (p,).
         low: Lower ends of the 95 % intervals, shape (p,).
-        high: Upper ends, shape (p,).
+        high: Upper ends of the 95 % intervals, shape (p,).
         correlation: Correlations, shape (p, p).
-        draws: Values of draws from the posterior, shape (draws, p).
+        draws: Draws from the posterior, shape (draws, p).
     """
 
     joints: tuple[str, ...]
@@ -47,7 +47,7 @@ class Ranges:
     draws: Array
 
     def of(self, name: str) -> tuple[Array, Array]:
-        """Lower and upper ends of a number, of joints that have it not NaN, (n,)."""
+        """Ends of a parameter's interval at each joint, (n,); NaN if it is certain."""
         ends = np.full((2, len(self.joints)), np.nan)
         for k, (joint, own) in enumerate(self.keys):
             if own == name:
@@ -79,13 +79,13 @@ def ranges(
     kind: str = "mjcf",
     draws: int = 400,
 ) -> Ranges:
-    """Intervals and correlations of a simulator's numbers, from draws of the posterior.
+    """Intervals and correlations of parameters, from draws of the posterior.
 
     Args:
-        model: An identified model with links that could be built.
+        model: An identified model with physically consistent links.
         seed: Seed or generator.
-        kind: ``mjcf`` or ``urdf``: the places that the simulator has.
-        draws: How many simulators are drawn.
+        kind: ``mjcf`` or ``urdf``, which says what parameters the simulator has.
+        draws: Number of draws.
 
     Raises:
         HybridError: The model has no such links, or was saved without a covariance.
@@ -115,7 +115,7 @@ def ranges(
 
 
 def _numbers(robot: Robot) -> dict[tuple[str, str], float]:
-    """Numbers of a simulator by joint and name."""
+    """Parameters of a simulator by joint and name."""
     found: dict[tuple[str, str], float] = {}
     table = {name: getattr(robot, name, None) for name in _UNITS}
     table["armature"] = robot.chain.armature

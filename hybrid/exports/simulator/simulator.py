@@ -1,8 +1,8 @@
-"""The arm's own simulator file with what was found: the one way to write it.
+"""Write effects and parameters into an arm's own simulator file.
 
-What a joint, a link or an actuator of the file has a place for is there, exactly. A
-friction curve that it has no place for is fitted by what it has. The rest is listed,
-and is what :func:`hybrid.plant.install.install` or exported C adds.
+What joints, links and actuators of the file can express is written exactly. Other
+friction is approximated. The remaining effects are listed;
+:func:`hybrid.plant.install.install` or exported C can add them.
 """
 
 from __future__ import annotations
@@ -21,8 +21,12 @@ from hybrid.effects import Effect
 from hybrid.effects.instant import FIELDS
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.errors import HybridError, RobotError
-from hybrid.exports.simulator.friction import StandIn, is_friction, stand_in
-from hybrid.exports.simulator.typical import typical_motion
+from hybrid.exports.simulator.friction import (
+    FittedFriction,
+    approximate_friction,
+    is_friction,
+    typical_motion,
+)
 from hybrid.files import atomic_path
 from hybrid.model.declared import declared_effects
 from hybrid.names import xml_comment
@@ -42,45 +46,40 @@ from hybrid.robot.edit.source import read, source
 from hybrid.robot.edit.urdf import edit_urdf, move_meshes
 from hybrid.signals import Motion
 
-# What a kind of file has for a joint.
+# Fields of a joint in each kind of file, and those that approximate friction.
 _JOINT = {"mjcf": FIELDS, "urdf": ("armature", "damping", "frictionloss")}
 _CURVE = {
     "mjcf": (
-        "frictionloss",
-        "damping",
-        "quadratic",
-        "cubic",
-        "preload",
-        "knee",
-        "fall",
+        "frictionloss", "damping", "quadratic", "cubic", "preload", "knee", "fall",
     ),
     "urdf": ("frictionloss", "damping"),
-}
+}  # fmt: skip
 _SAME = 1e-9  # of the largest value of a kind
 
 
 @dataclass(frozen=True)
 class Simulator:
-    """A robot file with what was found in it.
+    """An edited robot file.
 
     Attributes:
         text: The file.
-        original: What it was.
-        robot: The arm as it is in the file.
-        friction: What stands in for friction, by joint.
-        rest: Effects that, added to the file's, make what was asked for.
-        notes: What the file has only nearly, or not at all, in words.
+        original: The file before.
+        robot: The arm in the file.
+        friction: Approximated friction by joint.
+        rest: Effects that the file lacks. Together with the file they are the arm that
+            was asked for.
+        notes: What the file approximates or lacks, in words.
     """
 
     text: bytes
     original: bytes
     robot: Robot
-    friction: tuple[StandIn, ...]
+    friction: tuple[FittedFriction, ...]
     rest: tuple[Effect, ...]
     notes: tuple[str, ...]
 
     def diff(self, name: str = "robot") -> str:
-        """What is new in the file, as a unified diff."""
+        """Changes of the file as a unified diff."""
         old, new = (
             x.decode(errors="replace").splitlines(keepends=True)
             for x in (self.original, self.text)
@@ -88,28 +87,35 @@ class Simulator:
         return "".join(difflib.unified_diff(old, new, f"a/{name}", f"b/{name}", n=1))
 
     def write(self, path: str | Path) -> None:
-        """Write the file, and a ``.diff`` beside it.
+        """Write the file, and its changes as a ``.diff``.
 
-        A URDF and an MJCF of one name may lie in the same folder.
+        A URDF and an MJCF file of the same name have different ``.diff`` files.
         """
         path = Path(path)
-        plain = path.suffix == ".xml"
-        beside = path.with_suffix(".diff" if plain else f"{path.suffix}.diff")
+        mjcf = path.suffix == ".xml"
+        diff_path = path.with_suffix(".diff" if mjcf else f"{path.suffix}.diff")
         difference = self.diff(path.name)
         with atomic_path(path) as temporary:
             temporary.write_bytes(self.text)
-        with atomic_path(beside) as temporary:
+        with atomic_path(diff_path) as temporary:
             temporary.write_text(difference, encoding="utf-8")
 
 
 @dataclass(frozen=True)
-class _Sorted:
-    """Effects by how a file says them."""
+class _Plan:
+    """Effects sorted by how a file expresses them.
+
+    Attributes:
+        change: What the file expresses exactly.
+        friction: Friction that it approximates.
+        missing: Effects that it does not express.
+        corrections: True friction less the approximation.
+    """
 
     change: Edit
-    friction: tuple[StandIn, ...]
-    rest: tuple[Effect, ...]
-    unsaid: tuple[Effect, ...]
+    friction: tuple[FittedFriction, ...]
+    missing: tuple[Effect, ...]
+    corrections: tuple[Effect, ...]
 
 
 def build_simulator(
@@ -121,69 +127,69 @@ def build_simulator(
     folder: str | Path | None = None,
     notes: Sequence[str] = (),
 ) -> Simulator:
-    """The file of an arm with other numbers, and with effects put in.
+    """Write new parameters and effects into the file of an arm.
 
-    An MJCF file stays as it is but for attributes that change; ``include`` is replaced
-    by what it includes. A URDF file stays one, or becomes MJCF. An arm without its file
-    has links, joints and motors.
+    Only changed attributes of an MJCF file differ; ``include`` is replaced by the
+    included content. A URDF file stays URDF or becomes MJCF. For an arm without a file,
+    the new file has links, joints and motors.
 
     Args:
-        robot: The arm as it shall be: links, rotors, friction and springs; ``path`` is
-            the file that has it as it was.
-        effects: What acts on it besides.
+        robot: The arm with its new links, rotors, friction and springs; ``path`` is the
+            file to edit.
+        effects: Further effects.
         kind: ``mjcf`` or ``urdf``.
-        motions: Motions with the speeds at which friction is fitted; a typical one
-            within the arm's limits by default.
-        folder: Where the file will stand, if not where it stood: meshes and pictures
-            are named relative to it.
-        notes: What else the file does not have, in words; all of it is in a comment at
-            its top.
+        motions: Motions with the speeds at which friction is fitted; by default a
+            random one within the arm's limits.
+        folder: Folder of the new file, if it is another one; paths of meshes and
+            pictures are adapted to it.
+        notes: Further notes on what the file lacks. A comment at the top of the file
+            has all notes.
 
     Raises:
         HybridError: The kind is not known.
-        RobotError: The file is of another arm, or has no place for a joint or link.
+        RobotError: The file is of another arm, or a joint or link cannot be edited.
         EffectError: An effect cannot be simulated.
     """
     if kind not in _JOINT:
         raise HybridError(f"no kind {kind!r} of simulator; valid are mjcf, urdf")
-    plan = _sorted(robot, effects, kind, motions)
+    plan = _plan(robot, effects, kind, motions)
     new = plan.change.robot
-    made = source(new, kind)
-    document, old = made.document, made.robot
+    origin = source(new, kind)
+    document, old = origin.document, origin.robot
     edit = edit_mjcf if kind == "mjcf" else edit_urdf
-    said = list(edit(document, plan.change, old))
+    lacks = list(edit(document, plan.change, old))
     found = read(document, old, kind)
     _check(found, new, _JOINT[kind])
-    if made.own and folder is not None:
+    if origin.own and folder is not None:
         move = move_assets if kind == "mjcf" else move_meshes
         move(document, Path(robot.path).parent, Path(folder))
-    said += [*made.notes]
-    said += [_fitted(robot, x) for x in plan.friction]
-    said += [in_words(robot, effect) for effect in plan.unsaid] + list(notes)
-    if said:
-        lines = [f"Not in this file, or only nearly: {xml_comment(x)}." for x in said]
+    lacks += [*origin.notes]
+    lacks += [_friction_note(robot, x) for x in plan.friction]
+    lacks += [_effect_note(robot, effect) for effect in plan.missing] + list(notes)
+    if lacks:
+        lines = [f"Not in this file, or only nearly: {xml_comment(x)}." for x in lacks]
         comment = "\n     ".join(lines)
-        document.put(document.tags[0].start, f"<!-- {comment} -->\n")
+        document.insert(document.tags[0].start, f"<!-- {comment} -->\n")
     return Simulator(
-        text=document.written(),
+        text=document.edited(),
         original=document.content,
         robot=found,
         friction=plan.friction,
-        rest=plan.rest,
-        notes=tuple(said),
+        rest=(*plan.missing, *plan.corrections),
+        notes=tuple(lacks),
     )
 
 
-def said(
+def planned_robot(
     robot: Robot, effects: Sequence[Effect], kind: str, motions: Sequence[Motion]
 ) -> Robot:
-    """The arm that a file would have; see :func:`build_simulator`."""
-    return _sorted(robot, effects, kind, motions).change.robot
+    """The arm in the file that :func:`build_simulator` would write."""
+    return _plan(robot, effects, kind, motions).change.robot
 
 
-def _sorted(
+def _plan(
     robot: Robot, effects: Sequence[Effect], kind: str, motions: Sequence[Motion]
-) -> _Sorted:
+) -> _Plan:
     n, inertial = robot.size, robot.chain.inertial.copy()
     gravity = robot.chain.gravity.copy()
     acting = declared_effects(replace(robot, knee=np.zeros(n)))
@@ -193,18 +199,19 @@ def _sorted(
             acting.append(effect)
         else:
             inertial, gravity = inertial + rigid[0], gravity + rigid[1]
-    values, left = split_effects(acting, _JOINT[kind], n)
+    values, others = split_effects(acting, _JOINT[kind], n)
     chain = replace(robot.chain, inertial=inertial, gravity=gravity)
-    rubbing = [effect for effect in left if is_friction(effect)]
-    robot, rubbing = with_curves(robot, rubbing, kind == "mjcf")
-    fitted = _stand_ins(replace(robot, chain=chain), rubbing, values, kind, motions)
-    rest = [effect for effect in left if not is_friction(effect)]
+    friction = [effect for effect in others if is_friction(effect)]
+    robot, friction = with_curves(robot, friction, kind == "mjcf")
+    moved = replace(robot, chain=chain)
+    fitted = _fitted_friction(moved, friction, values, kind, motions)
+    rest = [effect for effect in others if not is_friction(effect)]
     drives = dict[int, Actuator]()
     structure = []
-    waves = [e for e in rest if isinstance(e, TorqueRipple) and kind == "mjcf"]
-    rest = [e for e in rest if e not in waves]
+    ripples = [e for e in rest if isinstance(e, TorqueRipple) and kind == "mjcf"]
+    rest = [e for e in rest if e not in ripples]
     ripple = np.array(
-        [(e.joints[0], *e.gain_values, e.values["periods"]) for e in waves]
+        [(e.joints[0], *e.gain_values, e.values["periods"]) for e in ripples]
     ).reshape(-1, 4)
     if kind == "mjcf":
         for effect in [e for e in rest if e.actuator]:
@@ -215,37 +222,39 @@ def _sorted(
         structure = [e.edit_spec for e in shaped]
         rest = [e for e in rest if e not in shaped]
     new = _with_fields(replace(robot, chain=chain, ripple=ripple), values, fitted)
-    missing = [*_missing(rubbing, values, fitted, n), *_faded(waves)]
-    change = Edit(new, drives, structure)
-    return _Sorted(change, fitted, (*rest, *missing), tuple(rest))
+    corrections = (
+        *_friction_error(friction, values, fitted, n),
+        *_ripple_error(ripples),
+    )
+    return _Plan(Edit(new, drives, structure), fitted, tuple(rest), corrections)
 
 
-def _stand_ins(
+def _fitted_friction(
     robot: Robot,
-    rubbing: Sequence[Effect],
+    friction: Sequence[Effect],
     values: dict[str, Array],
     kind: str,
     motions: Sequence[Motion],
-) -> tuple[StandIn, ...]:
-    """Fit friction that has no field, joint by joint."""
-    if not rubbing:
+) -> tuple[FittedFriction, ...]:
+    """Approximate friction that has no field, joint by joint."""
+    if not friction:
         return ()
     motions = motions or (typical_motion(robot),)
     moved = [(motion, RigidBody(robot.chain, motion)) for motion in motions]
     return tuple(
-        stand_in(
-            [effect for effect in rubbing if effect.joints == (j,)],
+        approximate_friction(
+            [effect for effect in friction if effect.joints == (j,)],
             {name: float(x[j]) for name, x in values.items()}
             | {"knee_speed": float(robot.knee_speed[j])},
             moved,
             _CURVE[kind],
         )
-        for j in sorted({effect.joints[0] for effect in rubbing})
+        for j in sorted({effect.joints[0] for effect in friction})
     )
 
 
 def _with_fields(
-    robot: Robot, values: dict[str, Array], fitted: Sequence[StandIn]
+    robot: Robot, values: dict[str, Array], fitted: Sequence[FittedFriction]
 ) -> Robot:
     """The arm with values of its joints' fields."""
     own: dict[str, Any] = {name: x.copy() for name, x in values.items()}
@@ -269,19 +278,19 @@ def _with_fields(
     return replace(robot, chain=replace(robot.chain, armature=armature), **own)
 
 
-def _missing(
-    rubbing: Sequence[Effect],
+def _friction_error(
+    friction: Sequence[Effect],
     values: dict[str, Array],
-    fitted: Sequence[StandIn],
+    fitted: Sequence[FittedFriction],
     size: int,
 ) -> Iterator[Effect]:
-    """Friction less what stands in for it."""
-    yield from rubbing
-    over = {name: np.zeros(size) for name in values}
+    """True friction less its approximation."""
+    yield from friction
+    error = {name: np.zeros(size) for name in values}
     for each in fitted:
-        for name in over.keys() & each.values.keys():
-            over[name][each.joint] = values[name][each.joint] - each.values[name]
-    yield from effects_of_fields(over)
+        for name in error.keys() & each.values.keys():
+            error[name][each.joint] = values[name][each.joint] - each.values[name]
+    yield from effects_of_fields(error)
     for each in fitted:
         if level := each.values.get("knee", 0.0):
             yield knee(each.joint, -level, each.values["knee_speed"])
@@ -289,21 +298,17 @@ def _missing(
             yield fall(each.joint, -level, each.values["fall_speed"])
 
 
-def _faded(waves: Sequence[TorqueRipple]) -> Iterator[Effect]:
-    """Ripples that fade at high speed, less those of a file, which do not."""
-    for wave in waves:
-        endless = TorqueRipple(wave.joints, {"periods": wave.values["periods"]})
-        if wave.values["fastest"] < endless.values["fastest"]:
-            yield wave
-            yield endless.at({g.name: -wave.values[g.name] for g in wave.gains})
+def _ripple_error(ripples: Sequence[TorqueRipple]) -> Iterator[Effect]:
+    """Ripples that vanish at high speed, less those of the file, which do not."""
+    for ripple in ripples:
+        endless = TorqueRipple(ripple.joints, {"periods": ripple.values["periods"]})
+        if ripple.values["fastest"] < endless.values["fastest"]:
+            yield ripple
+            yield endless.at({g.name: -ripple.values[g.name] for g in ripple.gains})
 
 
 def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
-    """Hold the file that was written against what it should say.
-
-    Raises:
-        RobotError: They differ.
-    """
+    """Compare the arm in the edited file with the arm that was asked for."""
     names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"} & {*fields}
     names |= {"ripple", "falling"} if "preload" in fields else set()
     names |= {"knee", "knee_speed"} if wanted.knee.any() else set()
@@ -320,7 +325,7 @@ def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
             )
 
 
-def _fitted(robot: Robot, x: StandIn) -> str:
+def _friction_note(robot: Robot, x: FittedFriction) -> str:
     ids = ", ".join(dict.fromkeys(effect.id for effect in x.effects))
     falls = x.values.get("fall", 0.0) > 0
     kinds = "dry, falling and viscous" if falls else "dry and viscous"
@@ -330,8 +335,7 @@ def _fitted(robot: Robot, x: StandIn) -> str:
     )
 
 
-def in_words(robot: Robot, effect: Effect) -> str:
-    """An effect with its joints and gains."""
+def _effect_note(robot: Robot, effect: Effect) -> str:
     joints = ", ".join(robot.joints[j] for j in effect.joints)
     gains = [f"{g.name} {effect.values[g.name]:.4g} {g.unit}" for g in effect.gains
              if effect.values[g.name]]  # fmt: skip

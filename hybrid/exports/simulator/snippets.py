@@ -1,6 +1,6 @@
-"""Python for other simulators: an actuator of Isaac Lab, and what to randomise.
+"""Write actuators for Isaac Lab, and files for domain randomisation.
 
-Names of joints stand in it as literals and nowhere else.
+Names of joints appear as literals only.
 """
 
 from __future__ import annotations
@@ -9,18 +9,25 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from hybrid.arrays import Array
-from hybrid.exports.simulator.model import model_simulator
-from hybrid.exports.simulator.ranges import Ranges
+from hybrid.exports.simulator.model import (
+    fields_of_model,
+    model_simulator,
+    usual_motion,
+)
+from hybrid.exports.simulator.ranges import Ranges, ranges
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot.edit.change import Actuator
 from hybrid.signals import Motion
 
-_STEP = 0.005  # s, of a simulation whose step is not known
+_DRAWS = 400  # from the posterior
+_STEP = 0.005  # s, if the step of the simulation is not known
 _ACTUATOR = '''"""Actuators of {name} for Isaac Lab, with physics every {step!r} s."""
 
 from isaaclab.actuators import DelayedPDActuatorCfg
@@ -32,9 +39,9 @@ ACTUATORS = {{
     ),
 }}
 '''
-_EVENTS = '''"""What recordings leave open of {name}, in 95 % intervals, for Isaac Lab.
+_EVENTS = '''"""95 % intervals of the parameters of {name}, for Isaac Lab.
 
-Isaac Lab draws each number by itself; their correlations are in the YAML file.
+Isaac Lab draws each parameter independently; the YAML file has their correlations.
 """
 
 from isaaclab.envs import mdp
@@ -56,9 +63,9 @@ EVENTS = {{
     for k, (name, ranges) in enumerate(_RANGES.items())
 }}
 '''
-_MJX = '''"""What recordings leave open of {name}, for MuJoCo Playground and MJX.
+_MJX = '''"""Random parameters of {name}, for MuJoCo Playground and MJX.
 
-Rotors and friction are drawn together, with their correlations.
+Rotors and friction are drawn from their posterior, with their correlations.
 """
 
 import jax
@@ -93,7 +100,7 @@ def domain_randomize(model, rng, mj_model):
     axes = axes.tree_replace({{field: 0 for field in values}})
     return model.tree_replace(values), axes
 '''
-# Fields of MuJoCo's model by the names of ranges: column, and whether of any sign.
+# Field of MuJoCo's model by the name of a range, its column, and whether it may be < 0.
 _DOF: dict[str, tuple[str, int | None, bool]] = {
     "armature": ("dof_armature", None, False),
     "damping": ("dof_damping", None, False),
@@ -106,18 +113,18 @@ _DOF: dict[str, tuple[str, int | None, bool]] = {
 def isaac_lab(
     model: DynamicModel, motions: Sequence[Motion] = ()
 ) -> tuple[str, tuple[str, ...]]:
-    """An actuator configuration for Isaac Lab, and what is not in it."""
+    """Actuator configuration for Isaac Lab, and notes on what it lacks."""
     bare = replace(model, robot=replace(model.robot, path=""))  # numbers, no shapes
-    made = model_simulator(bare, kind="urdf", motions=motions)
-    robot, drives = made.robot, dict[int, Actuator]()
-    for effect in made.rest:
+    edited = model_simulator(bare, kind="urdf", motions=motions)
+    robot, drives = edited.robot, dict[int, Actuator]()
+    for effect in edited.rest:
         if effect.actuator:
             (j,) = effect.joints
             drives[j] = drives.get(j, Actuator()).and_then(effect.actuator)
     new = [drives.get(j, Actuator()) for j in range(robot.size)]
     known = model.robot.timestep
     step = known if math.isfinite(known) else _STEP
-    late = max(x.latency for x in new) / step
+    delay = max(x.latency for x in new) / step
     limit = np.minimum(robot.tau_max, [x.limit for x in new])
     kp = model.robot.kp * [x.stiffness for x in new]
     kd = model.robot.kd * [x.damping for x in new]
@@ -130,14 +137,14 @@ def isaac_lab(
     fields: dict[str, Any] = {
         name: _by_joint(robot.joints, x) for name, x in table.items()
     }
-    fields |= {"min_delay": math.floor(late), "max_delay": math.ceil(late)}
-    said = {"latency", "limit", "stiffness", "damping"}
+    fields |= {"min_delay": math.floor(delay), "max_delay": math.ceil(delay)}
+    expressed = {"latency", "limit", "stiffness", "damping"}
     notes = tuple(
         note
-        for note in made.notes
+        for note in edited.notes
         if not any(
-            note.startswith(f"{e.id} of") for e in made.rest
-            if e.actuator and e.actuator.keys() <= said
+            note.startswith(f"{e.id} of") for e in edited.rest
+            if e.actuator and e.actuator.keys() <= expressed
         )
     )  # fmt: skip
     text = _ACTUATOR.format(
@@ -162,13 +169,7 @@ def isaac_events(name: str, ranges: Ranges) -> str:
 
 
 def mjx(name: str, ranges: Ranges, nominal: Mapping[str, Array]) -> str:
-    """A function that randomises a model of MJX.
-
-    Args:
-        name: Name of the arm.
-        ranges: What is left open.
-        nominal: Values of each field of a joint, shape (n,).
-    """
+    """Function that randomises a model of MJX."""
     own = [name for name in _DOF if np.isfinite(ranges.of(name)).any()]
     n = len(ranges.joints)
     mean = np.concatenate([nominal[name] for name in own]) if own else np.zeros(0)
@@ -188,8 +189,32 @@ def mjx(name: str, ranges: Ranges, nominal: Mapping[str, Array]) -> str:
     )
 
 
+def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
+    """Write intervals and correlations as YAML, and Python for Isaac Lab and MJX.
+
+    Draws have a fixed seed, so that the files of a model are always the same.
+    """
+    found = ranges(model, np.random.default_rng(0), draws=_DRAWS)
+    nominal = fields_of_model(model, (usual_motion(model),))
+    # Isaac Lab has one dry and one viscous friction, as URDF has.
+    plain = ranges(model, np.random.default_rng(0), kind="urdf", draws=_DRAWS)
+    names = "damping", "quadratic", "cubic", "frictionloss"
+    values = {x: getattr(nominal, x) for x in names}
+    values["armature"] = nominal.chain.armature
+    name = model.robot.name
+    texts = {
+        f"{stem}_ranges.yaml": yaml.safe_dump(
+            {"robot": name, **found.as_dict()}, sort_keys=False, allow_unicode=True
+        ),
+        f"{stem}_isaaclab_events.py": isaac_events(name, plain),
+        f"{stem}_mjx.py": mjx(name, found, values),
+    }
+    for file, text in texts.items():
+        (folder / file).write_text(text, encoding="utf-8")
+
+
 def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float] | None:
-    """Values by joint, as a pattern; those that are not known are the robot's own."""
+    """Values by joint as a pattern; unknown values are left to the robot's file."""
     found = {
         re.escape(name): float(x)
         for name, x in zip(joints, values, strict=True)
@@ -204,5 +229,5 @@ def _laid_out(table: Mapping[str, Any]) -> str:
 
 
 def _plain(name: str) -> str:
-    """A name within a docstring."""
+    """Name for a docstring."""
     return re.sub(r"[^\w .+-]", "_", name)

@@ -1,4 +1,4 @@
-"""One file per format: path -> tables. What their columns mean is decided elsewhere."""
+"""Readers of file formats, one module each: they turn a path into tables."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ READERS: dict[str, Reader] = {
     ".mat": read_mat,
 }
 FOLDERS: dict[str, Reader] = {"ROS 2 bag": read_ros, "LeRobot": read_lerobot}
-STREAMED = (".mcap", ".db3", ".bag", *FOLDERS)  # not held in memory as a whole
+STREAMED = (".mcap", ".db3", ".bag", *FOLDERS)  # of any size
 
 
 def kind_of(path: Path) -> str | None:
-    """Key of ``READERS`` or ``FOLDERS`` for a file or folder; None if it has none."""
+    """Key of ``READERS`` or ``FOLDERS`` for a path; None if it is no recording."""
     if path.is_dir():
         if is_dataset(path):
             return "LeRobot"

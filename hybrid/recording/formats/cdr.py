@@ -1,8 +1,8 @@
-"""Layout of serialised ROS messages: the byte offset of each number.
+"""Find the byte offset of each number in serialised ROS messages.
 
-A bag's own definitions say how a message is laid out. They are walked as data and never
-become code. Messages of one length whose lengths and texts agree have one layout, so
-that thousands are decoded at once.
+The layout follows from the definitions in the bag, which are data and never become
+code. Messages of the same length, list lengths and texts have the same layout, so that
+thousands are decoded at once.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ _TIME: tuple[Any, Any] = (
     [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))],
 )
 _MESSAGE, _LIST = 2, 4  # kinds of nodes of a definition; an array is 3, the rest is 1
-_DEEPEST = 12  # messages within each other
-MOST_NUMBERS = 1 << 20  # of a message: more are no state and no trajectory
+_DEEPEST = 12  # nesting levels of messages
+MOST_NUMBERS = 1 << 20  # in a message
 
 
 class LayoutError(Exception):
-    """A message that its definition does not fit."""
+    """A message does not fit its definition."""
 
 
 @dataclass(frozen=True)
 class MessageLayout:
-    """Where the numbers of a message are.
+    """Offsets of the numbers in a message.
 
     Attributes:
-        length: Bytes of the message.
-        numbers: Path -> offset and type of each number.
-        texts: Path -> each text.
-        fixed: Offsets of the bytes that a message of this layout shares, shape (m,).
-        shared: Those bytes, shape (m,).
+        length: Length of the message in bytes.
+        numbers: Offset and type of each number by its path.
+        texts: Each text by its path.
+        fixed: Offsets of the bytes that are no numbers, shape (m,).
+        shared: These bytes, equal in all messages of this layout, shape (m,).
     """
 
     length: int
@@ -52,29 +52,26 @@ class MessageLayout:
     shared: NDArray[np.uint8]
 
     def fits(self, messages: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Which messages, shape (N, length), are laid out like this, shape (N,)."""
+        """Tell which messages, shape (N, length), have this layout, shape (N,)."""
         return np.asarray((messages[:, self.fixed] == self.shared).all(axis=1))
 
     def values(self, messages: NDArray[np.uint8], path: Path) -> NDArray[Any]:
-        """One number of each of many messages, shape (N,)."""
+        """One number of each message, shape (N,)."""
         start, kind = self.numbers[path]
-        taken = np.ascontiguousarray(messages[:, start : start + kind.itemsize])
-        return taken.view(kind)[:, 0]
+        own = np.ascontiguousarray(messages[:, start : start + kind.itemsize])
+        return own.view(kind)[:, 0]
 
 
 def layout_of(
     raw: bytes, kind: str, types: dict[str, Any], *, ros2: bool
 ) -> MessageLayout:
-    """Walk one message.
+    """Find the layout of one message.
 
     Args:
-        raw: The message, with the four bytes of its encoding before it in ROS 2.
-        kind: Its type.
-        types: Type -> its definition, as ``rosbags.typesys`` parses it.
+        raw: The message; in ROS 2 with the four bytes of its encoding before it.
+        kind: Type of the message.
+        types: Definitions by type, as ``rosbags.typesys`` parses them.
         ros2: Whether numbers are aligned, as in ROS 2.
-
-    Raises:
-        LayoutError: It is shorter than it says, or of a type that is not defined.
     """
     walk = _Walk(raw, types, ros2)
     try:
@@ -90,6 +87,8 @@ def layout_of(
 
 
 class _Walk:
+    """One pass through a message, which collects its numbers and texts."""
+
     def __init__(self, raw: bytes, types: dict[str, Any], ros2: bool) -> None:
         self.raw, self.types, self.ros2 = raw, types, ros2
         self.at = 4 if ros2 else 0

@@ -1,4 +1,4 @@
-"""Recordings as text: comma, semicolon or tab, in UTF-8."""
+"""Read recordings from text files with comma, semicolon or tab, in UTF-8."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.formats.fields import named_labels, spread_table
+from hybrid.recording.formats.fields import field_table, named_labels
 from hybrid.recording.recording import row_words
 from hybrid.recording.table import LARGEST_FILE, LogTable
 
 DELIMITERS = (",", ";", "\t")
 _DATE = re.compile(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
 _ZONE = re.compile(r"(Z|[+-]\d\d:?\d\d)\s*$")
-_WHOLE = re.compile(r"\s*\d{16,19}\s*")  # digits beyond a float's
-_LINE = 1 << 20  # bytes
+_WHOLE = re.compile(r"\s*\d{16,19}\s*")  # more digits than a float has
+_LONGEST_LINE = 1 << 20  # bytes
 
 
 @dataclass(frozen=True)
 class _Text:
     path: Path
-    content: bytes | None  # of a file that was gzipped
+    content: bytes | None  # of a gzipped file
     labels: tuple[str, ...]
     delimiter: str
     decimal_point: str
@@ -39,27 +39,23 @@ class _Text:
 
 
 def read_csv(path: Path) -> list[tuple[LogTable]]:
-    """A line of column names and one line for each sample.
+    """Read a line of column names and one line for each sample.
 
     Args:
-        path: File, gzipped or not; comma, semicolon or tab between cells, decimal point
-            or, between semicolons or tabs, decimal comma.
-
-    Raises:
-        RecordingError: The file is empty, not UTF-8, has a ragged row or a cell that
-            is no number; the message names column and row.
+        path: File, gzipped or not, with comma, semicolon or tab between cells. Numbers
+            have a decimal point, or a decimal comma if cells have no comma between.
     """
     text = _text(path)
     labels = text.labels
     if labels and not labels[0].strip() and text.first and _DATE.match(text.first[0]):
-        labels = ("time", *labels[1:])  # the index of pandas, which has no name
+        labels = ("time", *labels[1:])  # unnamed index of pandas
     labels = named_labels(labels, dict(zip(labels, text.first, strict=False)))
-    spread = [(label, str(k), None) for k, label in enumerate(labels)]
-    return [(spread_table(str(path), spread, partial(_columns, text), kind="CSV"),)]
+    layout = [(label, str(k), None) for k, label in enumerate(labels)]
+    return [(field_table(str(path), layout, partial(_columns, text), kind="CSV"),)]
 
 
 def _columns(text: _Text, names: Iterable[str]) -> dict[str, NDArray[Any]]:
-    """Columns by their indices from 0, as text."""
+    """Load columns by the text of their indices from 0."""
     import pyarrow as pa
 
     first, kinds = dict(enumerate(text.first)), {}
@@ -71,10 +67,10 @@ def _columns(text: _Text, names: Iterable[str]) -> dict[str, NDArray[Any]]:
     try:
         table = _table(text, kinds)
     except pa.ArrowException:
-        try:  # once more: several threads do not count rows
+        try:  # again, because several threads do not count rows
             table = _table(text, kinds, use_threads=False)
         except pa.ArrowException as error:
-            reason = _explained(text, str(error))
+            reason = _explanation(text, str(error))
             raise RecordingError(f"{text.path}: {reason}") from error
     if table.num_rows == 0:
         raise RecordingError(f"{text.path}: no rows below the column names")
@@ -99,7 +95,7 @@ def _table(text: _Text, kinds: dict[str, Any], use_threads: bool = True) -> Any:
 
 
 def _numbers(column: Any) -> NDArray[Any]:
-    """A column as it lies in memory: pyarrow's own way loads pandas for that."""
+    """Copy a column; pyarrow's own method would import pandas."""
     kind = {"double": np.float64, "int64": np.int64}.get(str(column.type))
     if kind is None or column.null_count:
         return np.asarray(column.to_numpy())
@@ -111,7 +107,7 @@ def _numbers(column: Any) -> NDArray[Any]:
 
 
 def _unpacked(path: Path) -> bytes | None:
-    """What is in a file that is gzipped, up to the size of any log."""
+    """Content of a gzipped file; None if it is not gzipped."""
     if path.suffix.lower() != ".gz":
         return None
     try:
@@ -125,11 +121,11 @@ def _unpacked(path: Path) -> bytes | None:
 
 
 def _text(path: Path) -> _Text:
-    """Labels and delimiter from the first line, decimal sign from the second."""
+    """Find labels and delimiter in the first line, the decimal sign in the second."""
     try:
         content = _unpacked(path)
         with path.open("rb") if content is None else io.BytesIO(content) as file:
-            lines = file.readline(_LINE), file.readline(_LINE)
+            lines = file.readline(_LONGEST_LINE), file.readline(_LONGEST_LINE)
     except OSError as error:
         reason = error.strerror or error
         raise RecordingError(f"{path}: cannot be read: {reason}") from error
@@ -152,7 +148,7 @@ def _text(path: Path) -> _Text:
         )
     try:
         cells = tuple(next(csv.reader([first], delimiter=delimiter), ()))
-    except csv.Error:  # the reader of all rows says what is wrong
+    except csv.Error:  # the reader of all rows reports it
         cells = ()
     comma = delimiter != "," and "," in first and "." not in first
     return _Text(path, content, labels, delimiter, "," if comma else ".", cells)
@@ -172,8 +168,8 @@ def _header(path: Path, line: bytes) -> str:
         ) from error
 
 
-def _explained(text: _Text, error: str) -> str:
-    """The reader's error in words; it counts rows from 1, the header's among them."""
+def _explanation(text: _Text, error: str) -> str:
+    """Explain an error of pyarrow, which counts rows from 1 and includes the header."""
     ragged = r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+)"
     if match := re.match(ragged, error):
         row, valid, found = map(int, match.groups())

@@ -1,4 +1,4 @@
-"""Fields of a file -> columns of a table: a matrix or a list has one for each joint."""
+"""Turn the fields of a file into columns: a matrix has one column for each joint."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.names import printable
+from hybrid.recording.labels import is_time, parse_label, split_unit
 from hybrid.recording.table import MOST_COLUMNS, LogTable
-from hybrid.recording.words import is_time, meaning, split_unit
 
-Spread = tuple[str, str, int | None]  # label, field, and which of the field's columns
+FieldColumn = tuple[str, str, int | None]  # label, field, column of the field
 Fields = Mapping[str, NDArray[Any]]  # each of shape (N,) or (N, n)
 NAMES = ("joints", "joint_names")  # labels of arrays that name the joints
 Get = Callable[[Iterable[str]], Fields]
@@ -22,19 +22,19 @@ _NAME = re.compile(r"(.*[./]|)(?:joint_)?names?[_.]?\[?(\d+)\]?")
 _STATE = re.compile(r"(.*[./]|)(position|velocity|effort)s?[_.]?\[?(\d+)\]?")
 
 
-def spread_table(
-    source: str, spread: Sequence[Spread], get: Get, **more: Any
+def field_table(
+    source: str, layout: Sequence[FieldColumn], get: Get, **more: Any
 ) -> LogTable:
-    """A table of columns of fields, of which only those that are asked for are got."""
+    """Make a table whose columns are parts of fields; ``get`` loads fields by name."""
 
     def load(used: tuple[int, ...]) -> list[dict[int, NDArray[Any]]]:
-        fields = get(dict.fromkeys(spread[k][1] for k in used))
-        return [{k: _column(fields, spread[k], source) for k in used}]
+        fields = get(dict.fromkeys(layout[k][1] for k in used))
+        return [{k: _column(fields, layout[k], source) for k in used}]
 
-    return LogTable(source, tuple(label for label, _, _ in spread), load, **more)
+    return LogTable(source, tuple(label for label, _, _ in layout), load, **more)
 
 
-def _column(fields: Fields, column: Spread, source: str) -> NDArray[Any]:
+def _column(fields: Fields, column: FieldColumn, source: str) -> NDArray[Any]:
     _, name, place = column
     if place is None:
         return fields[name]
@@ -46,51 +46,48 @@ def _column(fields: Fields, column: Spread, source: str) -> NDArray[Any]:
 def table_of_arrays(
     arrays: Fields, source: str, *, get: Get | None = None, **more: Any
 ) -> LogTable:
-    """A table of arrays by name, whose matrices have a column for each joint.
+    """Make a table of arrays by label; a matrix has a column for each joint.
 
     Args:
-        arrays: Label -> array; of files that are large, its shape and type alone.
+        arrays: Array by label; for large files only with the right shape and type.
             Text under one of ``NAMES`` names the joints.
-        source: File for messages.
-        get: Gives the arrays themselves if they are not at hand.
+        source: File, for messages.
+        get: Loads arrays by label; by default ``arrays`` themselves are used.
         more: Further fields of the table.
-
-    Raises:
-        RecordingError: An array that a channel needs is not numbers in (N,) or (N, n).
     """
-    names, held = None, arrays
-    got: Get = get or (lambda _: held)
+    names, all_arrays = None, arrays
+    load: Get = get or (lambda _: all_arrays)
     for key in NAMES:
         if key in arrays and arrays[key].dtype.kind in "SUO":
             arrays = {k: x for k, x in arrays.items() if k != key}
             names = names or tuple(
                 x.decode("utf-8", "replace") if isinstance(x, bytes) else str(x).strip()
-                for x in got([key])[key].ravel()
+                for x in load([key])[key].ravel()
             )
-    spread: list[Spread] = []
+    layout: list[FieldColumn] = []
     for label, x in arrays.items():
-        wanted = is_time(split_unit(label)[0]) or meaning(label).channel
-        if wanted and (x.ndim not in (1, 2) or x.dtype.kind not in "fiu"):
+        is_used = is_time(split_unit(label)[0]) or parse_label(label).channel
+        if is_used and (x.ndim not in (1, 2) or x.dtype.kind not in "fiu"):
             raise RecordingError(
                 f"{source}: {printable(label)} has shape {x.shape} and type {x.dtype}; "
                 "valid are numbers, (N,) or (N, n)"
             )
         if is_time(label) or x.ndim != 2:
-            spread.append((label, label, None))
+            layout.append((label, label, None))
         else:
             columns = _labels(label, x.shape[1], names, source)
-            spread += [(column, label, k) for k, column in enumerate(columns)]
-    return spread_table(source, spread, got, joints=names, **more)
+            layout += [(column, label, k) for k, column in enumerate(columns)]
+    return field_table(source, layout, load, joints=names, **more)
 
 
 def _labels(
     label: str, count: int, joints: tuple[str, ...] | None, source: str
 ) -> list[str]:
-    """Labels that the columns of an array (N, n) would have in a table."""
+    """Labels of the columns of an array (N, n)."""
     valid = ""
-    if count > MOST_COLUMNS:  # an array without rows may state any number
+    if count > MOST_COLUMNS:  # an array without rows may state any shape
         valid = f"up to {MOST_COLUMNS}"
-    elif joints is not None and meaning(label).channel and count != len(joints):
+    elif joints is not None and parse_label(label).channel and count != len(joints):
         valid = f"{len(joints)}, one for each of joints {', '.join(joints)}"
     if valid:
         raise RecordingError(
@@ -104,14 +101,14 @@ def _labels(
 
 
 def named_labels(labels: Sequence[str], texts: Mapping[str, str]) -> tuple[str, ...]:
-    """Labels of numbered columns with the names that stand in columns beside them.
+    """Replace numbers in labels by names that other columns hold.
 
-    ``rostopic echo -p`` writes ``field.name0`` with a joint's name in it, and its
-    position as ``field.position0``.
+    ``rostopic echo -p`` writes the name of a joint as the value of ``field.name0``, and
+    its position as ``field.position0``.
 
     Args:
         labels: Labels of a table.
-        texts: Label -> text in the first row.
+        texts: Text in the first row by label.
     """
     names = {
         match.group(1, 2): text

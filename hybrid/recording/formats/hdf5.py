@@ -1,4 +1,4 @@
-"""HDF5: arrays in a file, or groups of them, each a recording (robomimic's demos)."""
+"""Read HDF5 files: one recording, or one in each group (robomimic's demos)."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import NAMES, table_of_arrays
-from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError, whole
-from hybrid.recording.words import is_time, meaning, split_unit
+from hybrid.recording.labels import is_time, parse_label, split_unit
+from hybrid.recording.table import (
+    LARGEST_FILE,
+    LogTable,
+    NoJointsError,
+    as_recording_error,
+)
 
 _HEAP = re.compile(rb"GCOL\x01\0\0\0")
-_HEADER = 16  # bytes: of a heap, and of an object in it
+_HEADER = 16  # bytes of a heap, and of an object in it
 _MOST = 20_000  # groups and arrays in a file
-_DEEPEST = 16
+_DEEPEST = 16  # nesting levels of groups
 _EPISODE = re.compile(
     r"(.*/)?(demo|episode|ep|trajectory|traj|run)_?\d+", re.IGNORECASE
 )
 
 
 def read_hdf5(path: Path) -> list[tuple[LogTable]]:
-    """The arrays of a file, or of each group that is named like an episode.
-
-    Raises:
-        RecordingError: It is damaged, too large, or h5py is not installed.
-        NoJointsError: It holds no joints; the message says what it holds instead.
-    """
+    """Read the arrays of a file, or of each group that is named like an episode."""
     arrays, rate = arrays_of(path)
     groups: dict[str, dict[str, NDArray[Any]]] = {}
     for name, x in arrays.items():
@@ -43,7 +43,7 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
     logs = [
         (_table(group, episode, str(path), rate),)
         for episode, group in sorted(groups.items(), key=lambda x: _natural(x[0]))
-        if any(meaning(split_unit(label)[0]).channel == "q" or label == "joints"
+        if any(parse_label(split_unit(label)[0]).channel == "q" or label == "joints"
                for label in group) or len(groups) == 1
     ]  # fmt: skip
     if not logs:
@@ -53,18 +53,14 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
 
 
 def arrays_of(path: Path) -> tuple[dict[str, NDArray[Any]], float]:
-    """All arrays of a file by path, and the rate that robomimic states, [Hz].
-
-    Raises:
-        RecordingError: It is damaged, too large, or h5py is not installed.
-    """
+    """Read all arrays of a file by path, and the rate that robomimic states, [Hz]."""
     try:
         import h5py
     except ImportError as error:
         raise RecordingError(
             f"{path}: HDF5 is read by h5py; install it: pip install 'hybrid-arm[hdf5]'"
         ) from error
-    with whole(path, "HDF5 file"):
+    with as_recording_error(path, "HDF5 file"):
         _check_heaps(path)
         with h5py.File(path, "r") as file:
             return _arrays(file, str(path)), _rate(file)
@@ -86,7 +82,7 @@ def _table(
 
 
 def _arrays(file: Any, source: str) -> dict[str, NDArray[Any]]:
-    """All arrays of a file in memory, with the unit of their attribute in the label."""
+    """Read all arrays of a file; the unit of an attribute is added to the label."""
     import h5py
 
     found: dict[str, NDArray[Any]] = {}
@@ -97,30 +93,30 @@ def _arrays(file: Any, source: str) -> dict[str, NDArray[Any]]:
             seen += 1
             if seen > _MOST or depth > _DEEPEST:
                 raise RecordingError(f"{source}: more than {_MOST} groups and arrays")
-            # Links to other files are not followed.
+            # Links to other files are ignored.
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
                 continue
             item, label = group[name], f"{prefix}{name}"
             if isinstance(item, h5py.Group):
                 waiting.append((f"{label}/", item, depth + 1))
-            elif isinstance(item, h5py.Dataset) and _kept(item):
+            elif isinstance(item, h5py.Dataset) and _is_read(item):
                 size += item.size * item.dtype.itemsize
                 if size > LARGEST_FILE:
                     raise RecordingError(
                         f"{source}: arrays of more than {LARGEST_FILE:.3g} bytes"
                     )
-                found[_labelled(label, item)] = item[()]
+                found[_label_with_unit(label, item)] = item[()]
     return found
 
 
-def _kept(item: Any) -> bool:
-    """Whether an array may be a column, and lies in this file."""
+def _is_read(item: Any) -> bool:
+    """Tell whether an array may be a column, and lies in this file."""
     columns = item.shape is not None and 0 < item.ndim < 3
     elsewhere = item.external or item.is_virtual
     return columns and item.dtype.kind in "fiuSUO" and not elsewhere
 
 
-def _labelled(label: str, item: Any) -> str:
+def _label_with_unit(label: str, item: Any) -> str:
     for key in ("units", "unit"):
         unit = item.attrs.get(key)
         unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
@@ -130,7 +126,7 @@ def _labelled(label: str, item: Any) -> str:
 
 
 def _rate(file: Any) -> float:
-    """Samples per second of robomimic, which has no times, [Hz]; 0 if not stated."""
+    """Rate that robomimic states in place of times, [Hz]; 0 if it states none."""
     try:
         text = file["data"].attrs["env_args"]
         content = json.loads(str(text)[:100_000])
@@ -140,11 +136,10 @@ def _rate(file: Any) -> float:
 
 
 def _check_heaps(path: Path) -> None:
-    """Walk every heap as the HDF5 library does, which hangs on a damaged one.
+    """Check the global heaps of a file: a damaged one lets the HDF5 library hang.
 
-    Text of any length lies in global heaps, object after object until the heap's end.
-    The library goes on by the size that each states, and one of no size never ends
-    (HDF5 2.0).
+    A heap is a sequence of objects. The library skips each by its stated size, and
+    never ends at an object of size 0 (HDF5 2.0).
 
     Source: HDF5 File Format Specification, version 3.0, section III.E.
     """
@@ -158,7 +153,8 @@ def _check_heaps(path: Path) -> None:
             end, room = min(start + size, len(data)), _HEADER
             while room >= _HEADER and (at := at + room) + _HEADER <= end:
                 index, _, length = struct.unpack_from("<HH4xQ", data, at)
-                # What is free counts its header; an object does not, and is padded.
+                # The size of free space includes its header. That of an object does
+                # not, and is padded.
                 room = length if index == 0 else _HEADER + -(-length // 8) * 8
             if room < _HEADER:
                 raise RecordingError(

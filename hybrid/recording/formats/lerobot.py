@@ -1,7 +1,7 @@
-"""LeRobot datasets v2.1 and v3: a folder with ``meta/info.json`` and Parquet files.
+"""Read LeRobot datasets v2 and v3: a folder with ``meta/info.json`` and Parquet files.
 
-Each episode is a recording. Joint names and the feature that each belongs to are in
-``info.json``; units are in neither, and torques only where a robot recorded them.
+Each episode is a recording. Joint names are in ``info.json``. Datasets state no units,
+and have torques only if the robot recorded them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from hybrid.errors import RecordingError
 from hybrid.files import read_json
 from hybrid.recording.formats.parquet import arrow_table, field_of
-from hybrid.recording.table import LARGEST_FILE, LogTable, whole
+from hybrid.recording.table import LARGEST_FILE, LogTable, as_recording_error
 
 VERSIONS = ("v2.0", "v2.1", "v3.0")
 _MOST_FILES = 100_000
@@ -25,19 +25,12 @@ _FEATURE = re.compile(r"(.+)\[(\d+)\]")
 
 
 def is_dataset(folder: Path) -> bool:
-    """Whether a folder is a LeRobot dataset."""
+    """Tell whether a folder is a LeRobot dataset."""
     return (folder / "meta" / "info.json").is_file()
 
 
 def read_lerobot(folder: Path) -> Iterator[tuple[LogTable]]:
-    """The episodes of a dataset, one table each.
-
-    Args:
-        folder: With ``meta/info.json`` and ``data``.
-
-    Raises:
-        RecordingError: The dataset is of another version, damaged or empty.
-    """
+    """Read the episodes of a dataset, one table each."""
     try:
         info = read_json(folder / "meta" / "info.json")
         version, features = str(info["codebase_version"]), dict(info["features"])
@@ -57,27 +50,27 @@ def read_lerobot(folder: Path) -> Iterator[tuple[LogTable]]:
 
 
 def _episodes(file: Path) -> Iterator[LogTable]:
-    table, source, own = _loaded(file), str(file), "episode_index"
-    if own not in table.column_names or not len(table):
-        raise RecordingError(f"{file}: no rows, or no {own}")
-    index = field_of(table, own, source)
+    table, source, key = _loaded(file), str(file), "episode_index"
+    if key not in table.column_names or not len(table):
+        raise RecordingError(f"{file}: no rows, or no {key}")
+    index = field_of(table, key, source)
     for episode in np.unique(index):
         rows = np.flatnonzero(index == episode)
         part = table.slice(rows[0], len(rows))
         if np.ptp(rows) >= len(rows):
             part = table.take(rows)
         yield arrow_table(
-            part, source, left_out=own, kind="LeRobot", name=f"episode {episode}",
+            part, source, left_out=key, kind="LeRobot", name=f"episode {episode}",
             preset="lerobot",
         )  # fmt: skip
 
 
 def _loaded(file: Path) -> Any:
-    """The columns of states, actions and times, without images."""
+    """Load the columns of states, actions and times, without images."""
     import pyarrow as pa
     from pyarrow import parquet
 
-    with whole(file, "Parquet file"), parquet.ParquetFile(file) as content:
+    with as_recording_error(file, "Parquet file"), parquet.ParquetFile(file) as content:
         names = [
             f.name for f in content.schema_arrow
             if f.name in ("timestamp", "episode_index")
@@ -92,7 +85,7 @@ def _loaded(file: Path) -> Any:
 
 
 def _label(label: str, features: dict[str, Any]) -> str:
-    """``observation.state[0]`` with the joint's name in it, if the dataset has one."""
+    """Put the joint's name into ``observation.state[0]``, if the dataset has names."""
     match = _FEATURE.fullmatch(label)
     feature = features.get(match.group(1)) if match else None
     names = feature.get("names") if isinstance(feature, dict) else None

@@ -1,4 +1,4 @@
-"""MATLAB files: version 5 by SciPy, version 7.3 by h5py; variables, or one struct."""
+"""Read MATLAB files: version 5 by SciPy, version 7.3 by h5py."""
 
 from __future__ import annotations
 
@@ -12,49 +12,44 @@ from numpy.typing import NDArray
 from hybrid.recording.formats.fields import NAMES, table_of_arrays
 from hybrid.recording.formats.hdf5 import arrays_of
 from hybrid.recording.formats.mat_elements import check_elements
-from hybrid.recording.table import LogTable, whole
-from hybrid.recording.words import is_time, split_unit
+from hybrid.recording.labels import is_time, split_unit
+from hybrid.recording.table import LogTable, as_recording_error
 
 
 def read_mat(path: Path) -> list[tuple[LogTable]]:
-    """The variables of a file, or the fields of its struct.
-
-    Raises:
-        RecordingError: It is damaged, or a library that reads it is not installed.
-    """
+    """Read the variables of a file, or the fields of its only struct."""
     with path.open("rb") as file:
         head = file.read(128)
-    with whole(path, "MATLAB file"):
-        if head[:10] == b"MATLAB 7.3":  # whose columns are rows to HDF5
+    with as_recording_error(path, "MATLAB file"):
+        if head[:10] == b"MATLAB 7.3":  # an HDF5 file of transposed arrays
             found = {k.replace("/", "."): x.T for k, x in arrays_of(path)[0].items()
                      if k[0] != "#"}  # fmt: skip
         else:
-            found = _old(path)
+            found = _version_5(path)
     structs = {name.split(".")[0] for name in found if "." in name}
-    if len(structs) == 1:  # fields of the only one go by their own names
+    if len(structs) == 1:
         found = {name.split(".", 1)[-1]: x for name, x in found.items()}
     plain = {k: x for k, x in found.items() if x.dtype.kind in "fiu" and x.ndim < 3}
     names = {k: found[k] for k in NAMES if k in found and found[k].dtype.kind == "U"}
-    return [(table_of_arrays(_upright(plain) | names, str(path), kind="MATLAB"),)]
+    arrays = _with_rows_as_samples(plain) | names
+    return [(table_of_arrays(arrays, str(path), kind="MATLAB"),)]
 
 
-def _upright(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Transpose arrays so that rows are samples."""
+def _with_rows_as_samples(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     times = [x.size for k, x in arrays.items() if is_time(split_unit(k)[0])]
     rows, found = max(times, default=0), {}
     for name, x in arrays.items():
         if x.ndim == 2 and x.shape[1] == rows != x.shape[0]:
             x = x.T
-        one = x.ndim == 2 and x.shape[1] == 1
-        found[name] = x[:, 0] if one else x
+        found[name] = x[:, 0] if x.ndim == 2 and x.shape[1] == 1 else x
     return found
 
 
-def _old(path: Path) -> dict[str, NDArray[Any]]:
+def _version_5(path: Path) -> dict[str, NDArray[Any]]:
     import scipy.io
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of variables that it cannot read
+        warnings.simplefilter("ignore")  # about variables that SciPy cannot read
         check_elements(path)
         content = scipy.io.loadmat(path, squeeze_me=False, chars_as_strings=True)
     found: dict[str, NDArray[Any]] = {}
@@ -69,7 +64,7 @@ def _old(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _plain(x: Any) -> NDArray[Any]:
-    """An array; cells of texts become texts."""
+    """Convert a variable to an array; a cell array of texts becomes texts."""
     plain: NDArray[Any] = np.asarray(x)
     cells = [np.asarray(v) for v in plain.ravel()] if plain.dtype == object else []
     if cells and all(v.dtype.kind == "U" and v.size for v in cells):

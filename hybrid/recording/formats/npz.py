@@ -1,4 +1,4 @@
-"""Recordings as NumPy archives."""
+"""Read recordings from NumPy archives."""
 
 from __future__ import annotations
 
@@ -13,37 +13,33 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import table_of_arrays
-from hybrid.recording.table import LARGEST_FILE, LogTable, whole
+from hybrid.recording.table import LARGEST_FILE, LogTable, as_recording_error
 
 _KIND = "NPZ file of plain arrays"
 
 
 def read_npz(path: Path) -> list[tuple[LogTable]]:
-    """Arrays ``t``, ``q``, ``tau``, ..., or one for each column.
-
-    Args:
-        path: File; ``q`` and the like have shape (N, n), ``joints`` holds n names.
-
-    Raises:
-        RecordingError: The file is damaged, or an array has more than two dimensions.
-    """
+    """Read arrays ``t``, ``q``, ``tau``, ..., or one array for each column."""
 
     def get(names: Iterable[str]) -> dict[str, NDArray[Any]]:
-        # No pickle: it runs code.
-        with whole(path, _KIND), np.load(path, allow_pickle=False) as archive:
+        # A pickle could run code.
+        with (
+            as_recording_error(path, _KIND),
+            np.load(path, allow_pickle=False) as archive,
+        ):
             return {name: np.asarray(archive[name]) for name in names}
 
     return [(table_of_arrays(_shapes(path), str(path), get=get, kind="NPZ"),)]
 
 
 def _shapes(path: Path) -> dict[str, NDArray[Any]]:
-    """Every array by its shape and type alone: zeros that take no memory."""
+    """Arrays of zeros that take no memory, with the shape and type of each array."""
     with path.open("rb") as file:
         if file.read(6) == b"\x93NUMPY":
             raise RecordingError(
                 f"{path}: a single array; valid is an .npz archive with t, q and tau"
             )
-    with whole(path, _KIND), zipfile.ZipFile(path) as archive:
+    with as_recording_error(path, _KIND), zipfile.ZipFile(path) as archive:
         total = sum(info.file_size for info in archive.infolist())
         if total > LARGEST_FILE:
             raise RecordingError(
@@ -57,7 +53,7 @@ def _shapes(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _shape(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> NDArray[Any]:
-    """An array as its header has it, which must not claim more than there is."""
+    """Array of zeros from a header, whose shape must fit the size of the file."""
     with archive.open(info) as file:
         first = np.lib.format.read_magic(file) == (1, 0)
         header = "read_array_header_1_0" if first else "read_array_header_2_0"

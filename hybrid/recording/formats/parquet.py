@@ -1,8 +1,8 @@
-"""Tables of Arrow, in Parquet files or in memory, with pandas' index and with lists."""
+"""Read Parquet files, and tables in memory: pandas, polars, pyarrow, or a dict."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,22 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.formats.fields import Spread, named_labels, spread_table
-from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, LogTable, whole
+from hybrid.recording.formats.fields import (
+    FieldColumn,
+    field_table,
+    named_labels,
+    table_of_arrays,
+)
+from hybrid.recording.labels import is_time, split_unit
+from hybrid.recording.table import (
+    LARGEST_FILE,
+    MOST_COLUMNS,
+    LogTable,
+    as_recording_error,
+)
 
-_LONGEST = 1000  # places of a list that is spread: more are no joints
+_LONGEST = 1000  # entries of a list that becomes columns
 
 
 def read_parquet(path: Path) -> list[tuple[LogTable]]:
-    """A table with a column for each channel of each joint, or lists of them.
-
-    Raises:
-        RecordingError: The file is damaged; a column that is loaded is not of numbers.
-    """
+    """Read a table with a column for each channel of each joint, or with lists."""
     from pyarrow import parquet
 
     source = str(path)
-    with whole(path, "Parquet file"), parquet.ParquetFile(path) as file:
+    with as_recording_error(path, "Parquet file"), parquet.ParquetFile(path) as file:
         schema, rows = file.schema_arrow, file.metadata.num_rows
         lists = [f.name for f in schema if _is_list(f.type)]
         lists = lists if rows and len(schema) <= MOST_COLUMNS else []
@@ -39,26 +46,59 @@ def read_parquet(path: Path) -> list[tuple[LogTable]]:
                 f"{source}: {rows} rows of {len(wanted)} columns are {size:.3g} bytes; "
                 f"valid are {LARGEST_FILE:.3g} or less"
             )
-        with whole(path, "Parquet file"), parquet.ParquetFile(path) as file:
+        with (
+            as_recording_error(path, "Parquet file"),
+            parquet.ParquetFile(path) as file,
+        ):
             table = file.read(columns=wanted)
         return {name: field_of(table, name, source) for name in wanted}
 
-    spread = spread_columns(schema, first)
-    return [(spread_table(source, spread, get, kind="Parquet"),)]
+    layout = schema_columns(schema, first)
+    return [(field_table(source, layout, get, kind="Parquet"),)]
 
 
 def arrow_table(
     table: Any, source: str, *, left_out: str = "", **more: Any
 ) -> LogTable:
-    """The log in an Arrow table at hand; ``more`` are further fields of it."""
+    """Make a log table of an Arrow table; ``more`` are further fields of it."""
     first = (table.slice(0, 1).combine_chunks().to_batches() or [None])[0]
-    spread = [x for x in spread_columns(table.schema, first) if x[1] != left_out]
-    return spread_table(
+    layout = [x for x in schema_columns(table.schema, first) if x[1] != left_out]
+    return field_table(
         source,
-        spread,
+        layout,
         lambda names: {name: field_of(table, name, source) for name in names},
         **more,
     )
+
+
+def table_of_frame(frame: Any) -> LogTable:
+    """Read a table by Arrow's protocol or the interchange protocol."""
+    if isinstance(frame, Mapping):
+        arrays = {str(label): np.asarray(x) for label, x in frame.items()}
+        return table_of_arrays(arrays, "table", kind="dict of arrays")
+    import pyarrow as pa
+    from pyarrow.interchange import from_dataframe
+
+    if hasattr(frame, "index") and hasattr(frame, "reset_index"):
+        frame = _with_index(frame)
+    try:
+        plain = isinstance(frame, pa.Table) or hasattr(frame, "__arrow_c_stream__")
+        table = pa.table(frame) if plain else from_dataframe(frame)
+    except (AttributeError, TypeError, ValueError, pa.ArrowException) as error:
+        raise RecordingError(
+            f"table: {type(frame).__name__} is no table; valid are tables of pandas, "
+            "polars and pyarrow, and a dict of arrays"
+        ) from error
+    return arrow_table(table, "table", kind=type(frame).__module__.split(".")[0])
+
+
+def _with_index(frame: Any) -> Any:
+    """Add the index of a pandas table as a column, if it holds times."""
+    name = str(frame.index.name or "")
+    if np.asarray(frame.index[:0]).dtype.kind == "M":
+        return frame.rename_axis(name if is_time(name) else "time").reset_index()
+    timed = bool(name) and is_time(split_unit(name)[0])
+    return frame.reset_index(drop=not timed)
 
 
 def _is_list(kind: Any) -> bool:
@@ -68,42 +108,38 @@ def _is_list(kind: Any) -> bool:
                                  types.is_fixed_size_list))  # fmt: skip
 
 
-def spread_columns(schema: Any, first: Any) -> list[Spread]:
-    """Every column; lists are spread out.
+def schema_columns(schema: Any, first: Any) -> list[FieldColumn]:
+    """Columns of a schema; a list has a column for each of its entries.
 
     Args:
         schema: Arrow schema.
-        first: Batch of the first row of the lists, whose lengths count; None if there
+        first: Batch with the first row, which gives the lengths of lists; None if there
             are no rows.
     """
     from pyarrow import types
 
-    spread: list[Spread] = []
+    layout: list[FieldColumn] = []
     texts: dict[str, str] = {}
     for f in schema:
         values = first.column(f.name)[0].as_py() if first and _is_list(f.type) else None
         if values is None or len(values) > _LONGEST:
-            # a nameless index of pandas, which is time if it holds dates
+            # an unnamed index of pandas is time if it holds dates
             index = f.name == "__index_level_0__" and types.is_timestamp(f.type)
-            spread.append(("time" if index else f.name, f.name, None))
+            layout.append(("time" if index else f.name, f.name, None))
             continue
         for k, value in enumerate(values):
-            spread.append((f"{f.name}[{k}]", f.name, k))
+            layout.append((f"{f.name}[{k}]", f.name, k))
             if isinstance(value, str):
                 texts[f"{f.name}[{k}]"] = value
-    labels = named_labels([label for label, _, _ in spread], texts)
-    return [(label, *x[1:]) for label, x in zip(labels, spread, strict=True)]
+    labels = named_labels([label for label, _, _ in layout], texts)
+    return [(label, *x[1:]) for label, x in zip(labels, layout, strict=True)]
 
 
 def field_of(table: Any, name: str, source: str) -> NDArray[Any]:
-    """Samples of a column of an Arrow table, (N,); of one of lists (N, n).
-
-    Raises:
-        RecordingError: It does not hold numbers.
-    """
+    """Samples of a column of an Arrow table, shape (N,), or (N, n) for lists."""
     from pyarrow import compute
 
-    with whole(source, "Parquet file"):
+    with as_recording_error(source, "Parquet file"):
         values = table.column(name)
         if _is_list(values.type):
             least = compute.min(compute.list_value_length(values)).as_py() or 0

@@ -1,8 +1,8 @@
-"""Bags of ROS 2 (sqlite3, MCAP) and ROS 1: a table for each topic with joints.
+"""Read bags of ROS 2 (sqlite3, MCAP) and ROS 1: a table for each topic with joints.
 
-Every message that has lists of real numbers is read, whatever its type; a list beside
-names has the names in its labels: ``/joint_states/position/elbow``. Time is that of the
-header, or of the recorder where headers have none.
+Messages of any type are read if they have lists of real numbers. If a message also has
+a list of names, labels use them: ``/joint_states/position/elbow``. Time is that of the
+header, or that of the recorder if headers have none.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from hybrid.errors import HybridWarning, RecordingError
 from hybrid.files import read_yaml
 from hybrid.names import printable
 from hybrid.recording.formats.topic import Topic
-from hybrid.recording.table import LogTable, NoJointsError, whole
+from hybrid.recording.table import LogTable, NoJointsError, as_recording_error
 
 _LARGEST_DEFINITION = 200_000  # bytes of text
 _MOST_TOPICS = 10_000
-_DEEPEST = 6  # messages within each other in which lists are looked for
+_DEEPEST = 6  # nesting levels of messages that are searched for lists
 LARGEST_CHUNK = 1 << 30  # bytes, unpacked
-TELL_EVERY = 20_000  # messages between two words on the progress
+_PROGRESS_STEP = 20_000  # messages between two progress messages
 
 
 def is_bag(folder: Path) -> bool:
-    """Whether a folder is a ROS 2 bag, whose files are all there."""
+    """Tell whether a folder is a ROS 2 bag with all its files."""
     try:
         content = read_yaml(folder / "metadata.yaml")["rosbag2_bagfile_information"]
         names = [Path(str(x)).name for x in content["relative_file_paths"]]
@@ -36,22 +36,13 @@ def is_bag(folder: Path) -> bool:
 
 
 def read_ros(
-    path: Path, *, tell: Callable[[int, int], None] | None = None
+    path: Path, progress: Callable[[str], None] | None = None
 ) -> Iterator[tuple[LogTable, ...]]:
-    """Read the topics of a bag that have lists of real numbers.
-
-    Args:
-        path: Bag of ROS 2 as folder or file, or of ROS 1.
-        tell: Called with messages read and messages in all, now and then.
-
-    Raises:
-        RecordingError: It is damaged.
-        NoJointsError: It holds no joints; the message says what it holds instead.
-    """
+    """Read the topics of a bag that have lists of real numbers."""
     from rosbags import rosbag1, rosbag2
 
     ros2 = path.suffix.lower() != ".bag"
-    with whole(path, "bag"):
+    with as_recording_error(path, "bag"):
         for file in [path] if path.is_file() else sorted(path.glob("*.mcap")):
             if file.suffix.lower() == ".mcap":
                 _check_chunks(file)
@@ -59,7 +50,7 @@ def read_ros(
             topics = _topics(reader.connections, ros2, str(path))
             held = [printable(f"{c.topic} ({c.msgtype}, {c.msgcount})")[:200]
                     for c in reader.connections]  # fmt: skip
-            _fill(reader, topics, tell)
+            _fill(reader, topics, path.name, progress)
     tables = tuple(table for topic in topics.values() for table in topic.tables())
     if all(table.kind.endswith("JointTrajectory)") for table in tables):
         more = f" and {len(held) - 8} more" if held[8:] else ""
@@ -72,7 +63,7 @@ def read_ros(
 
 
 def _topics(connections: Any, ros2: bool, source: str) -> dict[Any, Topic]:
-    """The topics to be read, by connection; others may be named in a warning."""
+    """Topics to be read, by connection; warn of those with an unknown type."""
     from rosbags.typesys import Stores, get_typestore
 
     if len(connections) > _MOST_TOPICS:
@@ -84,7 +75,7 @@ def _topics(connections: Any, ros2: bool, source: str) -> dict[Any, Topic]:
             types = {**known, **_defined(c)}
         except RecursionError:
             continue
-        except Exception as error:  # a definition is a text like any other
+        except Exception as error:  # the parser raises any type for a wrong text
             _warn(source, c.topic, str(error))
             continue
         if _has_lists(c.msgtype, types, 0):
@@ -95,7 +86,7 @@ def _topics(connections: Any, ros2: bool, source: str) -> dict[Any, Topic]:
 
 
 def _defined(connection: Any) -> dict[str, Any]:
-    """Types that a bag defines for a connection."""
+    """Message types that the bag defines for a connection."""
     from rosbags.interfaces import MessageDefinitionFormat as Format
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
@@ -116,7 +107,7 @@ def _warn(source: str, topic: str, reason: str) -> None:
 
 
 def _has_lists(kind: str, types: dict[str, Any], depth: int) -> bool:
-    """Whether a type has lists of real numbers, and none of bytes (an image)."""
+    """Tell whether a type has lists of real numbers, but none of bytes (an image)."""
     if kind not in types or depth > _DEEPEST:
         return False
     found = False
@@ -134,31 +125,31 @@ def _has_lists(kind: str, types: dict[str, Any], depth: int) -> bool:
     return found
 
 
-def _fill(reader: Any, topics: dict[Any, Topic], tell: Any) -> None:
+def _fill(reader: Any, topics: dict[Any, Topic], name: str, progress: Any) -> None:
     wanted = [c for c in reader.connections if (c.id, id(c.owner)) in topics]
     if not wanted:
         return
     total = sum(c.msgcount for c in wanted)
     for k, (c, stamp, raw) in enumerate(reader.messages(connections=wanted)):
         topics[c.id, id(c.owner)].add(stamp, raw)
-        if tell and k % TELL_EVERY == 0:
-            tell(k, total)
+        if progress and k % _PROGRESS_STEP == 0:
+            progress(f"reading {name}: {k:,} of {total:,} messages")
     for topic in topics.values():
         topic.decode()
 
 
 def _check_chunks(file: Path) -> None:
-    """Refuse a bag of MCAP of which a chunk unpacks to more than any log.
+    """Refuse an MCAP bag with a chunk that unpacks to more than ``LARGEST_CHUNK``.
 
-    The size that a chunk declares is checked against what comes out of it, but only
-    after it did; zstandard may hold a thousand times what it takes.
+    The reader checks the declared size only after unpacking, and zstandard can unpack
+    to a thousand times the packed size.
     """
     size, at = file.stat().st_size, 8
     with file.open("rb") as content:
         while at + 9 <= size:
             content.seek(at)
             head = content.read(128)
-            if head[0] == 0x06:  # its name of compression is followed by the packed
+            if head[0] == 0x06:  # a chunk; packed data follows the compression's name
                 packed = head[49 + _number(head[37:41]) :]
                 unpacked = max(_number(head[25:33]), _frame_size(packed))
                 if unpacked > LARGEST_CHUNK:
@@ -174,7 +165,7 @@ def _number(data: bytes) -> int:
 
 
 def _frame_size(head: bytes) -> int:
-    """Bytes that a zstandard frame unpacks to (RFC 8878); 0 if it does not say."""
+    """Unpacked size of a zstandard frame in bytes (RFC 8878); 0 if not stated."""
     if len(head) < 6 or head[:4] != b"\x28\xb5\x2f\xfd":
         return 0
     flags = head[4]

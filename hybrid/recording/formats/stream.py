@@ -1,4 +1,4 @@
-"""Messages of a topic with the same columns, in blocks that are given away once."""
+"""Collect messages with the same columns in blocks that can be taken once."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 
-# Allocators give blocks above 32 MiB back to the system as soon as they are dropped.
+# Memory of blocks above 32 MiB returns to the system as soon as they are deleted.
 BLOCK = 5 << 20  # numbers in a block
 
 
 class Stream:
-    """Columns of numbers that grow block by block, never copied as a whole."""
+    """Columns of numbers that grow block by block, without a copy of all of them."""
 
     def __init__(self, labels: tuple[str, ...]) -> None:
         self.labels = labels
@@ -29,7 +29,7 @@ class Stream:
         times: NDArray[np.int64],
         columns: list[NDArray[Any]],
     ) -> None:
-        """Take rows: times in the messages and of the recorder, [ns], and numbers."""
+        """Add rows: times of messages and of the recorder, [ns], and numbers."""
         self._stamps.append(stamps)
         self._times.append(times)
         part = np.empty((len(columns), len(times)))
@@ -45,17 +45,17 @@ class Stream:
             self._parts = []
 
     def clock(self) -> tuple[NDArray[np.int64], bool]:
-        """Times of all rows, [ns], given away; whether they are the messages' own."""
+        """Take the times of all rows, [ns], and whether they are those of messages."""
         self._close()
         stamps, self._stamps = np.concatenate(self._stamps), []
         times, self._times = self._times, []
-        headed = bool((stamps[1:] > stamps[:-1]).all())
-        return (stamps if headed else np.concatenate(times)), headed
+        own = bool((stamps[1:] > stamps[:-1]).all())
+        return (stamps if own else np.concatenate(times)), own
 
-    def given(
+    def take(
         self, used: tuple[int, ...], clock: NDArray[np.int64]
     ) -> list[dict[int, NDArray[Any]]]:
-        """The clock as column 0, and columns from 1; these are given away."""
+        """Take columns from 1, which the stream then has no more; the clock is 0."""
         if used == (0,):
             return [{0: clock}]
         blocks, self._blocks = self._blocks, []

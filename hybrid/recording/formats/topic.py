@@ -1,4 +1,4 @@
-"""One topic of a bag: messages in, columns out, many at a time."""
+"""Decode the messages of one topic of a bag into columns, many at a time."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from hybrid.recording.formats.stream import Stream
 from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, Load, LogTable
 
 BATCH = 4096  # messages decoded at once
-_MOST_BYTES = 16 << 20  # of messages held before they are decoded
-_MOST_LAYOUTS = 200  # of a topic: more are no stream of one arm
+_MOST_BYTES = 16 << 20  # of messages that wait to be decoded
+_MOST_LAYOUTS = 200  # of a topic
 _CONTAINERS = ("interface_values", "values")  # of control_msgs/DynamicJointState
 _STAMP: Path = ("header", "stamp", "sec")
 _NANO: Path = ("header", "stamp", "nanosec")
 
 
 class Topic:
-    """Gathers the messages of a topic, and decodes them in batches.
+    """Messages of a topic, which are decoded in batches.
 
     Args:
         name: Topic.
         kind: Type of its messages.
-        types: Type -> definition.
-        ros2: Whether messages are aligned, as in ROS 2.
-        source: Bag for messages.
+        types: Definitions by type.
+        ros2: Whether numbers are aligned, as in ROS 2.
+        source: Bag, for messages to the user.
     """
 
     def __init__(
@@ -44,10 +44,10 @@ class Topic:
         self._held = self._size = 0
         self._streams: dict[tuple[str, ...], Stream] = {}
         self._layouts: list[tuple[MessageLayout, dict[str, Path]]] = []
-        self._plans: list[tuple[int, MessageLayout, bytes]] = []
+        self._trajectories: list[tuple[int, MessageLayout, bytes]] = []
 
     def add(self, stamp: int, raw: bytes) -> None:
-        """Take a message and the recorder's time of it, [ns]."""
+        """Add a message and the recorder's time of it, [ns]."""
         self._raw.append(raw)
         self._stamps.append(stamp)
         self._held += len(raw)
@@ -55,11 +55,7 @@ class Topic:
             self.decode()
 
     def decode(self) -> None:
-        """Decode the messages at hand.
-
-        Raises:
-            RecordingError: A message is not what the bag's definition says.
-        """
+        """Decode the messages that wait."""
         raws, stamps = self._raw, np.array(self._stamps, dtype=np.int64)
         self._raw, self._stamps, self._held = [], [], 0
         lengths = np.array([len(raw) for raw in raws])
@@ -70,17 +66,17 @@ class Topic:
             while len(rows):
                 layout, columns = self._layout(messages[:1])
                 same = layout.fits(messages)
-                self._take(layout, columns, messages[same], stamps[rows[same]])
+                self._append(layout, columns, messages[same], stamps[rows[same]])
                 messages, rows = messages[~same], rows[~same]
 
     def tables(self) -> Iterator[LogTable]:
-        """A table for each set of columns that came."""
-        if self._plans:
-            yield self._planned()
+        """Make a table for each set of columns."""
+        if self._trajectories:
+            yield self._trajectory_table()
         for stream in self._streams.values():
-            clock, headed = stream.clock()
-            note = "" if headed else "time is the recorder's, not the headers'"
-            yield self._table(stream.labels, partial(stream.given, clock=clock), note)
+            clock, own = stream.clock()
+            note = "" if own else "time is the recorder's, not the headers'"
+            yield self._table(stream.labels, partial(stream.take, clock=clock), note)
 
     def _table(self, labels: tuple[str, ...], load: Load, note: str = "") -> LogTable:
         names = (f"{self.name}/__time", *labels)
@@ -94,7 +90,7 @@ class Topic:
     def _layout(
         self, message: NDArray[np.uint8]
     ) -> tuple[MessageLayout, dict[str, Path]]:
-        """The layout of a message, known or walked, and its columns."""
+        """Layout of a message, and its columns."""
         for layout, columns in self._layouts:
             if layout.length == message.size and layout.fits(message)[0]:
                 return layout, columns
@@ -104,10 +100,10 @@ class Topic:
             layout = layout_of(message.tobytes(), self.kind, self.types, ros2=self.ros2)
         except LayoutError as error:
             raise RecordingError(f"{self.source}: {self.name}: {error}") from error
-        planned = _is_plan(layout)
-        if not planned and len(layout.numbers) > MOST_COLUMNS:
+        trajectory = _is_trajectory(layout)
+        if not trajectory and len(layout.numbers) > MOST_COLUMNS:
             raise self._error(f"{len(layout.numbers)} numbers in a message")
-        self._layouts.append((layout, {} if planned else self._labels(layout)))
+        self._layouts.append((layout, {} if trajectory else self._labels(layout)))
         return self._layouts[-1]
 
     def _error(self, what: str) -> RecordingError:
@@ -115,7 +111,7 @@ class Topic:
         return RecordingError(f"{self.source}: {self.name}: {what}; {valid}")
 
     def _labels(self, layout: MessageLayout) -> dict[str, Path]:
-        """Label -> path of the numbers in lists, with names for places where it can."""
+        """Path of each number in a list by its label, with names if there are any."""
         names: dict[Path, dict[int, str]] = {}
         for path, text in layout.texts.items():
             if isinstance(path[-1], int):
@@ -124,10 +120,10 @@ class Topic:
             "/".join((self.name, *words)): path
             for path in layout.numbers
             if any(isinstance(part, int) for part in path)
-            and (words := _words(path, names, layout)) is not None
+            and (words := _words(path, names)) is not None
         }
 
-    def _take(
+    def _append(
         self,
         layout: MessageLayout,
         columns: dict[str, Path],
@@ -136,11 +132,11 @@ class Topic:
     ) -> None:
         stamps = np.zeros(len(times), dtype=np.int64)
         if _STAMP in layout.numbers:
-            whole = layout.values(messages, _STAMP).astype(np.int64)
-            stamps = whole * 10**9 + layout.values(messages, _NANO)
-        if _is_plan(layout):
+            seconds = layout.values(messages, _STAMP).astype(np.int64)
+            stamps = seconds * 10**9 + layout.values(messages, _NANO)
+        if _is_trajectory(layout):
             pairs = zip(stamps, times, messages, strict=True)
-            self._plans += [
+            self._trajectories += [
                 (int(s or t), layout, message.tobytes()) for s, t, message in pairs
             ]
             return
@@ -152,11 +148,11 @@ class Topic:
         values = [layout.values(messages, path) for path in columns.values()]
         stream.add(stamps, times, values)
 
-    def _planned(self) -> LogTable:
-        """Points of trajectories as a command; a new one takes over from the last."""
+    def _trajectory_table(self) -> LogTable:
+        """Points of trajectories as a command; a new trajectory replaces the last."""
         points: list[tuple[int, list[float]]] = []
         joints: tuple[str, ...] = ()
-        for start, layout, raw in sorted(self._plans, key=lambda plan: plan[0]):
+        for start, layout, raw in sorted(self._trajectories, key=lambda x: x[0]):
             names = tuple(
                 text for path, text in layout.texts.items() if path[0] == "joint_names"
             )
@@ -183,23 +179,21 @@ class Topic:
         return self._table(labels, lambda used: [{k: columns[k] for k in used}])
 
 
-def _is_plan(layout: MessageLayout) -> bool:
+def _is_trajectory(layout: MessageLayout) -> bool:
     return any(path[0] == "points" for path in layout.numbers)
 
 
-def _words(
-    path: Path, names: dict[Path, dict[int, str]], layout: MessageLayout
-) -> list[str] | None:
-    """Words of a path; a place in a list takes the name at the same place beside it."""
+def _words(path: Path, names: dict[Path, dict[int, str]]) -> list[str] | None:
+    """Words of a label; an entry of a list takes the name at the same index."""
     words: list[str] = []
     for k, part in enumerate(path):
         if isinstance(part, str):
             if part not in _CONTAINERS:
                 words.append(part)
             continue
-        beside = names.get(path[: k - 1]) or names.get(()) or {}
-        if part in beside:
-            words.append(beside[part])
+        entries = names.get(path[: k - 1]) or names.get(()) or {}
+        if part in entries:
+            words.append(entries[part])
         elif k == len(path) - 1:
             words[-1] = f"{words[-1]}[{part}]" if words else f"[{part}]"
         else:

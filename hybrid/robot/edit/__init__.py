@@ -1,1 +1,1 @@
-"""Robot files in which single numbers change: MJCF and URDF."""
+"""Change single numbers in MJCF and URDF files."""

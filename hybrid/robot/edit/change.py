@@ -1,4 +1,4 @@
-"""The changes to make in a robot file."""
+"""Changes to be made in a robot file."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ Structure = Callable[["mujoco.MjSpec", Sequence[str]], Any]
 
 @dataclass(frozen=True)
 class Actuator:
-    """Changes of an actuator, at the joint.
+    """Changes of an actuator; torques are those at the joint.
 
     Attributes:
-        gain: Factor of the torque that it is asked for.
-        lag: Time constant with which its torque follows, [s].
+        gain: Factor of the commanded torque.
+        lag: Time constant of the torque, [s].
         limit: Largest torque, [N·m].
-        latency: By how much commands act later, [s].
+        latency: Delay of commands, [s].
         stiffness: Factor of the stiffness of a position servo.
-        damping: Factor of its damping.
+        damping: Factor of the damping of a position servo.
     """
 
     gain: float = 1.0
@@ -51,12 +51,12 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Edit:
-    """The arm that the edited file must describe.
+    """Changes of a robot file.
 
     Attributes:
-        robot: Links, gravity, rotors, friction and springs; all else is the file's.
-        drives: What is new of the actuators, by joint counted from 0.
-        structure: What puts joints, tendons or constraints into a spec of the arm.
+        robot: The arm with new links, gravity, rotors, friction and springs.
+        drives: Changes of actuators by index of the joint.
+        structure: Functions that add joints, tendons or constraints to a spec.
     """
 
     robot: Robot

@@ -1,4 +1,4 @@
-"""XML of a robot file in which single start tags change, and no other byte does."""
+"""Edit single tags in the XML of a robot file; all other bytes stay unchanged."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from xml.parsers import expat
 import numpy as np
 
 from hybrid.errors import RobotError
+from hybrid.robot.mujoco_model import compile_spec
+from hybrid.robot.robot import Robot
 
 _TAG = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")
 _VALUE = r"""(\s+{}\s*=\s*)("[^"]*"|'[^']*')"""
@@ -21,16 +23,16 @@ _VALUE = r"""(\s+{}\s*=\s*)("[^"]*"|'[^']*')"""
 
 @dataclass(frozen=True)
 class Tag:
-    """An element: where it stands, under which ones, and its attributes.
+    """An element of the file; positions are in bytes.
 
     Attributes:
-        path: Names of the elements around it, outermost first, and its own.
-        parents: Where the start tags of those around it start.
-        start: Where its start tag starts, in bytes.
-        end: Where its start tag ends.
-        close: Where its end tag starts; ``end`` if it has none.
-        after: Where the element ends.
-        attributes: Its attributes as text.
+        path: Names of its ancestors, outermost first, and its own name.
+        parents: Positions of the start tags of its ancestors.
+        start: Start of its start tag.
+        end: End of its start tag.
+        close: Start of its end tag; ``end`` if it has none.
+        after: End of the element.
+        attributes: Attributes as text.
     """
 
     path: tuple[str, ...]
@@ -46,11 +48,8 @@ class Document:
     """A robot file that is edited.
 
     Args:
-        content: What the file holds.
+        content: Content of the file.
         where: The file, for messages.
-
-    Raises:
-        RobotError: It is not XML.
     """
 
     def __init__(self, content: bytes, where: str | Path) -> None:
@@ -58,20 +57,16 @@ class Document:
         self.tags = list(tags(content, where))
         self._renamed: dict[int, str] = {}
         self._set: dict[int, dict[str, str | None]] = {}
-        self._put: list[tuple[int, int, str]] = []
+        self._replaced: list[tuple[int, int, str]] = []  # start, end, new text
 
     @classmethod
     def load(cls, path: str | Path) -> Document:
-        """A file, with what it includes in the places where it does.
-
-        Raises:
-            RobotError: A file cannot be read, or is not XML.
-        """
+        """Read a file, and replace each ``include`` by the included content."""
         path = Path(path)
         return cls(_with_included(path, path.parent, ()), path)
 
     def find(self, *path: str, **attributes: str) -> list[Tag]:
-        """Elements whose path ends like this and whose attributes are these."""
+        """Elements whose path ends with ``path``, and that have these attributes."""
         return [
             tag
             for tag in self.tags
@@ -79,11 +74,11 @@ class Document:
             and attributes.items() <= tag.attributes.items()
         ]
 
-    def within(self, outer: Tag, name: str) -> list[Tag]:
-        """Elements of a name directly in another."""
+    def children(self, tag: Tag, name: str = "") -> list[Tag]:
+        """Children of an element: those of a name, or all."""
         return [
-            t for t in self.tags if t.parents[-1:] == (outer.start,)
-            and t.path[-1] == name
+            t for t in self.tags if t.parents[-1:] == (tag.start,)
+            and (not name or t.path[-1] == name)
         ]  # fmt: skip
 
     def set(
@@ -94,38 +89,38 @@ class Document:
         drop: Iterable[str] = (),
         name: str = "",
     ) -> None:
-        """Give an element attributes, take some away, and perhaps another name."""
+        """Set attributes of an element, drop some, and rename it if a name is given."""
         own = self._set.setdefault(tag.start, {})
         own |= dict.fromkeys(drop) | {key: text_of(x) for key, x in given.items()}
         if name:
             self._renamed[tag.start] = name
 
-    def put(self, at: int, text: str) -> None:
-        """Put text before the byte ``at``."""
-        self._put.append((at, at, text))
+    def insert(self, at: int, text: str) -> None:
+        """Insert text before the byte ``at``."""
+        self._replaced.append((at, at, text))
 
     def replace(self, tag: Tag, text: str) -> None:
-        """Put another element in the place of one, with what is in it."""
-        self._put.append((tag.start, tag.after, text))
+        """Replace an element with its content."""
+        self._replaced.append((tag.start, tag.after, text))
 
-    def put_in(self, tag: Tag, text: str) -> None:
-        """Put an element into another, as its first."""
-        first = [t for t in self.tags if t.parents[-1:] == (tag.start,)]
-        if first:
-            gap = self.content[tag.end : first[0].start].decode(errors="replace")
+    def insert_child(self, tag: Tag, text: str) -> None:
+        """Insert an element as the first child of another."""
+        children = self.children(tag)
+        if children:
+            gap = self.content[tag.end : children[0].start].decode(errors="replace")
             indent = re.findall(r"\n[ \t]*", gap)
             text = (indent[0] if indent else "") + text
-        self.put(tag.end, text)
+        self.insert(tag.end, text)
 
-    def put_after(self, tag: Tag, text: str) -> None:
-        """Put an element after another."""
+    def insert_after(self, tag: Tag, text: str) -> None:
+        """Insert an element after another."""
         line = self.content[: tag.start].rpartition(b"\n")[2]
         indent = line[: len(line) - len(line.lstrip())].decode()
-        self.put(tag.after, f"\n{indent}{text}")
+        self.insert(tag.after, f"\n{indent}{text}")
 
-    def written(self) -> bytes:
-        """The file with all that was changed in it."""
-        edits = list(self._put)
+    def edited(self) -> bytes:
+        """Content of the file with all changes."""
+        edits = list(self._replaced)
         for tag in self.tags:
             if tag.start in self._set:
                 edits.append((tag.start, tag.end, self._changed(tag)))
@@ -133,7 +128,7 @@ class Document:
                 closing = f"</{self._renamed[tag.start]}>"
                 edits.append((tag.close, tag.after, closing))
         content = self.content
-        # What is put to one place stands there in the order in which it was put.
+        # Texts at the same position keep the order of their insertion.
         for start, end, text in sorted(reversed(edits), key=lambda x: -x[0]):
             content = content[:start] + text.encode() + content[end:]
         return content
@@ -152,8 +147,38 @@ class Document:
         return f"<{new}{text.removeprefix(f'<{old}')}"
 
 
+def model_of(document: Document, robot: Robot) -> Any:
+    """Compile the document in the folder of the arm's file."""
+    return compile_spec(spec_of(document, robot), robot.path)[0]
+
+
+def spec_of(document: Document, robot: Robot) -> Any:
+    """Parse the document as a MuJoCo spec, in the folder of the arm's file."""
+    import mujoco
+
+    try:
+        spec = mujoco.MjSpec.from_string(document.edited().decode())
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise RobotError(f"{robot.path}: cannot be edited ({reason})") from error
+    spec.modelfiledir = str(Path(robot.path).parent)
+    return spec
+
+
+def joint_tag(document: Document, name: str) -> Tag:
+    """Find the element of a joint."""
+    for kind in ("joint", "freejoint"):
+        for tag in document.find(kind, name=name):
+            if "worldbody" in tag.path:
+                return tag
+    raise RobotError(
+        f"{document.where}: joint {name!r} is not in the file; valid are joints with "
+        "names, outside of replicate and attach"
+    )
+
+
 def text_of(value: Any) -> str:
-    """An attribute's text; numbers read back to the last bit."""
+    """Text of an attribute; numbers read back exactly."""
     if isinstance(value, str):
         return html.escape(value)
     if isinstance(value, int):
@@ -162,24 +187,20 @@ def text_of(value: Any) -> str:
 
 
 def element(name: str, given: Mapping[str, Any]) -> str:
-    """An element without content."""
+    """Text of an element without content."""
     words = "".join(f' {key}="{text_of(x)}"' for key, x in given.items())
     return f"<{name}{words}/>"
 
 
-def moved_path(file: str, home: Path, folder: Path) -> str:
-    """A file that is named relative to one folder, named relative to another."""
+def relative_path(file: str, home: Path, folder: Path) -> str:
+    """Convert a path relative to the folder ``home`` to one relative to ``folder``."""
     if not file or os.path.isabs(file) or "://" in file:
         return file
     return Path(os.path.relpath(home / file, folder)).as_posix()
 
 
 def tags(content: bytes, path: str | Path) -> Iterator[Tag]:
-    """Elements in the order of the file; undeclared prefixes do not matter.
-
-    Raises:
-        RobotError: It is not XML.
-    """
+    """Elements in the order of the file; prefixes need not be declared."""
     opened: list[tuple[tuple[str, ...], tuple[int, ...], int, int, dict[str, str]]] = []
     closed: dict[int, tuple[int, int]] = {}
     names: list[str] = []
@@ -215,7 +236,7 @@ def tags(content: bytes, path: str | Path) -> Iterator[Tag]:
 
 
 def _with_included(path: Path, home: Path, around: tuple[Path, ...]) -> bytes:
-    """A file's content, with that of the files it includes; paths are of ``home``."""
+    """Content of a file and of the files that it includes, relative to ``home``."""
     if path in around:
         raise RobotError(f"{path}: includes itself")
     try:

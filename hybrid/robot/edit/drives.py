@@ -17,7 +17,7 @@ KINDS = (
     "general", "motor", "position", "velocity", "intvelocity", "damper", "dcmotor",
     "pid",
 )  # fmt: skip
-# Attributes of the short forms, which the general one says by other names.
+# Attributes of the short forms, which the general form has by other names.
 _SHORT = ("kp", "kv", "dampratio", "timeconst", "inheritrange")
 
 
@@ -29,14 +29,8 @@ def edit_drives(
 ) -> tuple[str, ...]:
     """Change actuators of an MJCF file.
 
-    Args:
-        document: The file.
-        model: MuJoCo's model of it.
-        joints: Joints of the arm.
-        drives: What is new, by joint counted from 0.
-
     Returns:
-        What the file has no place for, in words.
+        Changes that the file cannot express, in words.
     """
     numbers, notes = joint_names(model), []
     for j, new in drives.items():
@@ -55,7 +49,7 @@ def edit_drives(
 
 
 def actuator_tags(document: Document, joint: str) -> list[Tag]:
-    """Elements of the actuators that work on a joint."""
+    """Elements of the actuators of a joint."""
     return [
         tag
         for tag in document.tags
@@ -74,13 +68,13 @@ def _edit(
     tag: Tag,
     new: Actuator,
 ) -> Iterator[str]:
-    """Change one actuator; what it has no place for."""
+    """Change one actuator; yield the changes that it cannot express."""
     import mujoco
 
     if new.latency:
         steps = math.ceil(new.latency / model.opt.timestep) + 1
-        late = {"delay": new.latency, "nsample": steps, "interp": "linear"}
-        document.set(tag, late)
+        delay = {"delay": new.latency, "nsample": steps, "interp": "linear"}
+        document.set(tag, delay)
     if math.isfinite(new.limit):
         most = new.limit / abs(gear)
         if model.actuator_forcelimited[a]:

@@ -1,4 +1,4 @@
-"""Edit numbers in an arm's MJCF file; every other byte stays."""
+"""Edit numbers in an arm's MJCF file; all other bytes stay unchanged."""
 
 from __future__ import annotations
 
@@ -14,37 +14,43 @@ from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.robot.actuators import drives_of
 from hybrid.robot.build import simulable, spec_text
-from hybrid.robot.edit.beside import DRY, put_dry, put_knees, put_motors, sliding
+from hybrid.robot.edit.bodies import Part, changed_parts, parts_of
 from hybrid.robot.edit.change import Edit, Structure
-from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
+from hybrid.robot.edit.document import (
+    Document,
+    Tag,
+    element,
+    joint_tag,
+    model_of,
+    relative_path,
+    spec_of,
+    text_of,
+)
 from hybrid.robot.edit.drives import edit_drives
-from hybrid.robot.edit.parsed import joint_tag, model_of, spec_of
-from hybrid.robot.edit.part import Part, changed_parts, parts_of
+from hybrid.robot.edit.extra_friction import (
+    HARD,
+    replaced_friction,
+    set_knee_friction,
+    set_passive_motors,
+    set_tendon_friction,
+)
 from hybrid.robot.mjcf import joint_names, mujoco_tree
 from hybrid.robot.read import read_robot
 from hybrid.robot.robot import Robot
 
-_TURNS = ("quat", "diaginertia", "axisangle", "euler", "xyaxes", "zaxis")
+_ORIENTATIONS = ("quat", "diaginertia", "axisangle", "euler", "xyaxes", "zaxis")
 _LIMITS = ("velocity_limit", "acceleration_limit")
-_USUAL = {
+_DEFAULTS = {  # against other values in a default class of the file
     "damping": 0.0, "armature": 0.0, "frictionloss": 0.0, "stiffness": 0.0,
     "limited": "false",
-}  # fmt: skip  # what a default class of the file may have otherwise
+}  # fmt: skip
 
 
 def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     """Change an MJCF file.
 
-    Args:
-        document: The file.
-        change: What shall be different.
-        old: The arm as the file has it.
-
     Returns:
-        What the file has no place for, in words.
-
-    Raises:
-        RobotError: A joint or a body cannot be found in the file.
+        Changes that the file cannot express, in words.
     """
     model = model_of(document, old)
     new = change.robot
@@ -52,21 +58,23 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     parts = parts_of(old, mujoco_tree(model, document.where))
     for part in changed_parts(parts, old, new):
         _inertial(document, _body(document, model, part), part)
-    slides = sliding(model, old, new)
+    replaced = replaced_friction(model, old, new)
     for j in range(new.size):
-        _joint(document, model, old, new, j, bool(slides[j]))
+        changed = _changed_fields(old, new, j)
+        changed |= {"frictionloss"} if replaced[j] else set()
+        if changed:
+            _joint(document, model, old, new, j, changed)
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
-    put_motors(document, model, old, new)
-    put_knees(document, model.opt.timestep, old, new)
+    set_passive_motors(document, model, old, new)
+    set_knee_friction(document, model.opt.timestep, old, new)
     return notes
 
 
 def check_mjcf(document: Document, robot: Robot) -> Robot:
-    """Read the arm back from the document, in the folder of its file."""
+    """Read the arm back from the document."""
     spec = spec_of(document, robot)
-    # What a tendon of the file adds is not in it, and is no fault here.
     try:
         fields, _ = read_robot(spec, robot.joints, robot.held)
     except RobotError as error:
@@ -90,7 +98,7 @@ def move_assets(document: Document, home: Path, folder: Path) -> None:
         }  # fmt: skip
     both = given.get("assetdir", "")
     new = {
-        name: moved_path(given.get(name, both) or ".", home, folder)
+        name: relative_path(given.get(name, both) or ".", home, folder)
         for name in ("meshdir", "texturedir")
     }
     own = document.find("mujoco", "compiler")
@@ -99,10 +107,10 @@ def move_assets(document: Document, home: Path, folder: Path) -> None:
         for tag in own:
             document.set(tag, {}, drop=("assetdir",))
     else:
-        document.put_in(document.tags[0], element("compiler", new))
+        document.insert_child(document.tags[0], element("compiler", new))
     for tag in document.tags:
         if tag.path[-1] == "model" and "file" in tag.attributes:
-            file = moved_path(tag.attributes["file"], home, folder)
+            file = relative_path(tag.attributes["file"], home, folder)
             document.set(tag, {"file": file})
 
 
@@ -114,11 +122,11 @@ def _gravity(document: Document, model: Any, change: Array) -> None:
     if own:
         document.set(own[-1], given)
     else:
-        document.put_in(document.tags[0], element("option", given))
+        document.insert_child(document.tags[0], element("option", given))
 
 
 def _body(document: Document, model: Any, part: Part) -> Tag:
-    """The element of a body: by its name, by its joint, or by its number."""
+    """Find the element of a body by its name, its joint or its number."""
     name = model.body(part.body).name
     bodies = [t for t in document.find("body") if t.path[1] == "worldbody"]
     if name and (found := [t for t in bodies if t.attributes.get("name") == name]):
@@ -139,27 +147,24 @@ def _inertial(document: Document, body: Tag, part: Part) -> None:
     mass, center, inertia = simulable(*part.central)
     six = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     given = {"pos": center, "mass": mass, "fullinertia": six}
-    own = document.within(body, "inertial")
+    own = document.children(body, "inertial")
     if own:
-        document.set(own[0], given, drop=_TURNS)
+        document.set(own[0], given, drop=_ORIENTATIONS)
     else:
-        document.put_in(body, element("inertial", given))
+        document.insert_child(body, element("inertial", given))
     for tag in document.find("mujoco", "compiler", inertiafromgeom="true"):
         document.set(tag, {"inertiafromgeom": "auto"})
 
 
 def turn_unit(document: Document, slides: bool) -> float:
-    """The file's units of angle in a radian; 1 of a joint that slides."""
+    """Factor from radians to the file's unit of angle; 1 for a joint that slides."""
     angle = "degree"
     for tag in document.find("mujoco", "compiler"):
         angle = tag.attributes.get("angle", angle)
     return 1.0 if slides or angle == "radian" else 180.0 / np.pi
 
 
-def _joint(
-    document: Document, model: Any, old: Robot, new: Robot, j: int, slides: bool
-) -> None:
-    """Rotor, friction and spring of a joint, where they are not the file's."""
+def _changed_fields(old: Robot, new: Robot, j: int) -> set[str]:
     changed = {
         name
         for name in ("damping", "quadratic", "cubic", "frictionloss", "stiffness")
@@ -169,10 +174,15 @@ def _joint(
         changed.add("stiffness")
     if new.chain.armature[j] != old.chain.armature[j]:
         changed.add("armature")
-    if slides or bool(old.knee[j]) != bool(new.knee[j]):
+    if bool(old.knee[j]) != bool(new.knee[j]):
         changed.add("frictionloss")
-    if not changed:
-        return
+    return changed
+
+
+def _joint(
+    document: Document, model: Any, old: Robot, new: Robot, j: int, changed: set[str]
+) -> None:
+    """Change rotor, friction and spring of a joint."""
     tag, given = joint_tag(document, new.joints[j]), {}
     number = joint_names(model).index(new.joints[j])
     of_drives = {
@@ -190,16 +200,18 @@ def _joint(
             new.quadratic[j],
             new.cubic[j],
         ]
-        bent = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
-        given["damping"] = friction if bent else friction[0]
+        nonlinear = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
+        given["damping"] = friction if nonlinear else friction[0]
     if "frictionloss" in changed:
         dry = {
             "frictionloss": new.frictionloss[j],
             "solreffriction": (2 * model.opt.timestep, 1.0),
-            **DRY,
+            **HARD,
         }
         given |= {} if new.knee[j] else dry
-        put_dry(document, new.joints[j], dry if new.knee[j] else {"frictionloss": 0.0})
+        set_tendon_friction(
+            document, new.joints[j], dry if new.knee[j] else {"frictionloss": 0.0}
+        )
     if "stiffness" in changed:
         given["stiffness"] = new.stiffness[j]
         unit = turn_unit(document, not new.chain.revolute[j])
@@ -216,38 +228,38 @@ def _joint(
 def _structure(
     document: Document, model: Any, robot: Robot, structure: Sequence[Structure]
 ) -> None:
-    """Put in joints behind motors, tendons and constraints."""
+    """Add the joints, tendons and constraints that functions add to a spec."""
     spec = robot.mujoco_spec()
     before = ElementTree.fromstring(spec_text(spec))
-    for put in structure:
-        put(spec, robot.joints)
+    for add in structure:
+        add(spec, robot.joints)
     after = ElementTree.fromstring(spec_text(spec))
     names, added = joint_names(model), []
     for name, own in _new_joints(before, after):
         tag, j = joint_tag(document, name), names.index(name)
         unit = turn_unit(document, own.get("type") == "slide")
-        given = {**_USUAL, **own.attrib, "pos": model.jnt_pos[j]}
+        given = {**_DEFAULTS, **own.attrib, "pos": model.jnt_pos[j]}
         for key in ("range", "ref", "springref"):
             if key in own.attrib:
                 given[key] = unit * np.array(own.attrib[key].split(), dtype=float)
-        document.put_after(tag, element("joint", given))
+        document.insert_after(tag, element("joint", given))
         added.append(j)
     known = {child.tag for child in before}
-    hard = {"solreffriction": (2 * model.opt.timestep, 1.0), **DRY}
+    hard = {"solreffriction": (2 * model.opt.timestep, 1.0), **HARD}
     for tendon in after.iter("fixed"):
         if "frictionloss" in tendon.attrib:
             tendon.attrib |= {key: text_of(x) for key, x in hard.items()}
     for section in after:
         if section.tag not in known and section.tag != "default":
             text = ElementTree.tostring(section, encoding="unicode").strip()
-            document.put(document.tags[0].close, f"  {text}\n")
-    _room(document, model, sorted(added, reverse=True))
+            document.insert(document.tags[0].close, f"  {text}\n")
+    _extend_keyframes(document, model, sorted(added, reverse=True))
 
 
 def _new_joints(
     before: ElementTree.Element, after: ElementTree.Element
 ) -> Iterator[tuple[str, ElementTree.Element]]:
-    """New joints, each with the name of the joint in front of it."""
+    """New joints, each with the name of the joint before it."""
     known = {joint.get("name") for joint in before.iter("joint")}
     for body in after.iter("body"):
         first = body.find("joint")
@@ -256,8 +268,8 @@ def _new_joints(
                 yield str(first.get("name")), joint
 
 
-def _room(document: Document, model: Any, added: Sequence[int]) -> None:
-    """Give keyframes and limits a value for each joint that is new."""
+def _extend_keyframes(document: Document, model: Any, added: Sequence[int]) -> None:
+    """Add zeros for new joints to keyframes and to custom limits."""
     places = {"qpos": model.jnt_qposadr, "qvel": model.jnt_dofadr}
     for tag in document.find("keyframe", "key"):
         given = {}

@@ -1,4 +1,4 @@
-"""Rewrite the joint placements of a robot file; every other byte stays."""
+"""Change the joint placements of a robot file; all other bytes stay unchanged."""
 
 from __future__ import annotations
 
@@ -12,39 +12,41 @@ from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot.chain import Chain
-from hybrid.robot.compiled import compiled_without_files
 from hybrid.robot.edit.document import Document, element
 from hybrid.robot.mjcf import joint_frame, matrix
+from hybrid.robot.mujoco_model import compile_without_assets
 from hybrid.robot.urdf import roll_pitch_yaw
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
 
-_TURNS = ("axisangle", "euler", "xyaxes", "zaxis")
-_UNMOVED = 1e-12  # m or rad: a joint whose text is left alone
+_ORIENTATIONS = ("axisangle", "euler", "xyaxes", "zaxis")
+_UNMOVED = 1e-12  # m or rad; a smaller change is not written
 
 
 def write_placements(robot: Robot, chain: Chain, path: str | Path) -> None:
-    """Write the robot's own file again, with the joint placements of another chain.
+    """Write a copy of the robot's file with the joint placements of another chain.
 
     Args:
-        robot: An arm read from a URDF or MJCF file.
+        robot: An arm that was read from a URDF or MJCF file.
         chain: The same joints with other ``rotation`` and ``translation``.
-        path: Where the new file shall be.
+        path: Path of the new file.
 
     Raises:
-        RobotError: The file is gone, or a joint's placement has no place in it.
+        RobotError: The file is missing, or cannot express a joint's placement.
     """
     document = Document.load(robot.path)
     changes = _changes(robot.chain, chain)
-    edit = _urdf if Path(robot.path).suffix.lower() == ".urdf" else _mjcf
-    edit(document, robot, changes)
+    if Path(robot.path).suffix.lower() == ".urdf":
+        _edit_urdf(document, changes)
+    else:
+        _edit_mjcf(document, robot, changes)
     with atomic_path(path) as temporary:
-        temporary.write_bytes(document.written())
+        temporary.write_bytes(document.edited())
 
 
 def _changes(old: Chain, new: Chain) -> dict[str, tuple[Array, Array]]:
-    """Turn and shift of each moved joint frame, in the frame as it was."""
+    """Rotation and shift of each moved joint frame, in the old frame."""
     changes = {}
     for k, joint in enumerate(old.joints):
         turn = old.rotation[k].T @ new.rotation[k]
@@ -54,14 +56,12 @@ def _changes(old: Chain, new: Chain) -> dict[str, tuple[Array, Array]]:
     return changes
 
 
-def _urdf(
-    document: Document, robot: Robot, changes: dict[str, tuple[Array, Array]]
-) -> None:
+def _edit_urdf(document: Document, changes: dict[str, tuple[Array, Array]]) -> None:
     for tag in document.find("robot", "joint"):
         joint = tag.attributes.get("name", "")
         if joint not in changes:
             continue
-        origin = document.within(tag, "origin")
+        origin = document.children(tag, "origin")
         own = origin[0].attributes if origin else {}
         xyz, rpy = (_numbers(own.get(name, "0 0 0")) for name in ("xyz", "rpy"))
         turn, shift = changes[joint]
@@ -70,15 +70,15 @@ def _urdf(
         if origin:
             document.set(origin[0], given)
         else:
-            document.put_in(tag, element("origin", given))
+            document.insert_child(tag, element("origin", given))
 
 
-def _mjcf(
+def _edit_mjcf(
     document: Document, robot: Robot, changes: dict[str, tuple[Array, Array]]
 ) -> None:
     import mujoco
 
-    model, _ = compiled_without_files(robot.path)
+    model, _ = compile_without_assets(robot.path)
     for joint, (turn, shift) in changes.items():
         found = document.find("body", "joint", name=joint)
         j = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
@@ -88,14 +88,14 @@ def _mjcf(
                 f"{robot.path}: joint {joint!r} cannot be moved; valid are named "
                 "joints of this very file, one to a body, outside of frames"
             )
-        # The joint's frame in its body, as the chain has it at position zero.
+        # The joint's frame in its body at position zero.
         own, at, _ = joint_frame(model, j, np.eye(3), np.zeros(3))
         B = matrix(model.body_quat[body])
         turned = own @ turn @ own.T
         position = model.body_pos[body] + B @ (at + own @ shift - turned @ at)
         quaternion = Rotation.from_matrix(B @ turned).as_quat(scalar_first=True)
         tag = next(x for x in document.tags if x.start == found[0].parents[-1])
-        document.set(tag, {"pos": position, "quat": quaternion}, drop=_TURNS)
+        document.set(tag, {"pos": position, "quat": quaternion}, drop=_ORIENTATIONS)
 
 
 def _numbers(text: str) -> Array:

@@ -1,4 +1,4 @@
-"""Write an arm as MJCF without shapes, where its own file is missing."""
+"""Write an arm without a file as MJCF without shapes."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from hybrid.robot.robot import Robot
 
 
 def mjcf_skeleton(robot: Robot) -> str:
-    """Links, joints and limits as MJCF, with a motor of unit gear at each joint.
+    """MJCF of links, joints and limits, with a motor of gear 1 at each joint.
 
-    Dry friction is left to the edit, which makes it hard.
+    Dry friction is zero here; the later edit of the file adds it.
     """
     spec = replace(robot, frictionloss=0.0 * robot.frictionloss).mujoco_spec()
     add_motors(spec, robot)
@@ -22,7 +22,7 @@ def mjcf_skeleton(robot: Robot) -> str:
 
 
 def add_motors(spec: object, robot: Robot) -> None:
-    """Give a spec without actuators motors, and the limits that MJCF can say."""
+    """Add motors and limits to a spec without actuators."""
     for k, name in enumerate(robot.joints):
         joint = spec.joint(name)  # type: ignore[attr-defined]
         if np.isfinite(robot.q_min[k]) and np.isfinite(robot.q_max[k]):
@@ -32,7 +32,7 @@ def add_motors(spec: object, robot: Robot) -> None:
             joint.actfrclimited = 1
             joint.actfrcrange = np.array([-1.0, 1.0]) * robot.tau_max[k]
         motor = spec.add_actuator(name=name, target=name)  # type: ignore[attr-defined]
-        motor.trntype = 0  # at the joint
+        motor.trntype = 0  # mjTRN_JOINT
         motor.gainprm[0] = motor.gear[0] = 1.0
     for name, values in (
         ("velocity_limit", robot.v_max),

@@ -1,4 +1,4 @@
-"""The document to edit: the arm's own file, or one made from the arm."""
+"""Choose the document to edit: the arm's own file, or one made from the arm."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from hybrid.robot.robot import Robot
 
 @dataclass(frozen=True)
 class Source:
-    """The file of an arm that is edited.
+    """The file that is edited.
 
     Attributes:
         document: The file.
-        robot: The arm that it has.
-        own: Whether it is the arm's own, or made from it, and names files beside it.
-        notes: What the arm's own file has and this one does not, in words.
+        robot: The arm in it.
+        own: Whether it is the arm's file or made from it, and so may name other files.
+        notes: What the arm's own file has and this one lacks, in words.
     """
 
     document: Document
@@ -36,23 +36,16 @@ class Source:
 
 
 def source(robot: Robot, kind: str) -> Source:
-    """The file to edit: the arm's own, or what is made from it.
+    """Choose the file to edit: the arm's own, or one that is made from it.
 
-    A xacro file is expanded. A URDF file becomes an MJCF file by MuJoCo, with shapes if
-    it finds the meshes; an MJCF file becomes a URDF file with the shapes that this has.
-    An arm without a file has links and joints only, as they shall be.
-
-    Args:
-        robot: The arm as it shall be; ``path`` is its file.
-        kind: ``mjcf`` or ``urdf``.
-
-    Raises:
-        RobotError: The file is of another arm.
+    A xacro file is expanded. MuJoCo converts a URDF file to MJCF, with shapes if it
+    finds the meshes. An MJCF file is converted to URDF with the shapes that URDF can
+    express. For an arm without a file, the new file has links and joints only.
     """
     path = Path(robot.path)
     suffix = path.suffix.lower()
-    there, urdf = bool(robot.path) and path.is_file(), suffix in (".urdf", ".xacro")
-    if there and (kind == "urdf") == urdf:
+    exists, urdf = bool(robot.path) and path.is_file(), suffix in (".urdf", ".xacro")
+    if exists and (kind == "urdf") == urdf:
         xacro = suffix == ".xacro"
         document = (
             Document(expanded(path).encode(), path) if xacro else Document.load(path)
@@ -61,10 +54,10 @@ def source(robot: Robot, kind: str) -> Source:
         if found.fingerprint() != robot.fingerprint():
             raise RobotError(f"{path}: is of another arm than {robot.name!r}")
         return Source(document, found, True)
-    if there and urdf and (text := _converted(robot)):
+    if exists and urdf and (text := _converted(robot)):
         document = Document(text.encode(), path)
         return Source(document, read(document, robot, kind), True)
-    if there and not urdf:
+    if exists and not urdf:
         text, notes = urdf_from_mjcf(robot)
         document = Document(text.encode(), path)
         return Source(document, read(document, robot, kind), True, notes)
@@ -74,14 +67,14 @@ def source(robot: Robot, kind: str) -> Source:
 
 
 def read(document: Document, robot: Robot, kind: str) -> Robot:
-    """The arm that a document has; what a reader warns of, it did of the arm's file."""
+    """Read the arm from a document without warnings, which its file caused before."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
         return (check_urdf if kind == "urdf" else check_mjcf)(document, robot)
 
 
 def _converted(robot: Robot) -> str:
-    """A URDF file as MJCF; nothing where MuJoCo does not read this arm."""
+    """Convert a URDF file to MJCF; empty if MuJoCo does not read the same arm."""
     import mujoco
 
     try:

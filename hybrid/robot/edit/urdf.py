@@ -1,4 +1,4 @@
-"""Edit numbers in an arm's URDF file; every other byte stays."""
+"""Edit numbers in an arm's URDF file; all other bytes stay unchanged."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.robot.edit.bodies import Part, changed_parts, parts_of
 from hybrid.robot.edit.change import Edit
-from hybrid.robot.edit.document import Document, Tag, element, moved_path, text_of
-from hybrid.robot.edit.part import Part, changed_parts, parts_of
+from hybrid.robot.edit.document import Document, Tag, element, relative_path, text_of
 from hybrid.robot.robot import Robot
 from hybrid.robot.urdf import read_urdf, urdf_root, urdf_tree
 
@@ -19,16 +19,8 @@ DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
 def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     """Change a URDF file.
 
-    Args:
-        document: The file.
-        change: What shall be different.
-        old: The arm as the file has it.
-
     Returns:
-        What the file has no place for, in words.
-
-    Raises:
-        RobotError: A link cannot be found in the file.
+        Changes that the file cannot express, in words.
     """
     new = change.robot
     tree = urdf_tree(urdf_root(document.content), document.where)
@@ -47,7 +39,7 @@ def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
 
 def check_urdf(document: Document, robot: Robot) -> Robot:
     """Read the arm back from the document."""
-    content, where = document.written(), document.where
+    content, where = document.edited(), document.where
     fields = read_urdf(content, where, robot.joints, dict(robot.held))
     return Robot(**fields, path=robot.path)
 
@@ -58,7 +50,7 @@ def move_meshes(document: Document, home: Path, folder: Path) -> None:
     for tag in document.tags:
         file = tag.attributes.get("filename", "")
         if home != folder and tag.path[-1] in ("mesh", "texture"):
-            document.set(tag, {"filename": moved_path(file, home, folder)})
+            document.set(tag, {"filename": relative_path(file, home, folder)})
 
 
 def inertial_text(mass: float, center: Array, about: Array) -> str:
@@ -87,14 +79,14 @@ def rotor_text(joint: str, inertia: float) -> str:
 
 
 def _inertial(document: Document, link: Tag, part: Part) -> None:
-    own = document.within(link, "inertial")
+    own = document.children(link, "inertial")
     for inertial in own:
         for name, given in _inertial_parts(*part.central).items():
-            there = document.within(inertial, name)
-            if there:
-                document.set(there[0], given)
+            children = document.children(inertial, name)
+            if children:
+                document.set(children[0], given)
             else:
-                document.put_in(inertial, element(name, given))
+                document.insert_child(inertial, element(name, given))
     if own:
         return
     text = inertial_text(*part.central)
@@ -102,7 +94,7 @@ def _inertial(document: Document, link: Tag, part: Part) -> None:
         name = text_of(link.attributes["name"])
         document.replace(link, f'<link name="{name}">{text}</link>')
     else:
-        document.put_in(link, text)
+        document.insert_child(link, text)
 
 
 def _friction(document: Document, joint: Tag, old: Robot, new: Robot, j: int) -> None:
@@ -111,32 +103,32 @@ def _friction(document: Document, joint: Tag, old: Robot, new: Robot, j: int) ->
         for word, name in (("damping", "damping"), ("friction", "frictionloss"))
         if getattr(new, name)[j] != getattr(old, name)[j]
     }
-    own = document.within(joint, "dynamics")
+    own = document.children(joint, "dynamics")
     if given and own:
         document.set(own[0], given)
     elif given:
-        document.put_in(joint, element("dynamics", given))
+        document.insert_child(joint, element("dynamics", given))
 
 
 def _rotor(document: Document, joint: str, inertia: float) -> None:
     for drive in document.find("transmission"):
         if not any(
-            x.attributes.get("name") == joint for x in document.within(drive, "joint")
+            x.attributes.get("name") == joint for x in document.children(drive, "joint")
         ):
             continue
-        for motor in document.within(drive, "actuator"):
-            gear = document.within(motor, "drake:gear_ratio")
+        for motor in document.children(drive, "actuator"):
+            gear = document.children(motor, "drake:gear_ratio")
             ratio = float(gear[0].attributes["value"]) if gear else 1.0
-            own = document.within(motor, "drake:rotor_inertia")
+            own = document.children(motor, "drake:rotor_inertia")
             value = {"value": inertia / ratio**2}
             if own:
                 document.set(own[0], value)
             else:
                 _declare(document)
-                document.put_in(motor, element("drake:rotor_inertia", value))
+                document.insert_child(motor, element("drake:rotor_inertia", value))
             return
     _declare(document)
-    document.put(document.tags[0].close, f"  {rotor_text(joint, inertia)}\n")
+    document.insert(document.tags[0].close, f"  {rotor_text(joint, inertia)}\n")
 
 
 def _declare(document: Document) -> None:

@@ -1,4 +1,4 @@
-"""MJCF as URDF: the whole tree, with the shapes that URDF has words for."""
+"""Convert MJCF to URDF: the whole tree, with the shapes that URDF can express."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.compiled import compiled_spec, spec_from_file
 from hybrid.robot.edit.document import element, text_of
 from hybrid.robot.edit.skeleton import mjcf_skeleton
 from hybrid.robot.edit.urdf import DRAKE, inertial_text
 from hybrid.robot.mjcf import joint_frame, joint_names, matrix
+from hybrid.robot.mujoco_model import compile_spec, spec_from_file
 from hybrid.robot.robot import Robot
 from hybrid.robot.urdf import roll_pitch_yaw
 
-_SHOWN = 3  # groups of geoms that MuJoCo shows are below
+_FIRST_HIDDEN = 3  # lowest group of geoms that MuJoCo does not show
 _FORMATS = (".stl", ".obj", ".dae")
-# What URDF has no words for, by MuJoCo's counts.
-_UNSAID = {
+# Elements that URDF cannot express, by MuJoCo's counts.
+_MISSING = {
     "nu": "actuators", "ntendon": "tendons", "neq": "equality constraints",
     "nsite": "sites", "nsensor": "sensors", "nkey": "keyframes",
     "nexclude": "contact excludes", "ncam": "cameras", "nlight": "lights",
@@ -29,19 +29,13 @@ _UNSAID = {
 
 
 def urdf_from_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
-    """A robot's MJCF file as URDF; without a file, links and joints.
+    """Convert a robot's MJCF file to URDF; without a file, only links and joints.
 
-    Links are bodies, named as they are; a body with several joints has a link for each.
-    Positions of joints count from where they do in the file.
-
-    Args:
-        robot: An arm; ``path`` is its MJCF file, if it has one.
+    Each body becomes a link of the same name, or one link for each of its joints. Joint
+    positions keep their zero.
 
     Returns:
-        The URDF file, and what it does not have, in words.
-
-    Raises:
-        RobotError: A joint is none that URDF has.
+        The URDF file, and what it lacks, in words.
     """
     import mujoco
 
@@ -51,7 +45,7 @@ def urdf_from_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
     else:
         spec = mujoco.MjSpec.from_string(mjcf_skeleton(robot))
     spec.compiler.discardvisual = False
-    model, _ = compiled_spec(spec, robot.path)
+    model, _ = compile_spec(spec, robot.path)
     return _Writer(model, spec, robot).written()
 
 
@@ -60,7 +54,7 @@ class _Writer:
         self.model, self.spec, self.robot = model, spec, robot
         self.names, self.joints = joint_names(model), list[str]()
         self.bodies = [model.body(b).name or f"body_{b}" for b in range(model.nbody)]
-        # Where each body is in the last of its links, which turn with it.
+        # Position of each body in its last link, which has the same orientation.
         self.shift = np.zeros((model.nbody, 3))
         self.missing: dict[str, int] = {}
 
@@ -68,14 +62,14 @@ class _Writer:
         links = [text for b in range(self.model.nbody) for text in self._body(b)]
         head = element("robot", {"name": self.robot.name, **DRAKE})
         lines = [head.replace("/>", ">"), *links, *self.joints]
-        counts = {word: getattr(self.model, n) for n, word in _UNSAID.items()}
+        counts = {word: getattr(self.model, n) for n, word in _MISSING.items()}
         counts = {word: n for word, n in {**counts, **self.missing}.items() if n}
-        said = ", ".join(f"{word} ({n})" for word, n in counts.items())
-        notes = (f"{said} of the MJCF file",) if said else ()
+        listed = ", ".join(f"{word} ({n})" for word, n in counts.items())
+        notes = (f"{listed} of the MJCF file",) if listed else ()
         return "\n".join([*lines, "</robot>", ""]), notes
 
     def _body(self, b: int) -> Iterator[str]:
-        """Links of a body; joints in front of them are kept for the end."""
+        """Links of a body; its joints are kept for the end of the file."""
         model, name = self.model, self.bodies[b]
         first, count = int(model.body_jntadr[b]), int(model.body_jntnum[b])
         if b:
@@ -90,7 +84,7 @@ class _Writer:
                     yield f'  <link name="{text_of(link)}"/>'
                 above = link
             if not count:
-                self._put(f"{name}_fixed", "fixed", R, p, above, name, [])
+                self._add_joint(f"{name}_fixed", "fixed", R, p, above, name, [])
                 p = np.zeros(3)
             self.shift[b] = p
         inner = [self._inertial(b)] if model.body_mass[b] > 0 else []
@@ -102,7 +96,7 @@ class _Writer:
     def _joint(
         self, joint: int, R: Array, p: Array, above: str, link: str
     ) -> tuple[Array, Array]:
-        """A joint, and where the body is in the link behind it."""
+        """Add a joint; return the pose of the body in the link after it."""
         model, robot, name = self.model, self.robot, self.names[joint]
         if model.jnt_type[joint] not in (2, 3):
             raise RobotError(
@@ -131,10 +125,10 @@ class _Writer:
             element("limit", limits),
             element("dynamics", friction),
         ]
-        self._put(name, kind, R, p, above, link, inner)
+        self._add_joint(name, kind, R, p, above, link, inner)
         return np.eye(3), -offset
 
-    def _put(
+    def _add_joint(
         self, name: str, kind: str, R: Array, p: Array, above: str, link: str,
         inner: list[str],
     ) -> None:  # fmt: skip
@@ -155,12 +149,12 @@ class _Writer:
         return inertial_text(model.body_mass[b], center, about)
 
     def _geom(self, g: int, b: int) -> Iterator[str]:
-        """A geom as it is seen and as it collides."""
+        """Visual and collision elements of a geom."""
         model = self.model
         R, p = matrix(model.geom_quat[g]), self.shift[b] + model.geom_pos[g]
         parts = list(self._shapes(g, R, p))
         words = []
-        if model.geom_group[g] < _SHOWN:
+        if model.geom_group[g] < _FIRST_HIDDEN:
             words.append("visual")
         if model.geom_contype[g] or model.geom_conaffinity[g]:
             words.append("collision")
@@ -173,7 +167,7 @@ class _Writer:
                 yield f"<{word}>{inside}</{word}>"
 
     def _shapes(self, g: int, R: Array, p: Array) -> Iterator[tuple[Array, Array, str]]:
-        """Shapes that a geom is made of, each where it is."""
+        """Pose and element of each shape of a geom."""
         import mujoco
 
         model, kinds = self.model, mujoco.mjtGeom
@@ -199,7 +193,7 @@ class _Writer:
             self.missing[word] = self.missing.get(word, 0) + 1
 
     def _file(self, g: int) -> str:
-        """A geom's mesh file as seen from the MJCF file; none if URDF has no such."""
+        """Path of a geom's mesh from the MJCF file; empty if URDF lacks its format."""
         number = int(self.model.geom_dataid[g])
         (mesh,) = (x for x in self.spec.meshes if x.id == number)
         file = mesh.file

@@ -1,4 +1,4 @@
-"""The bodies of a robot file that make up each link of the arm."""
+"""The bodies of a robot file that together form each link of the arm."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from hybrid.robot.robot import Robot
 from hybrid.robot.spatial import central_inertia, inertia_fault, inertial_about
 from hybrid.robot.tree import Tree
 
-_SAME = 1e-9  # of a link's parameters: what rounding makes of them
-_HALVINGS = 40
+_SAME = 1e-9  # of a link's parameters, the rounding error
+_HALVINGS = 40  # of the share of other bodies, before it becomes zero
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class Part:
     Attributes:
         body: Its number in MuJoCo's model, or its name in a URDF file.
         link: The link, counted from 0.
-        own: Whether it is the body that the link's joint moves.
-        rotation: Turn of its frame in that of the link, shape (3, 3).
-        position: Place of its frame in that of the link, shape (3,), [m].
-        inertial: Its ten parameters in the frame of the link, shape (10,).
+        own: Whether the link's joint moves this body directly.
+        rotation: Rotation of its frame in the link, shape (3, 3).
+        position: Position of its frame in the link, shape (3,), [m].
+        inertial: Inertial parameters in the frame of the link, shape (10,).
     """
 
     body: Any
@@ -40,19 +40,14 @@ class Part:
 
     @property
     def central(self) -> tuple[float, Array, Array]:
-        """Mass, centre of mass, and inertia about it, in its own frame."""
+        """Mass, centre of mass and central inertia in the frame of the body."""
         mass, center, about = central_inertia(self.inertial)
         R = self.rotation
         return mass, R.T @ (center - self.position), R.T @ about @ R
 
 
 def parts_of(robot: Robot, tree: Tree) -> list[Part]:
-    """Bodies of a file that move with the links of an arm in it.
-
-    Args:
-        robot: The arm.
-        tree: The tree of the file.
-    """
+    """Find the bodies of a file that move with the links of an arm."""
     places, _ = tree.places(robot.joints, robot.held)
     parts: list[Part] = []
     for node, place in zip(tree.nodes, places, strict=True):
@@ -65,13 +60,10 @@ def parts_of(robot: Robot, tree: Tree) -> list[Part]:
 
 
 def changed_parts(parts: Sequence[Part], old: Robot, new: Robot) -> Iterator[Part]:
-    """Bodies whose parameters change with those of the links.
+    """Bodies with new parameters, so that the links have those of the new arm.
 
-    The body that the joint moves takes the change. Where that would leave no body that
-    could be built, the others of the link become lighter, all by the same factor.
-
-    Raises:
-        RobotError: No body of the file can hold the parameters of a link.
+    The body that the joint moves directly takes the change. If its parameters would not
+    be physical, the other bodies of the link are scaled down by a common factor.
     """
     for k in range(new.size):
         before, goal = old.chain.inertial[k], new.chain.inertial[k]

@@ -1,9 +1,9 @@
-"""The grammar of labels: which channel of which joint a column's label stands for.
+"""Parse the label of a column: its channel, joint and unit.
 
-A label is words for a channel, before or after a joint's name or number, and perhaps a
-unit: ``q1``, ``actual_q_0``, ``elbow.pos``, ``/joint_states/elbow/position``,
-``effort[2]``, ``position_elbow [deg]``. What is measured and what is commanded are told
-by the words beside the quantity.
+A label consists of words for a channel, a joint's name or number before or after them,
+and sometimes a unit: ``q1``, ``actual_q_0``, ``elbow.pos``, ``effort[2]``,
+``/joint_states/elbow/position``, ``position_elbow [deg]``. Further words tell measured
+values from commanded ones.
 """
 
 from __future__ import annotations
@@ -25,21 +25,18 @@ CHANNEL_WORDS = {
     "temperature": "temp temperature temperatures",
 }
 _QUANTITY = {w: c for c, words in CHANNEL_WORDS.items() for w in words.split()}
-_COMMANDED = set(
-    "cmd command commands commanded target desired des ref reference setpoint goal "
-    "action qref qcmd d".split()
-)
-_MEASURED = set(
-    "actual act measured meas state states observation observations obs feedback "
-    "present fb".split()
-)
-# Of no joint, or no channel: accelerations, estimates, limits, the tool.
-_OTHER = set(
-    "acc accel acceleration accelerations ddq qdd dddq error err ext external output "
-    "raw std min max limit eef ee tcp cos sin cartesian pose quat dtau dtauj".split()
-)
-LONGEST = 300  # characters of a label; more are no words
-_QUALIFIES = ("commanded", "measured", "other")  # kinds of words
+_QUALIFIERS = {
+    "commanded": "cmd command commands commanded target desired des ref reference "
+    "setpoint goal action qref qcmd d",
+    "measured": "actual act measured meas state states observation observations obs "
+    "feedback present fb",
+    # Quantities that are not read: accelerations, estimates, limits, the tool.
+    "other": "acc accel acceleration accelerations ddq qdd dddq error err ext external "
+    "output raw std min max limit eef ee tcp cos sin cartesian pose quat dtau dtauj",
+}
+_KIND = {w: kind for kind, words in _QUALIFIERS.items() for w in words.split()}
+_KIND |= dict.fromkeys(_QUANTITY, "quantity")
+LONGEST = 300  # characters of a label that is parsed
 _MOTOR = ("motor", "rotor")
 _TAU = ("tau", "dtau")
 _TOKEN = re.compile(r"\d+|(?:[^\W\d_](?!(?<=[a-z]{2})(?=[A-Z])))*[^\W\d_]")
@@ -54,16 +51,16 @@ _SEPARATORS = " _./:[]-"
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a label says.
+    """Meaning of a label.
 
     Attributes:
-        channel: Field of a recording, or ``current``; empty if it is none.
-        joint: Name or number of the joint as written; empty for a bare word.
-        number: The number, if the label counts joints; None if it names them.
-        space: What stands before the words, such as a topic; empty if nothing.
-        unit: Unit that the label states; empty if none.
-        why: Why it is no channel of a joint; empty if it is one.
-        index: Place of the label among those of a table, from 0.
+        channel: Field of a recording, or ``current``; empty if there is none.
+        joint: Name or number of the joint as written; empty if there is none.
+        number: Number of the joint; None if the label has a name.
+        space: Text before the words, such as a topic.
+        unit: Unit that the label states; empty if there is none.
+        why: Reason why the label is no channel of a joint; empty if it is one.
+        index: Index of the column in its table.
     """
 
     channel: str = ""
@@ -84,58 +81,58 @@ class _Word:
 
 
 def is_time(label: str) -> bool:
-    """Whether a label without its unit means time."""
+    """Tell whether a label without its unit means time."""
     word = label.strip().lower()
     return word in TIME or word.endswith(("/stamp", ".stamp", "/__time", ".__time"))
 
 
 def split_unit(label: str) -> tuple[str, str]:
-    """A label without its unit, and the unit; other brackets hold a joint."""
+    """Split a label into text and unit; brackets without a unit hold a joint."""
     label = label.strip()
     if len(label) > LONGEST:
         return label, ""
     if (match := _UNIT.search(label)) and fits(unit := match.group(1).strip()):
-        word = label[: match.start()]
-        said = _meant(word)
-        channel = "time" if is_time(word) else said.channel
+        text = label[: match.start()]
+        meaning = _parse(text)
+        channel = "time" if is_time(text) else meaning.channel
         # q[a] is joint a, not a year; q1 [a] is in years, and will be refused.
-        apart = said.joint if channel else match.group()[0] in " ("
-        if apart or (channel and fits(unit, channel)):
-            return word, unit
+        is_unit = meaning.joint if channel else match.group()[0] in " ("
+        if is_unit or (channel and fits(unit, channel)):
+            return text, unit
     if match := _SUFFIX.search(label):
-        word, unit = label[: match.start()], match.group(1)
-        meant = "time" if is_time(word) else _meant(word).channel
-        if meant and fits(unit, meant):
-            return word, unit
+        text, unit = label[: match.start()], match.group(1)
+        channel = "time" if is_time(text) else _parse(text).channel
+        if channel and fits(unit, channel):
+            return text, unit
     return label, ""
 
 
-def meaning(label: str, joints: tuple[str, ...] = ()) -> Meaning:
-    """Read a label, in which names of known joints come before any other word."""
+def parse_label(label: str, joints: tuple[str, ...] = ()) -> Meaning:
+    """Parse a label; names of known joints take precedence over other words."""
     if len(label) > LONGEST:
         return Meaning(why=f"a label of more than {LONGEST} characters")
     # 'q_A' is joint A, not a current
     for text, unit in ((label.strip(), ""), split_unit(label)):
-        named = _named(text, joints)
-        if named is not None:
-            return replace(named, unit=unit)
+        meaning = _parse_with_joints(text, joints)
+        if meaning is not None:
+            return replace(meaning, unit=unit)
     text, unit = split_unit(label)
-    return replace(_meant(text), unit=unit)
+    return replace(_parse(text), unit=unit)
 
 
-def _named(text: str, joints: tuple[str, ...]) -> Meaning | None:
-    """The meaning of a label around the name of a known joint."""
+def _parse_with_joints(text: str, joints: tuple[str, ...]) -> Meaning | None:
+    """Parse a label that has the name of a known joint; None if it has none."""
     for joint in sorted(joints, key=len, reverse=True):
         at = text.lower().rfind(joint.lower())
         before, after = text[: max(at, 0)], text[at + len(joint) :]
         if at < 0 or joint.isdigit() or before[-1:].isalnum() or after[:1].isalnum():
             continue
-        ahead, behind = _words(before), _words(after)
-        channel, why = _channel_of([w for w in ahead + behind if w.kind != "name"])
-        if channel and not any(w.kind in ("name", "number") for w in behind):
-            if not any(w.kind in ("name", "number") for w in ahead):
+        first, last = _words(before), _words(after)
+        channel, why = _channel_of([w for w in first + last if w.kind != "name"])
+        if channel and not any(w.kind in ("name", "number") for w in last):
+            if not any(w.kind in ("name", "number") for w in first):
                 return Meaning(channel, joint, why="")
-            if any(w.kind == "quantity" for w in ahead):
+            if any(w.kind == "quantity" for w in first):
                 continue
             return Meaning(channel, joint, None, before.strip(_SEPARATORS), why="")
         if why:
@@ -143,7 +140,7 @@ def _named(text: str, joints: tuple[str, ...]) -> Meaning | None:
     return None
 
 
-def _meant(text: str) -> Meaning:
+def _parse(text: str) -> Meaning:
     words = _words(text)
     phrase = _phrase(words)
     if not phrase:
@@ -151,13 +148,13 @@ def _meant(text: str) -> Meaning:
     after = text[phrase[-1].end :].strip(" _./:-")
     before = text[: phrase[0].start].strip(" _./:-")
     tail = _words(after)
-    while tail and tail[-1].kind in _QUALIFIES:
+    while tail and tail[-1].kind in _QUALIFIERS:
         phrase.append(tail.pop())
         after = after[: tail[-1].end].strip(" _./:-") if tail else ""
-    # Parts of a path may only qualify (reference, action), and name nothing.
+    # A part of a path may be a qualifier only (reference, action).
     for part in re.split(r"[/.]", before):
         words = _words(part)
-        if words and all(w.kind in _QUALIFIES for w in words):
+        if words and all(w.kind in _QUALIFIERS for w in words):
             phrase += words
             whole = rf"(^|[/.]){re.escape(part)}(?=$|[/.])"
             before = re.sub(whole, "", before, count=1).strip("/.")
@@ -177,7 +174,7 @@ def _meant(text: str) -> Meaning:
 
 
 def _phrase(words: list[_Word]) -> list[_Word]:
-    """The run of words that holds the quantity: the first one, or else the last."""
+    """Words around the quantity: the first run of the label, or else the last."""
     runs = [list(run) for named, run in
             groupby(words, lambda w: w.kind in ("name", "number"))
             if not named]  # fmt: skip
@@ -209,16 +206,8 @@ def _words(text: str) -> list[_Word]:
         if token == "j" and found and text[found[-1].start : found[-1].end] in _TAU:
             found[-1] = replace(found[-1], end=end)
             continue
-        kind = "name"
-        if token.isdigit():
-            kind = "number"
-        elif token in _QUANTITY:
-            kind = "quantity"
-        elif token in _OTHER:
-            kind = "other"
-        elif token in _MEASURED:
-            kind = "measured"
-        elif token in _COMMANDED and (token != "d" or (found and found[-1].channel)):
-            kind = "commanded"
+        kind = "number" if token.isdigit() else _KIND.get(token, "name")
+        if token == "d" and not (found and found[-1].channel):
+            kind = "name"
         found.append(_Word(kind, _QUANTITY.get(token, ""), start, end))
     return found

@@ -1,7 +1,7 @@
-"""Which column of a table is which channel of which joint, in which unit.
+"""Assign the columns of a table to channels and joints, and find their units.
 
-The map decides, or else the words of the label; then joints are matched to the robot's,
-and units are those of the map, the label, the file, the format or SI, in this order.
+The map decides, or else the words of the label. Then joints are matched to the robot's.
+Units come from the map, the label, the file, the format or SI, in this order.
 """
 
 from __future__ import annotations
@@ -13,30 +13,33 @@ from dataclasses import replace
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.names import printable
 from hybrid.recording.joints import match_joints
-from hybrid.recording.mapping import Mapping, preset_of
-from hybrid.recording.reading import Reading, Used
-from hybrid.recording.recording import CHANNELS, joint_mismatch, numbered_joints
-from hybrid.recording.table import MOST_COLUMNS, LogTable, NoJointsError
-from hybrid.recording.units import SI, converted
-from hybrid.recording.words import (
+from hybrid.recording.labels import (
     CHANNEL_WORDS,
     LONGEST,
     TIME,
     Meaning,
     is_time,
-    meaning,
+    parse_label,
     split_unit,
 )
+from hybrid.recording.mapping import Mapping, preset_of
+from hybrid.recording.reading import Reading, Used
+from hybrid.recording.recording import CHANNELS, joint_mismatch, numbered_joints
+from hybrid.recording.table import MOST_COLUMNS, LogTable, NoJointsError
+from hybrid.recording.units import SI, converted
 
 _HELP = "or say which column is what with --map FILE.yaml"
-_NEEDED = ("q", "tau")
+_REQUIRED = ("q", "tau")
 
 
-class Decider:
-    """The steps of one decision; what is set aside is gathered along the way.
+class Assignment:
+    """Assignment of the columns of one table.
 
-    Joints are the robot's, base to tip, if they are known; ``torque`` says whether
-    torques must be there.
+    Args:
+        table: Named columns.
+        joints: Joint names of the robot, base to tip; None if not known.
+        mapping: Map of the user.
+        torque: Whether torques are required.
     """
 
     def __init__(
@@ -53,23 +56,14 @@ class Decider:
             )
         # One character more than the longest label that may have a meaning.
         labels = tuple(printable(x.strip())[: LONGEST + 1] for x in table.labels)
-        found = preset_of(labels, mapping.preset or table.preset)
+        preset = preset_of(labels, mapping.preset or table.preset)
         self.table, self.labels, self.torque = table, labels, torque
-        self.map = mapping.over(found)
+        self.map = mapping.over(preset)
         self.joints = joints or self.map.joints or table.joints or ()
-        self.aside: dict[int, str] = {}
+        self.unused: dict[int, str] = {}  # column -> reason
 
-    def decide(self, *, quiet: bool = False) -> Reading:
-        """What each column is.
-
-        Raises:
-            NoJointsError: Positions are missing.
-            RecordingError: Time or torques are missing, two columns are for the same
-                joint, a unit fits no channel, or joints are not the robot's.
-
-        Warns:
-            HybridWarning: Columns were set aside; they are listed unless ``quiet``.
-        """
+    def reading(self, *, quiet: bool = False) -> Reading:
+        """Assign all columns."""
         try:
             time = self._time()
         except RecordingError as error:
@@ -77,42 +71,41 @@ class Decider:
                 raise
             raise NoJointsError(str(error)) from None
         columns = self._columns(time.index)
-        needed = _NEEDED if self.torque else _NEEDED[:1]
+        required = _REQUIRED if self.torque else _REQUIRED[:1]
         joints, used = self.joints or self._joints_of(columns), [time]
         for channel in CHANNELS:
-            placed = self._placed(channel, columns[channel], joints)
-            if channel in needed and not placed:
-                raise self._missing(channel)
-            used += placed
+            assigned = self._assigned(channel, columns[channel], joints)
+            if channel in required and not assigned:
+                raise self._missing_error(channel)
+            used += assigned
         taken = {u.index for u in used}
-        aside = {
-            k: self.aside.get(k, "not used")
+        unused = {
+            k: self.unused.get(k, "not used")
             for k, label in enumerate(self.labels)
             if label and k not in taken
         }
         if not quiet:
-            self._warn([self.labels[k] for k in aside], stated=used[1].stated)
+            self._warn([self.labels[k] for k in unused], stated=used[1].stated)
         return Reading(
             self.table.kind, self.table.name, self.map.preset, tuple(used),
-            tuple((self.labels[k], why) for k, why in aside.items()),
+            tuple((self.labels[k], why) for k, why in unused.items()),
             (self.table.note,) if self.table.note else (),
         )  # fmt: skip
 
-    def command(self) -> Reading | None:
-        """Columns of the command alone, for a stream without positions, if any."""
+    def command_reading(self) -> Reading | None:
+        """Assign the columns of the command alone; None if there are none."""
         try:
             time = self._time()
             columns = self._columns(time.index)["command"]
-            used = self._placed("command", columns, self.joints)
+            used = self._assigned("command", columns, self.joints)
         except RecordingError:
             return None
         table = self.table
         return Reading(table.kind, table.name, "", (time, *used)) if used else None
 
-    def _warn(self, aside: list[str], stated: bool) -> None:
-        """Say once for a file what was set aside, and which unit nobody knows."""
+    def _warn(self, unused: list[str], stated: bool) -> None:
         home = self.table.home or self.table.place
-        lines = [f"ignored columns: {_listed(aside)}"] if aside else []
+        lines = [f"ignored columns: {_listed(unused)}"] if unused else []
         if self.map.preset == "lerobot" and not stated:
             lines.append(
                 "units are not in a LeRobot dataset: positions are taken as radians; "
@@ -129,7 +122,7 @@ class Decider:
         return RecordingError(f"{self.table.place}: {text}")
 
     def _time(self) -> Used:
-        """The column of time, or one of index -1 if the map gives a rate."""
+        """Find the column of time; its index is -1 if the map gives a rate."""
         source, name = self.map.source("time"), self.map.source("time").columns
         if "rate" in source.factors:
             step = 1 / source.factor("time", 0)
@@ -154,41 +147,41 @@ class Decider:
         return Used(found[0], label, "t", "", unit, bool(unit))
 
     def _columns(self, time: int) -> dict[str, list[Meaning]]:
-        """Columns of each channel, by the map or by their words, not yet of joints."""
-        spoken, found = self._spoken(time), {}
+        """Find the columns of each channel, by the map or by their labels."""
+        labelled, found = self._by_label(time), {}
         for channel in CHANNELS:
             dropped = self.map.source(channel).dropped
-            mapped = [] if dropped else self._mapped(channel)
-            found[channel] = mapped or ([] if dropped else spoken.get(channel, []))
-        currents = spoken.get("current", [])
+            mapped = [] if dropped else self._by_map(channel)
+            found[channel] = mapped or ([] if dropped else labelled.get(channel, []))
+        currents = labelled.get("current", [])
         if not found["tau"] and not self.map.source("tau").dropped:
             found["tau"] = currents
         taken = {c.index for columns in found.values() for c in columns}
         for c in currents:
             if c.index not in taken:
-                self.aside[c.index] = "current, beside a torque"
+                self.unused[c.index] = "current, beside a torque"
         return found
 
-    def _spoken(self, time: int) -> dict[str, list[Meaning]]:
-        """Columns by their words."""
+    def _by_label(self, time: int) -> dict[str, list[Meaning]]:
         known, topic = (*self.joints, *self.map.names), self.map.topic.strip("/")
-        said = {k: meaning(x, known) for k, x in enumerate(self.labels) if k != time}
-        # Of an arm with one joint, columns may be called just q and tau.
-        single = any(m.channel == "q" and not m.joint for m in said.values())
-        spoken: dict[str, list[Meaning]] = {}
-        for k, m in said.items():
+        meanings = {
+            k: parse_label(x, known) for k, x in enumerate(self.labels) if k != time
+        }
+        # A log of one joint may call its columns just q and tau.
+        single = any(m.channel == "q" and not m.joint for m in meanings.values())
+        found: dict[str, list[Meaning]] = {}
+        for k, m in meanings.items():
             if m.channel and not m.joint and single:
                 m = replace(m, number=1, joint="1")
             if not self.labels[k].strip("/").startswith(topic):
-                self.aside[k] = f"not of {self.map.topic}"
+                self.unused[k] = f"not of {self.map.topic}"
             elif not m.channel:
-                self.aside[k] = m.why
+                self.unused[k] = m.why
             elif m.joint:
-                spoken.setdefault(m.channel, []).append(replace(m, index=k))
-        return spoken
+                found.setdefault(m.channel, []).append(replace(m, index=k))
+        return found
 
-    def _mapped(self, channel: str) -> list[Meaning]:
-        """Columns by the map's pattern, or its table of joints."""
+    def _by_map(self, channel: str) -> list[Meaning]:
         source, where = self.map.source(channel), f"{channel} of {self.map.origin}"
         if source.columns is None:
             return []
@@ -206,9 +199,9 @@ class Decider:
             columns.append(Meaning(channel, joint, number, "", unit, "", k))
         return columns
 
-    def _missing(self, channel: str) -> RecordingError:
+    def _missing_error(self, channel: str) -> RecordingError:
         word = "positions" if channel == "q" else "torques"
-        currents = [self.labels[k] for k, why in self.aside.items()
+        currents = [self.labels[k] for k, why in self.unused.items()
                     if why.startswith("current")]  # fmt: skip
         if channel == "tau" and currents:
             return self._error(
@@ -224,27 +217,27 @@ class Decider:
         )
 
     def _joints_of(self, columns: dict[str, list[Meaning]]) -> tuple[str, ...]:
-        """Joint names of the file: those of the first channel that has names."""
-        for channel in _NEEDED:
-            group = self._numbered_first(columns[channel])
+        """Joint names of the file, from the first channel that has names."""
+        for channel in _REQUIRED:
+            group = self._numbered_or_all(columns[channel])
             names = [c.joint for c in group if c.number is None]
             if names:
                 return tuple(dict.fromkeys(self.map.names.get(x, x) for x in names))
-        group = self._numbered_first(columns["q"])
-        return numbered_joints(len({c.joint for c in self._one_space(group)}))
+        group = self._numbered_or_all(columns["q"])
+        return numbered_joints(len({c.joint for c in self._one_group(group)}))
 
-    def _numbered_first(self, columns: list[Meaning]) -> list[Meaning]:
-        """Without names beside numbers: q_motor1 beside q1 is no joint."""
+    def _numbered_or_all(self, columns: list[Meaning]) -> list[Meaning]:
+        """Numbered columns if there are any: q_motor1 beside q1 is no joint."""
         numbered = [c for c in columns if c.number is not None]
         for c in columns:
             if numbered and c.number is None:
-                self.aside[c.index] = "a name beside numbered joints"
+                self.unused[c.index] = "a name beside numbered joints"
         return numbered or columns
 
-    def _one_space(
+    def _one_group(
         self, columns: list[Meaning], joints: tuple[str, ...] = ()
     ) -> list[Meaning]:
-        """The columns under one topic or group: the one that has the joints."""
+        """Columns of the one topic or group that has all joints."""
         groups: dict[str, list[Meaning]] = {}
         for c in columns:
             groups.setdefault(c.space, []).append(c)
@@ -252,7 +245,7 @@ class Decider:
             return columns
         good = [s for s, group in groups.items()
                 if {*joints} <= {*self._match(group, joints)}]  # fmt: skip
-        if "" in good:  # the plain names: q1 beside motor_position_1
+        if "" in good:  # q1 beside motor_position_1
             good = [""]
         if len(good) != 1:
             raise self._error(
@@ -262,22 +255,22 @@ class Decider:
             )
         for c in columns:
             if c.space != good[0]:
-                self.aside[c.index] = f"not of {good[0] or 'the joints'}"
+                self.unused[c.index] = f"not of {good[0] or 'the joints'}"
         return groups[good[0]]
 
     def _match(self, group: list[Meaning], joints: tuple[str, ...]) -> tuple[str, ...]:
         names = [self.map.names.get(c.joint, c.joint) for c in group]
         return match_joints(names, [c.number for c in group], joints)
 
-    def _placed(
+    def _assigned(
         self, channel: str, columns: list[Meaning], joints: tuple[str, ...]
     ) -> list[Used]:
         """Columns of one channel in the order of the joints, with their units."""
         if not columns:
             return []
         if not {*joints} <= {*self._match(columns, joints)}:
-            columns = self._numbered_first(columns)
-        columns = self._one_space(columns, joints)
+            columns = self._numbered_or_all(columns)
+        columns = self._one_group(columns, joints)
         places: dict[str, Meaning] = {}
         for column, joint in zip(columns, self._match(columns, joints), strict=True):
             if joint in places:
@@ -288,8 +281,8 @@ class Decider:
                 )
             places[joint] = column
         extra = [joint for joint in places if joint not in joints]
-        if channel not in _NEEDED and len(extra) == len(places):
-            self.aside |= {c.index: "of no joint of the arm" for c in columns}
+        if channel not in _REQUIRED and len(extra) == len(places):
+            self.unused |= {c.index: "of no joint of the arm" for c in columns}
             return []
         if not {*joints} <= {*places} or (
             extra and places[extra[0]].number is not None
@@ -299,22 +292,22 @@ class Decider:
                 f"{joint_mismatch(tuple(places), joints)}"
             )
         for joint in extra:
-            self.aside[places[joint].index] = f"{joint} is no joint of the arm"
-        return self._used(channel, [places[joint] for joint in joints], joints)
+            self.unused[places[joint].index] = f"{joint} is no joint of the arm"
+        return self._with_units(channel, [places[joint] for joint in joints], joints)
 
-    def _used(
+    def _with_units(
         self, channel: str, columns: Sequence[Meaning], joints: tuple[str, ...]
     ) -> list[Used]:
-        """Columns of a channel with their units; none if they are but currents."""
+        """Columns of a channel with their units; none for currents without a factor."""
         source, used = self.map.source(channel), []
         constant = "torque_constant" in source.factors
         for place, (column, joint) in enumerate(zip(columns, joints, strict=True)):
             unit = self._unit(channel, column)
             known = converted(unit or SI[channel][0], channel)
             current = converted(unit, "current") if channel == "tau" else None
-            if current and not constant and self._bare_current(column):
+            if current and not constant and self._is_ignored_current(column):
                 why = f"current in {unit}: a map with a torque_constant is needed"
-                self.aside |= {c.index: why for c in columns}
+                self.unused |= {c.index: why for c in columns}
                 return []
             known = current or known
             if known is None or constant != bool(current):
@@ -326,17 +319,17 @@ class Decider:
         return used
 
     def _unit(self, channel: str, column: Meaning) -> str:
-        """Unit of a column: the user's, the label's, the file's, the preset's."""
+        """Unit of a column, from the user, the label, the file or the preset."""
         source = self.map.source(channel)
         stated = [source.unit, column.unit, self.table.unit(column.index)]
-        if not self.map.own(channel):  # what a file states is above a preset
+        if not self.map.own(channel):  # the file overrules a preset
             stated = [*stated[1:], source.unit]
         if column.channel == "current" or "torque_constant" in source.factors:
             stated.append("A")
         return next(filter(None, stated), "")
 
-    def _bare_current(self, column: Meaning) -> bool:
-        """Whether a current is set aside, not refused as the torque it should be."""
+    def _is_ignored_current(self, column: Meaning) -> bool:
+        """Tell whether a current is ignored, and not refused as a wrong torque."""
         of_preset = bool(self.map.preset) and not self.map.own("tau")
         return not self.torque or column.channel == "current" or of_preset
 
@@ -350,6 +343,6 @@ class Decider:
 
 
 def _listed(labels: Sequence[str]) -> str:
-    """Labels for a message: a dozen, and how many more."""
+    """List at most twelve labels for a message, and count the others."""
     shown = ", ".join(label[:80] for label in labels[:12])
     return shown if len(labels) <= 12 else f"{shown} and {len(labels) - 12} more"

@@ -1,9 +1,9 @@
-"""Estimate how much memory and time a robot file demands, before it is built.
+"""Estimate the memory and time that a robot file needs, before it is compiled.
 
-A few bytes of MJCF can ask for a billion bodies. The text is gone through once, tag by
-tag, as the parsers of MuJoCo and of URDF do it, which take more for XML than XML is. It
-counts what there will be: elements, times the copies that elements around them make of
-them, and numbers that are set aside for a texture, a height field, user data.
+A few bytes of MJCF can describe a billion bodies. The text is read once, tag by tag.
+The parsers of MuJoCo and URDF also accept what is not valid XML; so does this one. It
+counts elements, times the copies that ``replicate`` and others make of them, and the
+numbers that textures, height fields and user data need.
 """
 
 from __future__ import annotations
@@ -17,18 +17,14 @@ from pathlib import Path
 from hybrid.errors import RobotError
 from hybrid.names import printable
 
-# MuJoCo's time grows with the square of the elements: seconds, at the number here. The
-# largest robot file of a usual collection, of a humanoid on wheels, has 3,895.
+# MuJoCo's time grows with the square of the elements: this number takes seconds. The
+# largest robot file of a usual collection, of a humanoid on wheels, has 3,895 elements.
 _MOST = {
     "bytes": 2**26, "levels": 300, "elements": 8_000, "numbers": 30_000_000,
     "files": 100, "bytes of its files": 2**30,
 }  # fmt: skip
 _MOST_OF = {"nkey": 1e4, "nconmax": 1e6, "njmax": 1e6, "nstack": 1e9, "memory": 2**34}
-_COPIES = (
-    "replicate",
-    "composite",
-    "flexcomp",
-)  # their ``count`` copies what is inside
+_COPIES = ("replicate", "composite", "flexcomp")  # ``count`` copies of their content
 _NUMBERS = re.compile(r"nrow|ncol|width|height|nsample|nuser\w+|actdim|dim")
 _PREFIX = {"k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "p": 2**50, "e": 2**60}
 _TAG = re.compile(r"""<\s*(/?)\s*([^\s<>/"'=]+)((?:[^<>"']|"[^"]*"|'[^']*')*+)>""")
@@ -38,22 +34,18 @@ _ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 @dataclass
 class _Demand:
-    """What a file, and those that it names, ask for."""
+    """Demand of a file and of the files that it includes."""
 
     elements: float = 0.0
     numbers: float = 0.0
-    attached: float = 0.0  # times that a model is put into this one
+    attached: float = 0.0  # number of models that are attached
     models: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
     folders: list[str] = field(default_factory=lambda: [""])
 
 
 def check_demand(path: Path) -> None:
-    """Refuse a robot file that demands more than any robot needs.
-
-    Raises:
-        RobotError: It is too large, or would become so.
-    """
+    """Refuse a robot file that needs more than any robot does."""
     try:
         _demand(path, path.parent, [])
     except OSError as error:
@@ -62,30 +54,30 @@ def check_demand(path: Path) -> None:
 
 
 def _demand(path: Path, home: Path, seen: list[Path]) -> _Demand:
-    """What a file asks for; ``home`` is the folder that names in it start from."""
+    """Demand of a file; names in it are relative to the folder ``home``."""
     seen.append(path)
     _check(path, "files", len(seen))
     _check(path, "bytes", path.stat().st_size)
     found = _Demand()
-    around: list[float] = []  # copies of each open element
+    opened: list[float] = []  # copies of each open element
     for closes, tag, given in _tags(path):
         if closes:
-            del around[-1:]
+            del opened[-1:]
             continue
-        copies = around[-1] if around else 1.0
+        copies = opened[-1] if opened else 1.0
         if tag in _COPIES:
             copies *= _product(given.get("count", ""))
         _check_sizes(path, given)
         _add(found, tag, given, copies)
         if tag == "include":
-            _merge(found, _within(given.get("file", ""), path, home, seen), copies)
+            _merge(found, _included(given.get("file", ""), path, home, seen), copies)
         _check(path, "elements", found.elements)
         _check(path, "numbers", found.numbers)
         if "/" not in given:
-            around.append(copies)
-            _check(path, "levels", len(around))
+            opened.append(copies)
+            _check(path, "levels", len(opened))
     for name in found.models if found.attached else ():
-        _merge(found, _within(name, path, home, seen), found.attached)
+        _merge(found, _included(name, path, home, seen), found.attached)
     _check_files(path, home, found)
     _check(path, "elements", found.elements)
     return found
@@ -120,8 +112,8 @@ def _merge(found: _Demand, other: _Demand, copies: float) -> None:
     found.folders += other.folders
 
 
-def _within(name: str, path: Path, home: Path, seen: list[Path]) -> _Demand:
-    """What a file that is named in another asks for; nothing if there is none."""
+def _included(name: str, path: Path, home: Path, seen: list[Path]) -> _Demand:
+    """Demand of a file that is named in another one; zero if it does not exist."""
     for folder in (home, path.parent):
         if (folder / name).is_file():
             return _demand(folder / name, home, seen)
@@ -129,7 +121,7 @@ def _within(name: str, path: Path, home: Path, seen: list[Path]) -> _Demand:
 
 
 def _check_files(path: Path, home: Path, found: _Demand) -> None:
-    """What the files are that MuJoCo will open: no device, no pipe, none too large."""
+    """Check that MuJoCo will open no device or pipe, and not too many bytes."""
     size = 0
     for name in dict.fromkeys(found.files):
         for folder in dict.fromkeys(found.folders):
@@ -142,9 +134,9 @@ def _check_files(path: Path, home: Path, found: _Demand) -> None:
 
 
 def _tags(path: Path) -> Iterator[tuple[bool, str, dict[str, str]]]:
-    """Tags in order: whether one closes, its name, its attributes.
+    """Tags in order: whether it is an end tag, its name, its attributes.
 
-    A tag that is an element without content has an attribute of the name ``/``.
+    An element without content has an attribute named ``/``.
     """
     text, at = path.read_bytes().decode("latin-1"), 0
     while (at := text.find("<", at)) >= 0:
@@ -164,7 +156,7 @@ def _tags(path: Path) -> Iterator[tuple[bool, str, dict[str, str]]]:
 
 
 def _product(text: str) -> float:
-    """Product of the numbers in a text, of each that is above 1; ``2K`` is 2048."""
+    """Product of the numbers above 1 in a text; ``2K`` is 2048."""
     found = 1.0
     for word in text.split():
         scale = _PREFIX.get(word[-1].lower(), 1) if word[:-1].isdigit() else 1

@@ -1,4 +1,4 @@
-"""An identified model at the speed of C, in Python: the exported header, compiled."""
+"""Run an identified model in Python at the speed of C: compile the exported header."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ API int torque({p}_state *s, long count, const double *q, const double *v,
 
 
 class CompiledModel:
-    """Torque of a model from one sample after the other, as in a control loop.
+    """A compiled model that computes torque sample by sample, as in a control loop.
 
     Args:
         model: An identified model.
@@ -78,11 +78,11 @@ class CompiledModel:
         self.start()
 
     def start(self) -> None:
-        """Forget what was remembered."""
+        """Clear the memory of the model."""
         self._library.start(self._state, self._step)
 
     def predict(self, q: Array, v: Array, a: Array) -> Array:
-        """Torque, shape (N, n) or (n,), [N·m], of samples that follow each other.
+        """Torque of successive samples, shape (N, n) or (n,), [N·m].
 
         Args:
             q: Positions, shape (N, n) or (n,), [rad].

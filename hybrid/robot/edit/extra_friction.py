@@ -1,0 +1,157 @@
+"""Write friction and ripple that MJCF has no joint attribute for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.robot.actuators import bristles, passive_motors
+from hybrid.robot.edit.document import Document, element, joint_tag, model_of
+from hybrid.robot.mjcf import joint_names
+from hybrid.robot.robot import Robot
+
+# MuJoCo's default dry friction is so soft that it is viscous at low speed.
+HARD = {"solimpfriction": (0.9999, 0.9999, 0.001, 0.5, 2.0)}
+_PHASE = 1.0  # rad, of a bristle's oscillation in a time step; stable up to 2
+_POSTURES = 100  # random postures in the search for the least inertia of a joint
+_SOFTEST, _HARDEST = 0.0001, 0.9999  # impedances that MuJoCo allows
+
+
+def set_tendon_friction(document: Document, joint: str, dry: Mapping[str, Any]) -> None:
+    """Write dry friction of a joint to a tendon on it; the joint has knee friction."""
+    tendons = [
+        (tag, own[0])
+        for tag in document.find("tendon", "fixed")
+        if len(own := document.children(tag, "joint")) == 1
+        and own[0].attributes.get("joint") == joint
+    ]
+    for tag, part in tendons:
+        ratio = abs(float(part.attributes.get("coef", 1.0)))
+        document.set(tag, {**dry, "frictionloss": dry["frictionloss"] / ratio})
+        dry = {"frictionloss": 0.0}
+    if not tendons and dry["frictionloss"]:
+        head = element("fixed", {"name": f"{joint}/dry", **dry}).replace("/>", ">")
+        text = head + element("joint", {"joint": joint, "coef": 1.0}) + "</fixed>"
+        document.insert(document.tags[0].close, f"  <tendon>{text}</tendon>\n")
+
+
+def set_passive_motors(document: Document, model: Any, old: Robot, new: Robot) -> None:
+    """Write changed ripple and Stribeck friction as motors without control input.
+
+    LuGre bristles are as stiff as the time step allows, because they oscillate with the
+    inertia at the joint. Their force vanishes when they slide. They need no damping,
+    because the dry friction of the joint stops it.
+    """
+    if not _motors_differ(old, new) and not replaced_friction(model, old, new).any():
+        return
+    frequency = _PHASE / model.opt.timestep  # rad/s
+    stiffness = frequency**2 * _least_inertia(document, old, new)
+    for joint in new.joints:
+        remove_passive_motors(document, joint)
+    for number, (j, sine, cosine, k) in enumerate(new.ripple, 1):
+        size, phase = np.hypot(sine, cosine), np.arctan2(-cosine, -sine)
+        cogging = {"cogging": (size, k, phase)}
+        _insert_motor(document, new.joints[int(j)], f"ripple_{number}", cogging)
+    for number, (j, level, speed) in enumerate(new.falling, 1):
+        lugre = {"lugre": (stiffness[int(j)], 0.0, 0.0, level, speed)}
+        _insert_motor(document, new.joints[int(j)], f"falling_{number}", lugre)
+    _set_keyframe_bristles(document, model, new)
+
+
+def remove_passive_motors(document: Document, joint: str) -> None:
+    """Remove the motors of a joint that have no control input."""
+    for kind in ("dcmotor", "general"):
+        for tag in document.find("actuator", kind, input="none", joint=joint):
+            document.replace(tag, "")
+
+
+def _insert_motor(
+    document: Document, joint: str, name: str, friction: dict[str, Any]
+) -> None:
+    # The resistance is so large that no current flows and damps.
+    motor = {"input": "none", "motorconst": 1.0, "resistance": 1e12}
+    given = {"name": f"{joint}/{name}", "joint": joint, **motor, **friction}
+    text = f"  <actuator>{element('dcmotor', given)}</actuator>\n"
+    document.insert(document.tags[0].close, text)
+
+
+def _set_keyframe_bristles(document: Document, model: Any, new: Robot) -> None:
+    """Replace the deflections of old bristles in keyframes by zeros for new ones."""
+    names = joint_names(model)
+    removed = {
+        int(model.actuator_actadr[a])
+        for a, joint, _ in passive_motors(model)
+        if names[joint] in new.joints
+    }
+    for tag in document.find("keyframe", "key"):
+        if "act" in tag.attributes:
+            words = enumerate(tag.attributes["act"].split())
+            kept = [word for k, word in words if k not in removed]
+            document.set(tag, {"act": " ".join(kept + ["0"] * len(new.falling))})
+
+
+def _motors_differ(old: Robot, new: Robot) -> bool:
+    pairs = (old.ripple, new.ripple), (old.falling, new.falling)
+    return not all(np.array_equal(x, y) for x, y in pairs)
+
+
+def replaced_friction(model: Any, old: Robot, new: Robot) -> Array:
+    """Sliding friction of motors that are replaced, shape (n,), [N·m]."""
+    index, found = [joint_names(model).index(x) for x in new.joints], np.zeros(new.size)
+    if _motors_differ(old, new) or (old.frictionloss != new.frictionloss).any():
+        for j, level, _, _ in bristles(model, index):
+            found[int(j)] += level
+    return found
+
+
+def _least_inertia(document: Document, old: Robot, new: Robot) -> Array:
+    """Least inertia at each joint over many postures, shape (n,), [kg·m²].
+
+    It is torque per acceleration, with all other joints free.
+    """
+    import mujoco
+
+    model = model_of(document, old)
+    index = [joint_names(model).index(x) for x in new.joints]
+    at, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]
+    low, high = np.maximum(new.q_min, -np.pi), np.minimum(new.q_max, np.pi)
+    rng = np.random.default_rng(0)
+    data, mobility = mujoco.MjData(model), model.dof_invweight0[dofs]
+    inverse, unit = np.empty((2, model.nv, model.nv))
+    for q in rng.uniform(low, np.maximum(low, high), (_POSTURES, new.size)):
+        data.qpos[at], unit[:] = q, np.eye(model.nv)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_solveM(model, data, inverse, unit)
+        mobility = np.maximum(mobility, np.diag(inverse)[dofs])
+    return np.asarray(1.0 / mobility)
+
+
+def set_knee_friction(document: Document, step: float, old: Robot, new: Robot) -> None:
+    """Write friction that is linear below its level, as soft dry friction of MuJoCo.
+
+    Its softness depends on the inertia at the joint; call this after all other edits.
+    """
+    names = "knee", "knee_speed", "frictionloss"
+    after, before = (
+        np.c_[x.chain.inertial, x.chain.armature, *(getattr(x, y) for y in names)]
+        for x in (new, old)
+    )
+    if not new.knee.any() or (after == before).all():
+        return
+    model = model_of(document, old)
+    dofs = model.jnt_dofadr[[joint_names(model).index(x) for x in new.joints]]
+    mobility = model.dof_invweight0[dofs]  # acceleration per torque, 1/(kg·m²)
+    for j in np.flatnonzero(new.knee):
+        slope = new.knee[j] / new.knee_speed[j]
+        # Friction uses the speed at the end of a step, so that it never overshoots.
+        share = slope * mobility[j] * step
+        d = float(np.clip(share / (1.0 + share), _SOFTEST, _HARDEST))
+        given = {
+            "frictionloss": new.knee[j],
+            "solreffriction": (0.0, -slope * (1.0 - d) * mobility[j]),
+            "solimpfriction": (d, d, *HARD["solimpfriction"][2:]),
+        }
+        document.set(joint_tag(document, new.joints[j]), given)
