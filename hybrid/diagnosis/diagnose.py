@@ -37,7 +37,7 @@ from hybrid.diagnosis.gap.units import units
 from hybrid.diagnosis.gap.visited import not_excited
 from hybrid.effects import Effect
 from hybrid.effects.delay import Delay
-from hybrid.identification.preparation import taken
+from hybrid.identification.preparation import checked_logs
 from hybrid.model import DynamicModel
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -171,7 +171,7 @@ class _Case:
         if isinstance(robot, DynamicModel):
             healthy = Baseline(robot)
             robot, without = healthy.robot, [*without, *healthy.constant]
-        recordings = since_first(taken(robot, recordings))
+        recordings = since_first(checked_logs(robot, recordings))
         if healthy:
             recordings = healthy.taken_from(recordings)
         logged, recordings, *gaps = measured(

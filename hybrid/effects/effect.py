@@ -268,7 +268,7 @@ class Effect(InPlant, Instant, ABC):
 
     def torque(self, motion: Motion, body: Body) -> Array:
         """Torque that it adds at the joints it reaches, shape (N, r), [N·m]."""
-        if self.observes or self.reports:
+        if self.changes_signals:
             return np.zeros((len(motion.t), len(self.reaches(motion.q.shape[1]))))
         return self.columns(motion, body) @ self.gain_values
 
@@ -305,9 +305,14 @@ class Effect(InPlant, Instant, ABC):
         return 0.0
 
     @property
+    def changes_signals(self) -> bool:
+        """Whether it changes the motion or the logged torque, and adds no torque."""
+        return self.observes or self.reports
+
+    @property
     def linearised(self) -> bool:
-        """Whether it changes signals: its torque is linear only near its gains."""
-        return (self.observes or self.reports) and not self.steep
+        """Whether its torque is linear only near the present values of its gains."""
+        return self.changes_signals and not self.steep
 
     @property
     def reports(self) -> bool:

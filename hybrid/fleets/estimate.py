@@ -22,7 +22,7 @@ from hybrid.effects.payload import LinkInertia, Payload
 from hybrid.effects.registry import effect_class
 from hybrid.errors import HybridError
 from hybrid.identification.data import Data
-from hybrid.identification.preparation import prepare, taken
+from hybrid.identification.preparation import checked_logs, prepare
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
@@ -136,7 +136,7 @@ def deviations(
         HybridError: A log cannot be what its columns say, or says too little.
     """
     robot, effects = model.robot, followed(track, model.robot.size)
-    logs = taken(robot, recordings)
+    logs = checked_logs(robot, recordings)
     data = prepare(logs, model.cutoff if np.isfinite(model.cutoff) else None)
     rigid = [k for k, c in enumerate(model.base.kept) if c < 10 * robot.size]
     parts = [_sampled(model, rigid, effects, data, m) for m in data.motions]

@@ -1,4 +1,4 @@
-"""Held-out squares of the torque as logged, from unfiltered rows summed in blocks."""
+"""Held-out squared residuals of the unfiltered torque, from sums over blocks."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from hybrid.regression.problem import Problem
 
 @dataclass(frozen=True)
 class Scores:
-    """Sums of unfiltered rows: what any solution leaves of the torque as logged.
+    """Sums of products of unfiltered rows.
 
     Attributes:
         problem: Unknowns and layout of the rows.
-        sums: Rows of each joint times rows transposed in each block, shapes
-            (B, d + 1, d + 1).
+        sums: Rows of a joint times rows transposed, summed over each block, shape
+            (B, d + 1, d + 1) for each joint.
         fold: Fold of each block, shape (B,).
     """
 
@@ -29,7 +29,7 @@ class Scores:
     fold: NDArray[np.intp]
 
     def squares(self, theta: Array) -> Array:
-        """Squares left in each block by the solution without its fold.
+        """Squared residuals in each block of the solution without its fold.
 
         Args:
             theta: Solutions without each fold, shape (F, p).
@@ -48,7 +48,7 @@ class Scores:
 
 
 class Scoring:
-    """Sums of unfiltered rows as they come; see :class:`Scores`."""
+    """Accumulates :class:`Scores` chunk by chunk."""
 
     def __init__(
         self,
@@ -65,12 +65,12 @@ class Scoring:
         self.scores = Scores(problem, sums, fold)
 
     def add(self, r: int, here: slice, D: Array, moving: Array) -> None:
-        """Take in rows, shape (P, N), of samples of motion r.
+        """Add rows of some samples of motion r.
 
         Args:
-            r: Number of the motion.
+            r: Index of the motion.
             here: The samples.
-            D: Their rows. They are zero afterwards where their joint stands.
+            D: Their rows, shape (P, N); set to zero in place where the joint stands.
             moving: One where a joint moves, else zero, shape (n, N).
         """
         label = self.blocks[r][here]

@@ -14,7 +14,7 @@ from hybrid.diagnosis.gap.faults import Faults, find_faults
 from hybrid.diagnosis.gap.gap import Gap, simulated_torque
 from hybrid.dynamics import RigidBody
 from hybrid.errors import RecordingError
-from hybrid.identification.preparation import motions_of
+from hybrid.identification.preparation import motions_from_logs
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
@@ -52,7 +52,7 @@ def measure_gap(
     Raises:
         RecordingError: A recording has no torque.
     """
-    motions, cutoff = motions_of(recordings, cutoff)
+    motions, cutoff = motions_from_logs(recordings, cutoff)
     motions = [correct(m) for m in motions] if correct else motions
     for motion in motions:
         if not np.isfinite(motion.tau).all():
