@@ -2,8 +2,8 @@
 
 The arm is y = X θ + Z φ + noise. Every fit has the columns X. The structure Z is what
 an arm may also have; its gains φ, in their usual sizes, are independent with unit
-variance. G is the information of [X Z] in the designed motion, and M the second moment of the
-columns over future motions. The mean square error e is, for two extreme fits:
+variance. G is the information of [X Z] in the designed motion, and M the second moment
+of the columns over future motions. The mean square error e is, for two extreme fits:
 
     least squares on X      e = tr(M_XX C) + tr(Bᵀ M B),  C = G_XX⁻¹,  B = [−C G_XZ; I]
     all columns, with prior e = tr(M (G/ρ + Λ)⁻¹),        Λ = diag(0, I)
