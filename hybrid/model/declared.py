@@ -1,4 +1,4 @@
-"""What a robot file declares of its joints, as effects."""
+"""Effects that a robot file declares."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hybrid.robot import Robot
 
 
 def declared_effects(robot: Robot) -> list[Effect]:
-    """Rotors, friction and springs of a robot file, where it has them."""
+    """Rotors, friction, ripple and springs of a robot file as effects."""
     names = "damping", "frictionloss", "quadratic", "cubic", "stiffness"
     values = {name: getattr(robot, name) for name in names}
     values["armature"] = robot.chain.armature
