@@ -42,11 +42,7 @@ class Geometry:
 
 
 def geometry_from_chain(chain: Chain) -> Geometry:
-    """Rows of an arm; their parameters are named by joint, as ``theta_elbow``.
-
-    Args:
-        chain: Any serial chain, with any convention of its frames.
-    """
+    """Rows of an arm; their parameters are named by joint, as ``theta_elbow``."""
     rotation, point = zero_frames(chain)
     axis = np.einsum("kij,kj->ki", rotation, chain.axis)
     rows: list[tuple[FixedStep | Step, ...]] = []

@@ -105,9 +105,6 @@ class RigidBody:
     def wrench_columns(self, link: int) -> Array:
         """Transposed Jacobian: drive torque per force and moment that a link exerts.
 
-        Args:
-            link: Index of the link.
-
         Returns:
             Torque, shape (N, n, 6), per force [N] and moment [N·m] along the axes of
             the base frame, about the origin of the link's frame.

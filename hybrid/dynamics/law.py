@@ -49,11 +49,7 @@ class Law:
     inputs: tuple[str, ...]
 
     def at(self, values: Sequence[float]) -> Sequence[float]:
-        """Results at one instant.
-
-        Args:
-            values: Value of each input.
-        """
+        """Results at one instant."""
         try:
             found: Sequence[float] = self._numbers(*values)
         except (ArithmeticError, ValueError):  # NumPy gives inf or NaN instead

@@ -19,12 +19,7 @@ _STRUCTURE_SAMPLES = 600
 def effect_gains(
     effects: Sequence[Effect], without: Collection[tuple[int, str]] = ()
 ) -> tuple[tuple[int, int], ...]:
-    """Indices (effect, gain) of every unknown gain, in the order of the columns.
-
-    Args:
-        effects: Effects.
-        without: Gains that are known: index of the effect, name of the gain.
-    """
+    """Indices (effect, gain) of every unknown gain, in the order of the columns."""
     return tuple(
         (e, g)
         for e, effect in enumerate(effects)
@@ -36,13 +31,7 @@ def effect_gains(
 def stacked_base(
     chain: Chain, effects: Sequence[Effect], gains: Sequence[tuple[int, int]]
 ) -> BaseParameters:
-    """Base parameters of all inertial parameters and gains.
-
-    Args:
-        chain: The arm.
-        effects: Effects.
-        gains: Their unknown gains, see :func:`effect_gains`.
-    """
+    """Base parameters of all inertial parameters and gains."""
     labels, units = inertial_labels(chain.size)
     for e, g in gains:
         effect, gain = effects[e], effects[e].gains[g]

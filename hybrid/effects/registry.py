@@ -167,11 +167,6 @@ def effects_from_text(
     every joint; ``payload(mass=3)`` sets a value, ``transmission_coupling:5+6`` names
     two joints, ``coulomb:1,coulomb:2(level=4;…)`` several.
 
-    Args:
-        text: Comma-separated effects.
-        names: Joint names of the arm.
-        scales: Size of every joint.
-
     Raises:
         EffectError: The text does not parse, or names what does not exist.
     """

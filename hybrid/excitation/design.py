@@ -266,10 +266,6 @@ def best_point(
 ) -> tuple[Array, dict[str, float]]:
     """The best optimum from several starts, and its excess over each limit.
 
-    Args:
-        program: The optimisation problem.
-        points: Starts, shape (T·m·n,) each.
-
     Raises:
         ExcitationError: No motion within the limits was found.
     """

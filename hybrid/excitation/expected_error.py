@@ -61,13 +61,7 @@ class ExpectedError:
     def of(
         cls, robot: Robot, observation: Observation, usage: Sequence[Path]
     ) -> ExpectedError:
-        """Build the criterion for the structure that arms usually have.
-
-        Args:
-            robot: The arm.
-            observation: Columns of the fit.
-            usage: Examples of future motions.
-        """
+        """Build the criterion for the structure that arms usually have."""
         wide = observation.with_structure(*typical_structure(robot))
         whole = Path.joined(usage)
         coloured = np.linalg.inv(wide.whitening)

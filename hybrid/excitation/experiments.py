@@ -200,11 +200,6 @@ def multisine(
 def checked(robot: Robot, reference: Reference, limits: Limits) -> Reference:
     """Check a reference against the limits, and return it.
 
-    Args:
-        robot: The arm.
-        reference: Motion to check.
-        limits: Limits.
-
     Raises:
         ExcitationError: It exceeds a limit; the message names limit and joint.
     """

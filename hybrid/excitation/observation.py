@@ -221,12 +221,7 @@ def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
 
 
 def rigid_conditions(chain: Chain, path: Path) -> dict[str, float]:
-    """Condition number of a motion for each choice of base columns, in SI units.
-
-    Args:
-        chain: The arm.
-        path: Motion, N samples.
-    """
+    """Condition number of a motion for each choice of base columns, in SI units."""
     H = regressor(chain, path.q, path.v, path.a).reshape(-1, 10 * chain.size)
     named = rigid_columns(chain, H).items()
     return {name: float(np.linalg.cond(H[:, list(at)])) for name, at in named}

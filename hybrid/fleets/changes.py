@@ -225,12 +225,7 @@ def level(t: Array, y: Array, s: Array, last: Change | None) -> Level:
 
 
 def crossing(now: Level, limit: float) -> tuple[float, float, float]:
-    """Days until a parameter passes a limit: median and 95 % interval; inf if never.
-
-    Args:
-        now: The last value.
-        limit: Largest allowed change to either side.
-    """
+    """Days until a parameter passes a limit: median and 95 % interval; inf if never."""
     covariance = [[now.std**2, now.covariance], [now.covariance, now.slope_std**2]]
     value, slope = (
         np.random.default_rng(0)

@@ -85,12 +85,6 @@ def run_plan(
 ) -> list[dict[str, Any]]:
     """Rows of all units of a plan, sorted; stored units are not computed again.
 
-    Args:
-        plan: The plan.
-        store: Stored results.
-        client: Client of the cluster.
-        progress: Called with a message after each unit.
-
     Raises:
         HybridError: A log has no date, or a baseline is missing.
     """

@@ -92,11 +92,6 @@ class Data:
 
         Link rows are the same for all problems whose effects do not change signals, so
         they are cached.
-
-        Args:
-            problem: The problem.
-            motion: One of the motions.
-            total: Number of samples; all by default.
         """
         sampler = Sampler.for_rate(motion.rate, self.cutoff)
         total = len(motion.t) if total is None else total
@@ -133,13 +128,7 @@ class Data:
     def cached(
         self, key: tuple[Any, ...], motion: Motion, make: Callable[[], Array]
     ) -> Array:
-        """A value that depends on the motion but not on its torque, computed once.
-
-        Args:
-            key: Name of the value.
-            motion: One of the motions.
-            make: Function that computes it.
-        """
+        """A value that depends on the motion but not on its torque, computed once."""
         key = *key, id(motion.q)  # the array lives as long as these data
         found = self._cache[key] if key in self._cache else make()
         if sum(x.nbytes for x in self._cache.values()) < _CACHE_SIZE:

@@ -108,12 +108,7 @@ def unidentifiable(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
 
 
 def poor_excitation(products: CrossProducts, estimate: Estimate) -> str | None:
-    """A sentence that names parameters which the motion hardly excites, or None.
-
-    Args:
-        products: Cross-products of rigid body and linear friction.
-        estimate: Their solution.
-    """
+    """A sentence that names parameters which the motion hardly excites, or None."""
     if estimate.condition <= GOOD_CONDITION:
         return None
     problem = products.problem

@@ -53,16 +53,7 @@ _COSTLY = 0.01  # relative rise of the held-out error that gives a warning
 
 
 class Identification:
-    """The best terms found so far and their held-out error.
-
-    Args:
-        robot: The arm.
-        data: Motions with folds.
-        estimator: The last estimator that may be used, of ``ls``, ``wls``, ``irls``.
-        extra: Effects of the user.
-        robust: Give less weight to blocks that do not fit.
-        seed: Seed of the mixtures' initial values.
-    """
+    """The best terms found so far and their held-out error."""
 
     def __init__(
         self,
@@ -307,13 +298,7 @@ class Identification:
         *,
         tried: int = 1,
     ) -> Solution:
-        """The start with the first option that lowers the error, at each joint.
-
-        Args:
-            start: The solution so far.
-            options: Effects of each joint, by joint, in order of preference.
-            tried: Number of terms of which each option is the best.
-        """
+        """The start with the first option that lowers the error, at each joint."""
         accepted: dict[int, list[Effect]] = {}
         for candidates in options:
             pending = {j: x for j, x in candidates.items() if j not in accepted}

@@ -188,12 +188,6 @@ def prepare_at_best_cutoff(
     lower frequencies, and dry friction is noisy where the speed is. So the cut-off is
     halved while that lowers the held-out error of weighted least squares by more than
     the friction which it hides may be worth.
-
-    Args:
-        robot: The arm.
-        logs: Checked logs, or motions made from them, which keep their own cut-off.
-        extra: Effects of the user.
-        robust: Give less weight to blocks that do not fit.
     """
     problem = build_problem(robot.chain, (*linear_effects(robot), *extra))
     speeds = [

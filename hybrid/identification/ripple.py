@@ -43,13 +43,7 @@ Waves = dict[tuple[int, int, int], Array]
 def find_ripples(
     data: Data, solution: Solution, waves: Waves
 ) -> dict[int, list[Effect]]:
-    """Ripples of each joint that lower its held-out error, strongest first.
-
-    Args:
-        data: Motions with folds.
-        solution: The present physical terms.
-        waves: Cache of filtered columns of these data.
-    """
+    """Ripples of each joint that lower its held-out error, strongest first."""
     pieces = enumerate(_pieces(data, solution, waves))
     found = {j: _ripples(j, own, solution, data.cutoff) for j, own in pieces}
     return {j: ripples for j, ripples in found.items() if ripples}
@@ -84,12 +78,7 @@ def _ripples(
 
 
 def in_band(effect: Effect, cutoff: float) -> Effect:
-    """A ripple limited to speeds at which its frequency is below a cut-off.
-
-    Args:
-        effect: The ripple.
-        cutoff: Cut-off of columns and torque, [Hz].
-    """
+    """A ripple limited to speeds at which its frequency is below a cut-off."""
     highest = 2 * np.pi * cutoff / effect.values["periods"]
     return effect.at({"fastest": min(effect.values["fastest"], highest)})
 

@@ -35,14 +35,7 @@ _MOST_LINEARISATIONS = 8
 
 
 class Solver:
-    """Solves linear problems on some data.
-
-    Args:
-        robot: The arm.
-        data: Motions with folds.
-        estimator: The last estimator that may be used.
-        robust: Give less weight to blocks that do not fit.
-    """
+    """Solves linear problems on some data."""
 
     def __init__(
         self, robot: Robot, data: Data, estimator: Estimator, robust: bool
@@ -159,12 +152,7 @@ class Solver:
         return Solution(data, products, found, prior, theta, squares)
 
     def cost(self, squares: Array, harm: float = _HARM) -> float:
-        """Mean log of the held-out RMS over plain LS, with a penalty on each rise.
-
-        Args:
-            squares: Held-out squares of each block, shape (B, n), [N²·m²].
-            harm: Weight of the penalty.
-        """
+        """Mean log of the held-out RMS over plain LS, with a penalty on each rise."""
         level = 0.5 * np.log(np.maximum(self.total(squares), 1e-300) / self.base)
         return float(np.mean(level + harm * np.maximum(level, 0.0)))
 

@@ -40,12 +40,7 @@ class EffectTorque:
     others: tuple[Effect, ...]
 
     def __call__(self, motion: Motion, body: RigidBody) -> Array:
-        """Torque of all effects, shape (N, n), [N·m].
-
-        Args:
-            motion: N samples of the arm's motion.
-            body: The rigid body along the motion.
-        """
+        """Torque of all effects, shape (N, n), [N·m]."""
         q, v, a = motion.q, motion.v, motion.a
         tau = body.load
         tau = self.law.along((q, v, a, tau)) if self.law else np.zeros_like(tau)

@@ -25,12 +25,6 @@ class InstantColumns:
 
     After :meth:`begin`, each task writes its part of ``rows``, shape (B, P).
 
-    Args:
-        robot: The arm.
-        problem: The unknowns.
-        layout: Layout of a row.
-        instants: Number of instants B.
-
     Raises:
         IdentificationError: An effect changes signals instead of adding torque.
     """

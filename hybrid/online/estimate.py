@@ -67,12 +67,7 @@ class OnlineEstimate:
         )
 
     def compute_errors(self, row: Array, layout: RowLayout) -> None:
-        """Compute the prediction errors of a row.
-
-        Args:
-            row: Flat row, shape (P,).
-            layout: Layout of the row.
-        """
+        """Compute the prediction errors of a row."""
         J, p = layout.derivative(row), self._gains
         self.error = row[layout.torque] - J[:, :p] @ self.filter.mean[:p]
         joints = np.flatnonzero(row[layout.moving] > 0.5)
@@ -85,11 +80,7 @@ class OnlineEstimate:
             self._innovation = _Innovation(joints, H, error, payload, inflation)
 
     def predict_spread(self, t: float) -> None:
-        """Compute the standard deviation of the errors, and feed the detector.
-
-        Args:
-            t: Time, [s]. Rows that mix samples before and after a change are dropped.
-        """
+        """Compute the standard deviation of the errors, and feed the detector."""
         if t < self._learn_from:
             self._innovation = None
         innovation = self._innovation

@@ -36,10 +36,6 @@ class InstantLaws:
     """Derivatives of the torque by gains and shapes of many laws at one instant.
 
     Laws that cannot be compiled, and effects of more than one joint, are in ``others``.
-
-    Args:
-        effects: Effects with the indices of their unknowns.
-        layout: Layout of a row.
     """
 
     def __init__(self, effects: Sequence[IndexedEffect], layout: RowLayout) -> None:

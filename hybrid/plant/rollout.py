@@ -112,15 +112,7 @@ class _FreeTrajectories(Lockstep):
         load: Array,
         deflections: Array,
     ) -> None:
-        """Place every trajectory in its state.
-
-        Args:
-            arm: The arm.
-            effects: Effects on it.
-            start: True state of the motors; one sample for each trajectory.
-            load: Torque transmitted to the links, shape (B, n), [N·m].
-            deflections: Position and speed of the deflections, shape (2, B, m).
-        """
+        """Place every trajectory in its state."""
         self.diverged = np.zeros(len(start.q), dtype=bool)
         super().__init__(arm, effects, start.q)
         # The semi-implicit step has the speed half a step before the position.

@@ -217,19 +217,7 @@ def _one_motion(
     scoring: Scoring | None,
     number: int,
 ) -> dict[tuple[int, int], tuple[Array, Array]]:
-    """Sums and counts of one motion, by block in time and fold.
-
-    Args:
-        problem: Unknowns and layout of the rows.
-        motion: The motion.
-        fold: Fold of every sample, shape (N,).
-        standing: Speed of each joint below which it stands, shape (n,), [rad/s].
-        sampler: Filter and decimation.
-        length: Decimated samples in a block.
-        chunks: Rows of the motion.
-        scoring: Receives the unfiltered rows.
-        number: Index of the motion.
-    """
+    """Sums and counts of one motion, by block in time and fold."""
     sizes = np.diff(problem.offsets)
     found: dict[tuple[int, int], tuple[Array, Array]] = {}
     moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T.astype(float)

@@ -52,11 +52,6 @@ class Prior:
 def file_prior(problem: Problem, robot: Robot, scales: Sequence[Scale]) -> Prior | None:
     """The prior from the robot file, with the uncertainty of the module's first lines.
 
-    Args:
-        problem: Unknowns. Gains of effects that change signals have no prior.
-        robot: The arm as its file has it.
-        scales: Torque and speed of every joint.
-
     Returns:
         The prior, or None if no link of the file has a mass.
     """
