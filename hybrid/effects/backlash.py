@@ -48,10 +48,6 @@ class Backlash(Effect):
     sentence = "The gear of {joints} has play."
     remedy = "Add a limited play joint behind the motor, or preload the gear."
 
-    def reaches(self, size: int) -> tuple[int, ...]:
-        """All joints, since the motion of one link changes all torques."""
-        return tuple(range(size))
-
     def columns(self, motion: Motion, body: Body) -> Array:
         """Change of torque over half of the gap, at its width or the usual one.
 

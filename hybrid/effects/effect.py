@@ -243,12 +243,11 @@ class Effect(InPlant, Instant, ABC):
         return self.at({name: getattr(shape.scaled(scale), end)}), law
 
     def reaches(self, size: int) -> tuple[int, ...]:
-        """The r joints whose torque it changes; its own joints by default.
+        """The r joints whose torque it changes, of ``size``.
 
-        Args:
-            size: Number of joints n of the arm.
+        These are all if it changes the motion of one, and its own otherwise.
         """
-        return self.joints
+        return tuple(range(size)) if self.observes else self.joints
 
     @abstractmethod
     def columns(self, motion: Motion, body: Body) -> Array:

@@ -49,10 +49,6 @@ class Elasticity(Effect):
     sentence = "The gear of {joints} twists under load."
     remedy = "Add a joint spring between motor and link in the simulator."
 
-    def reaches(self, size: int) -> tuple[int, ...]:
-        """All joints, since the motion of one link changes all torques."""
-        return tuple(range(size))
-
     def columns(self, motion: Motion, body: Body) -> Array:
         """Change of torque over the compliance, at its value.
 

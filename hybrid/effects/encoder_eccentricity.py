@@ -28,10 +28,6 @@ class EncoderEccentricity(Effect):
     sentence = "The encoder of {joints} has an error that repeats once a turn."
     remedy = "Correct the position by the fitted sine, or centre the encoder disc."
 
-    def reaches(self, size: int) -> tuple[int, ...]:
-        """All joints, since every torque depends on every position."""
-        return tuple(range(size))
-
     def columns(self, motion: Motion, body: Body) -> Array:
         """First order; see :meth:`Effect.columns`; shape (N, n, 2)."""
         q, v, a = (x[:, self.joints] for x in (motion.q, motion.v, motion.a))

@@ -23,10 +23,6 @@ class EncoderOffset(Effect):
     sentence = "The encoder of {joints} is not zeroed where the simulator's joint is."
     remedy = "Home the joint again, or put the offset into the joint's reference."
 
-    def reaches(self, size: int) -> tuple[int, ...]:
-        """All joints, since every torque depends on every position."""
-        return tuple(range(size))
-
     def columns(self, motion: Motion, body: Body) -> Array:
         """First order, −∂τ/∂q; see :meth:`Effect.columns`; shape (N, n, 1)."""
         dq = np.zeros_like(motion.q)

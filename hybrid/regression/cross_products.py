@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.regression.problem import Problem, part
-from hybrid.regression.scores import Scores, Scoring, runs_of
+from hybrid.regression.scores import Scores, runs_of
 from hybrid.signals import Motion, Sampler
 
 _CHUNK = 16384  # samples processed at a time, at full rate
@@ -174,9 +174,7 @@ def accumulate(
     """
     seconds = sum(m.t[-1] - m.t[0] for m in motions)
     block_seconds = max(_BLOCK_SECONDS, seconds / _MOST_BLOCKS * 1.2)
-    scoring = (
-        None if blocks is None or folds is None else Scoring(problem, blocks, folds)
-    )
+    scores = None if blocks is None or folds is None else Scores(problem, blocks, folds)
     found: list[tuple[int, int, Array, Array]] = []
     for r, motion in enumerate(motions):
         fold = folds[r] if folds is not None else np.zeros(len(motion.t), dtype=int)
@@ -188,7 +186,7 @@ def accumulate(
         )
         length = max(1, round(block_seconds * motion.rate / sampler.factor))
         sums = _one_motion(
-            problem, motion, fold, standing, sampler, length, rows, scoring, r
+            problem, motion, fold, standing, sampler, length, rows, scores, r
         )
         found += [(r, key[1], *x) for key, x in sorted(sums.items())]
     if not found:
@@ -202,7 +200,7 @@ def accumulate(
         np.array(counts),
         np.array(recording),
         np.array(block_fold),
-        None if scoring is None else scoring.scores,
+        scores,
     )
 
 
@@ -214,7 +212,7 @@ def _one_motion(
     sampler: Sampler,
     length: int,
     chunks: Chunks,
-    scoring: Scoring | None,
+    scores: Scores | None,
     number: int,
 ) -> dict[tuple[int, int], tuple[Array, Array]]:
     """Sums and counts of one motion, by block in time and fold."""
@@ -222,9 +220,9 @@ def _one_motion(
     found: dict[tuple[int, int], tuple[Array, Array]] = {}
     moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T.astype(float)
     for first, D, raw in chunks:
-        if scoring is not None:
+        if scores is not None:
             here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
-            scoring.add(number, here, raw, moves[:, here])
+            scores.add(number, here, raw, moves[:, here])
         samples = slice(first, first + D.shape[1])
         moving = moves[:, :: sampler.factor][:, samples]
         if not moving.all():
