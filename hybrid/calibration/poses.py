@@ -67,7 +67,7 @@ def choose_poses(
     least = -(-J.shape[2] // J.shape[1]) + 1
     if not least <= count <= len(candidates):
         raise CalibrationError(
-            f"{count} poses; valid are {least}, so that they tell {J.shape[2]} "
+            f"{count} poses; valid are {least}, to identify {J.shape[2]} "
             f"parameters, to {len(candidates)}, the number of candidates"
         )
     # A small prior information, so that the first determinants are not zero.

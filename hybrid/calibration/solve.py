@@ -187,7 +187,7 @@ class _Fit:
             raise CalibrationError(
                 f"{self.data.source}: {self.rows} numbers were measured in "
                 f"{self.data.size} poses; valid are more than the {reduced.size} "
-                "parameters that they shall tell"
+                "parameters to estimate"
             )
         share = 1 - reduced.size / self.rows
         self.freedom = {b.name: share * b.residual.size for b in blocks}

@@ -74,7 +74,7 @@ class MotionProgram:
 
     @cached_property
     def scale(self) -> Array:
-        """Coefficients of which each alone reaches a limit, shape (m, n)."""
+        """Size of each coefficient that alone reaches a limit, shape (m, n)."""
         reach = np.abs(self.fine.bases).max(axis=1)[:, :, None]  # (4, m, 1)
         sizes = self.limits.sizes[:, None]
         return np.asarray((sizes / np.maximum(reach, 1e-9)).min(axis=0))
@@ -179,10 +179,10 @@ class MotionProgram:
             peaks = _peaks(excess)
             if not constraint.is_linear:
                 # A step may move a sharp peak to the next sample of the coarse grid.
-                beside = np.zeros_like(peaks)
-                beside[1:] = peaks[:-1]
-                beside[:-1] |= peaks[1:]
-                peaks |= beside & (excess > -_ACTIVE_NEIGHBOUR)
+                neighbour = np.zeros_like(peaks)
+                neighbour[1:] = peaks[:-1]
+                neighbour[:-1] |= peaks[1:]
+                peaks |= neighbour & (excess > -_ACTIVE_NEIGHBOUR)
             sample, which = np.nonzero(peaks & (excess > -_ACTIVE))
             slope = constraint.slope(path.at(sample), which)  # (M, 4, n)
             by = np.einsum("kMm,Mkj->Mmj", grid.bases[:, sample], slope)

@@ -184,7 +184,7 @@ def _sizes(curvature: Array, n: int) -> Array:
     """Scale of each coordinate; the ten of a link have the same."""
     links = curvature[: 10 * n].reshape(n, 10).mean(axis=1)
     if not links.max() > 0:
-        raise IdentificationError("the data say nothing about any link; more is needed")
+        raise IdentificationError("the data determine no link; more motion is needed")
     gains = curvature[10 * n :] / links.max()
     links = np.maximum(links / links.max(), _SMALLEST_SCALE)
     gains = np.where(gains > 0, gains, 1.0)

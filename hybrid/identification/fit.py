@@ -86,7 +86,7 @@ def unidentifiable(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
             found.append(
                 f"{label} cannot be told from {joined}: only their combination is known"
                 if joined
-                else f"{label} moves no torque"
+                else f"{label} changes no torque"
             )
     labels = base.kept_labels
     found += [

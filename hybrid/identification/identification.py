@@ -206,7 +206,7 @@ class Identification:
         if cost > _COSTLY:
             self.warnings.append(
                 f"physically consistent links raise the held-out error by {cost:.1%}; "
-                "the data want links that cannot be built"
+                "the data contradict them"
             )
 
     def fit(self, held_out: dict[str, Array]) -> Fit:

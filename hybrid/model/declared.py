@@ -13,5 +13,5 @@ def declared_effects(robot: Robot) -> list[Effect]:
     values = {name: getattr(robot, name) for name in names}
     values["armature"] = robot.chain.armature
     values["preload"] = -robot.stiffness * robot.springref
-    beside = *knees(robot), *ripples(robot), *falls(robot)
-    return [*effects_of_fields(values), *beside]
+    curves = *knees(robot), *ripples(robot), *falls(robot)
+    return [*effects_of_fields(values), *curves]

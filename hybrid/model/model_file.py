@@ -237,7 +237,7 @@ def _check_joints(remainder: ArmRemainder) -> None:
         for j in (part.joint, *part.positions, *part.speeds):
             if not 0 <= j < remainder.size:
                 raise ModelFileError(
-                    f"the remainder looks at joint {j} of {remainder.size}"
+                    f"the remainder uses joint {j} of {remainder.size}"
                 )
         if part.regression.outputs != 1:
             raise ModelFileError("a joint's remainder has more than one torque")
@@ -245,13 +245,13 @@ def _check_joints(remainder: ArmRemainder) -> None:
 
 def _real(x: Any) -> float:
     if isinstance(x, bool) or not isinstance(x, (int, float)):
-        raise ModelFileError(f"{x!r} stands where a number is needed")
+        raise ModelFileError(f"{x!r} is no number")
     return float(x)
 
 
 def _whole(x: Any) -> int:
     if isinstance(x, bool) or not isinstance(x, int):
-        raise ModelFileError(f"{x!r} stands where a whole number is needed")
+        raise ModelFileError(f"{x!r} is no whole number")
     return x
 
 

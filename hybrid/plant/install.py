@@ -86,8 +86,8 @@ class Installed:
         model.dof_frictionloss[dof] = values["frictionloss"]
         rising = [d for d in dof if np.isfinite(knee_slope(model)[d])]
         model.dof_solref[rising], model.dof_solimp[rising, :2] = _dry(model)
-        beside = [t for t, at, _ in single_tendons(model) if at in dof]
-        model.tendon_frictionloss[beside] = 0.0
+        tendons = [t for t, at, _ in single_tendons(model) if at in dof]
+        model.tendon_frictionloss[tendons] = 0.0
         motors = [a for a, joint, _ in passive_motors(model) if joint in joints]
         for size in (0, 3, 4):  # of cogging, and of bristles' friction
             model.actuator_biasprm[motors, size] = 0.0

@@ -97,7 +97,7 @@ class Lockstep:
         """Advance with a torque held.
 
         Args:
-            torque: Torque the drives believe to deliver, shape (B, n), [N·m].
+            torque: Commanded torque, shape (B, n), [N·m].
             substeps: Number of physics steps.
 
         Raises:

@@ -225,7 +225,7 @@ def _delivered(motion: Motion, effects: Sequence[Effect], factor: int) -> Array:
 
 
 def _before_report(effect: Effect, t: Array, logged: Array) -> Array:
-    """Torque of which the report of an effect is the logged one, shape (N, k), [N·m].
+    """Delivered torque that an effect reports as the logged one, (N, k), [N·m].
 
     The opposite gain inverts the report to first order; each pass squares the error.
     """
