@@ -19,7 +19,6 @@ from hybrid.calibration.geometry import (
 )
 from hybrid.calibration.measurements import Measurements
 from hybrid.calibration.model import KinematicModel, Steps, station_label
-from hybrid.calibration.observability import observability_index
 from hybrid.calibration.solve import KinematicSolution, Rejected, solve
 from hybrid.calibration.steps import follow, free_frame, start
 from hybrid.dynamics import inverse_dynamics
@@ -251,6 +250,22 @@ def build_setup(
     load = _load(robot, data.q, "compliance" in free)
     units = tuple(_unit(label, robot) for label in labels)
     return Setup(robot, geometry, model, tuple(labels), units, load)
+
+
+def observability_index(jacobian: Array, poses: int) -> float:
+    """Index O₁: geometric mean of the singular values over the root of the poses.
+
+    Borm and Menq 1991, doi 10.1177/027836499101000106. A larger index means a smaller
+    volume of the confidence region.
+
+    Args:
+        jacobian: Derivatives over noise, shape (rows, b).
+        poses: Number of poses N.
+    """
+    sizes = np.linalg.svd(jacobian, compute_uv=False)
+    if sizes[-1] <= 0:
+        return 0.0
+    return float(np.exp(np.log(sizes).mean()) / np.sqrt(poses))
 
 
 # Of equivalent parameters the first is identified: frames of the instrument before

@@ -87,13 +87,15 @@ class DynamicModel:
         Returns:
             Torque, shape (N, n), [N·m].
         """
-        for effect in self._observing:
-            motion = effect.observe(motion, self.body(motion))
+        for effect in self.effects:
+            if effect.observes:
+                motion = effect.observe(motion, self.body(motion))
         body = self.body(motion)
         tau = body.load + self._effect_torque(motion, body)
-        for effect in self._reporting:
-            joints = list(effect.joints)
-            tau[:, joints] = effect.report(motion.t, tau[:, joints])
+        for effect in self.effects:
+            if effect.reports:
+                joints = list(effect.joints)
+                tau[:, joints] = effect.report(motion.t, tau[:, joints])
         if self.remainder is not None:
             tau += self.remainder.predict(motion.q, motion.v)
         return tau
@@ -101,14 +103,6 @@ class DynamicModel:
     @cached_property
     def _effect_torque(self) -> EffectTorque:
         return effect_torque(self.robot.chain, self.effects)
-
-    @cached_property
-    def _observing(self) -> tuple[Effect, ...]:
-        return tuple(effect for effect in self.effects if effect.observes)
-
-    @cached_property
-    def _reporting(self) -> tuple[Effect, ...]:
-        return tuple(effect for effect in self.effects if effect.reports)
 
     def save(self, path: str | Path) -> None:
         """Write the model to ``path``, a JSON file with a hash of its content.

@@ -275,20 +275,14 @@ class OnlineIdentifier:
         estimate = self._estimate
         tasks = [
             *self._pipeline.tasks,
-            self._compute_errors,
-            self._predict_spread,
+            lambda: estimate.compute_errors(self._pipeline.row, self._layout),
+            lambda: estimate.predict_spread(self._pipeline.time),
             self._detect_change,
             *estimate.tasks,
         ]
         ends = [k * len(tasks) // self._block for k in range(self._block + 1)]
         self._tasks = [tasks[start:end] for start, end in pairwise(ends)]
         self._started = True
-
-    def _compute_errors(self) -> None:
-        self._estimate.compute_errors(self._pipeline.row, self._layout)
-
-    def _predict_spread(self) -> None:
-        self._estimate.predict_spread(self._pipeline.time)
 
     def _detect_change(self) -> None:
         found = self._estimate.detect_change(self._pipeline.time)

@@ -159,10 +159,7 @@ def pseudo_solve(A: Array, b: Array) -> Array:
     if not fails and np.diag(factor).min() > _FULL_RANK:
         found, _ = dpotrs(factor, b / size, lower=1)
         return np.asarray(found / size)
-    values, vectors = eigh(scaled)
-    keep = values > RANK * values[-1]
-    inside = vectors[:, keep]
-    return np.asarray(inside @ ((inside.T @ (b / size)) / values[keep]) / size)
+    return np.asarray(pseudo_inverse(A) @ b)
 
 
 def _bounded_solve(A: Array, b: Array, lower: Array) -> Array:
