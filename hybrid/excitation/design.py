@@ -272,7 +272,9 @@ def best_point(
     power, iterations = _EXPLORE
     smooth = replace(program, power=power)
     optima = [solve(smooth, x, iterations=iterations) for x in points]
-    solution = min(optima, key=_merit)
+    solution = min(
+        optima, key=lambda x: (x.excess > 0.01, x.value + PENALTY * x.excess)
+    )
     for power, iterations in _POLISH:
         solution = _continued(replace(program, power=power), solution, iterations)
     margin, penalty = program.margin, PENALTY
@@ -289,10 +291,6 @@ def best_point(
         sharp = replace(program, power=_POLISH[-1][0], margin=margin)
         solution = _continued(sharp, solution, _REPAIR_ITERATIONS, penalty)
     raise ExcitationError(_infeasible(excess))
-
-
-def _merit(solution: Optimum) -> tuple[bool, float]:
-    return solution.excess > 0.01, solution.value + 5.0 * solution.excess
 
 
 def _continued(

@@ -157,7 +157,8 @@ def _rows(
 ) -> Iterator[Deviation]:
     at = 0
     for effect, names in effects:
-        own = next((e for e in model.effects if _matches(e, effect)), None)
+        place = effect.id, effect.joints
+        own = next((e for e in model.effects if (e.id, e.joints) == place), None)
         where = model.robot.joints[effect.joints[0]]
         for gain in effect.gains:
             if gain.name in names:
@@ -171,10 +172,6 @@ def _rows(
                     float(own.std.get(gain.name, 0.0)) if own else 0.0,
                 )
             at += 1
-
-
-def _matches(one: Effect, other: Effect) -> bool:
-    return (one.id, one.joints) == (other.id, other.joints)
 
 
 def _prior(

@@ -48,9 +48,7 @@ def pooled(y: Array, s: Array) -> Pooled:
     unlike = np.zeros(len(y), dtype=bool)
     while (~unlike).sum() >= FEWEST:
         rest = np.flatnonzero(~unlike)
-        p = np.array(
-            [_p_value(y[k], s[k], *_without(y, s, rest, k)) for k in rest.tolist()]
-        )
+        p = np.array([_p_value(y, s, rest, k) for k in rest.tolist()])
         worst = int(np.argmin(p))
         if p[worst] * len(rest) >= _FALSE_RATE:
             break
@@ -61,18 +59,12 @@ def pooled(y: Array, s: Array) -> Pooled:
     return Pooled(weight * y + (1 - weight) * mean, std, unlike)
 
 
-def _without(
-    y: Array, s: Array, rest: NDArray[np.intp], k: int
-) -> tuple[float, float, int]:
+def _p_value(y: Array, s: Array, rest: NDArray[np.intp], k: int) -> float:
+    """Probability of a value of arm k at least as far from the mean of the others."""
     others = rest[rest != k]
     mean, spread, error = _mean_and_spread(y[others], s[others])
-    return mean, float(np.hypot(spread, error)), len(others)
-
-
-def _p_value(y: float, s: float, mean: float, spread: float, count: int) -> float:
-    """Probability of a value at least as far from the mean of the others."""
-    distance = abs(y - mean) / np.hypot(spread, s)
-    return float(2 * student.sf(distance, max(count - 1, 1)))
+    distance = abs(y[k] - mean) / np.hypot(np.hypot(spread, error), s[k])
+    return float(2 * student.sf(distance, max(len(others) - 1, 1)))
 
 
 def _mean_and_spread(y: Array, s: Array) -> tuple[float, float, float]:

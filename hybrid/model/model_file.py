@@ -125,14 +125,11 @@ def _content(model: DynamicModel) -> dict[str, Any]:
 
 
 def _packed(arrays: Mapping[str, Array]) -> dict[str, Any]:
-    return {
-        name: {"shape": list(x.shape), "float64": _text(x)}
-        for name, x in arrays.items()
-    }
-
-
-def _text(x: Array) -> str:
-    return b64encode(np.asarray(x, dtype="<f8").tobytes()).decode("ascii")
+    content = {}
+    for name, x in arrays.items():
+        text = b64encode(np.asarray(x, dtype="<f8").tobytes()).decode("ascii")
+        content[name] = {"shape": list(x.shape), "float64": text}
+    return content
 
 
 def _unpacked(name: str, content: Mapping[str, Any]) -> Array:

@@ -153,7 +153,9 @@ class Intake:
         stamp, largest = float(row[0]), float(np.abs(row[1:]).max())
         if not (math.isfinite(stamp) and math.isfinite(largest)):
             return "not_finite"
-        if largest > _LARGEST or abs(stamp) > _LATEST or not self._is_torque(row):
+        tau = row[1 + self._n : 1 + 2 * self._n]
+        too_large = largest > _LARGEST or float(tau.dot(tau)) > self._torque**2
+        if too_large or abs(stamp) > _LATEST:
             return "implausible"
         self._measure_rate(stamp)
         if self._last is None:
@@ -180,10 +182,6 @@ class Intake:
         if step > self._reach:
             return "jumped"
         return "used" if square <= (self._speed * step) ** 2 else "implausible"
-
-    def _is_torque(self, row: Array) -> bool:
-        tau = row[1 + self._n : 1 + 2 * self._n]
-        return float(tau.dot(tau)) <= self._torque**2
 
     def _advance(self, row: Array) -> None:
         """Advance the stream's clock with an accepted sample."""

@@ -139,6 +139,17 @@ def drives(effect: Effect) -> bool:
     return overrides(effect, "deliver") or overrides(effect, "follow")
 
 
+def encoder_readings(
+    effects: Sequence[Effect], q: Array, v: Array
+) -> tuple[Array, Array]:
+    """Position and speed that the encoders show for the true ones, shape (B, n)."""
+    for effect in effects:
+        if overrides(effect, "sense"):
+            q, v, j = q.copy(), v.copy(), list(effect.joints)
+            q[:, j], v[:, j] = effect.sense(q[:, j], v[:, j])
+    return q, v
+
+
 def check_simulable(effects: Sequence[Effect], size: int) -> None:
     """Check that a plant of n joints can simulate the effects.
 

@@ -85,7 +85,8 @@ class Installed:
         model.dof_dampingpoly[dof] = np.c_[values["quadratic"], values["cubic"]]
         model.dof_frictionloss[dof] = values["frictionloss"]
         rising = [d for d in dof if np.isfinite(knee_slope(model)[d])]
-        model.dof_solref[rising], model.dof_solimp[rising, :2] = _dry(model)
+        model.dof_solref[rising] = 2.0 * model.opt.timestep, 1.0
+        model.dof_solimp[rising, :2] = IMPEDANCE
         tendons = [t for t, at, _ in single_tendons(model) if at in dof]
         model.tendon_frictionloss[tendons] = 0.0
         motors = [a for a, joint, _ in passive_motors(model) if joint in joints]
@@ -137,11 +138,6 @@ class Installed:
         driven = data.qfrc_actuator[dof] + data.qfrc_applied[dof]
         kept = data.qfrc_passive[dof] + data.qfrc_constraint[dof] - self._added
         return np.asarray((driven + kept)[None] - self._armature * a)
-
-
-def _dry(model: Any) -> tuple[tuple[float, float], float]:
-    """Solver reference and impedance of dry friction."""
-    return (2.0 * model.opt.timestep, 1.0), IMPEDANCE
 
 
 _INSTALLED: dict[int, Installed] = {}

@@ -11,7 +11,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import HybridError, HybridWarning
-from hybrid.plant.arm import Arm, build_arm, drives, overrides
+from hybrid.plant.arm import Arm, build_arm, drives, encoder_readings, overrides
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.native import falls, knees, ripples
 from hybrid.plant.noise import Noise
@@ -155,14 +155,14 @@ class Plant:
         log = {x: np.empty((samples, *q_ref.shape[1:])) for x in ("q", "v", "tau")}
         torque, saturated = feed[0], np.zeros(self.robot.size)
         for k in range(len(t)):
-            q, v = self._sensed(state.q, state.v)
+            q, v = encoder_readings(self.effects, state.q, state.v)
             wanted = feed[k] + kp * (q_ref[k] - q) + kd * (v_ref[k] - v)
             previous, torque = torque, np.clip(wanted, -servo.limit, servo.limit)
             saturated += (torque != wanted).sum(axis=0)
             sample, rest = divmod(k - before, every)
             if sample >= 0 and rest == 0:
-                log["q"][sample], log["v"][sample] = self._sensed(
-                    state.q, state.v + lead * state.a
+                log["q"][sample], log["v"][sample] = encoder_readings(
+                    self.effects, state.q, state.v + lead * state.a
                 )
                 log["tau"][sample] = weight * previous + (1 - weight) * torque
             state.step(torque, substeps)
@@ -184,14 +184,6 @@ class Plant:
             j = list(effect.joints)
             kp[j], kd[j] = effect.tune(kp[j], kd[j])
         return kp, kd
-
-    def _sensed(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Position and speed that the encoders show, shape (B, n) each."""
-        for effect in self.effects:
-            if overrides(effect, "sense"):
-                q, v, j = q.copy(), v.copy(), list(effect.joints)
-                q[:, j], v[:, j] = effect.sense(q[:, j], v[:, j])
-        return q, v
 
     def _alignment(self, substeps: int) -> tuple[float, float]:
         """Alignment of the logged torque and speed with the instant of the position.

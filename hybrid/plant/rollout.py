@@ -10,7 +10,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
-from hybrid.plant.arm import Arm, Index, build_arm, overrides
+from hybrid.plant.arm import Arm, Index, build_arm, encoder_readings, overrides
 from hybrid.plant.lockstep import Lockstep
 from hybrid.robot.robot import Robot
 from hybrid.signals import Motion
@@ -93,7 +93,8 @@ def rollout(
     for k in range(windows.samples):
         for held in torque[k * factor : (k + 1) * factor]:
             state.step(held)
-        positions[k + 1] = _encoder_positions(inside, state)
+        positions[k + 1] = encoder_readings(inside, state.q, state.v)[0]
+        positions[k + 1, state.diverged] = np.nan
     return positions
 
 
@@ -196,16 +197,6 @@ def _motor_motion(robot: Robot, effects: Sequence[Effect], motion: Motion) -> Mo
         if overrides(effect, "sense"):
             motion = effect.observe(motion, RigidBody(robot.chain, motion))
     return motion
-
-
-def _encoder_positions(effects: Sequence[Effect], state: _FreeTrajectories) -> Array:
-    q, v = state.q.copy(), state.v.copy()
-    for effect in effects:
-        if overrides(effect, "sense"):
-            j = list(effect.joints)
-            q[:, j], v[:, j] = effect.sense(q[:, j], v[:, j])
-    q[state.diverged] = np.nan
-    return np.asarray(q)
 
 
 def _delivered(motion: Motion, effects: Sequence[Effect], factor: int) -> Array:
