@@ -11,7 +11,7 @@ from scipy.stats import t as student
 from test_calibrate import coman, disturbed, flange, measured
 
 from hybrid.calibration import calibrate
-from hybrid.calibration.align import _linear, _nearest_rotation, _stations, align
+from hybrid.calibration.alignment import _linear, _nearest_rotation, _stations, align
 from hybrid.calibration.calibrate import (
     _group,
     _load,

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.calibration.align import align
+from hybrid.calibration.alignment import align
 from hybrid.calibration.geometry import (
     Geometry,
     chain_from_values,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hybrid.effects import Effect
-from hybrid.plant.native import effects_of_fields, falls, knees, ripples
+from hybrid.plant.joint_fields import effects_of_fields, falls, knees, ripples
 from hybrid.robot import Robot
 
 

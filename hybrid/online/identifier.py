@@ -24,13 +24,13 @@ from hybrid.model.dynamic_model import DynamicModel
 from hybrid.online.columns import InstantColumns
 from hybrid.online.estimate import OnlineEstimate
 from hybrid.online.health import Health
+from hybrid.online.initial_estimate import REACH, InitialEstimate, payload_sizes
 from hybrid.online.intake import Intake, Sample
 from hybrid.online.layout import RowLayout
 from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import Change, PayloadChange, likely_payload
 from hybrid.online.pipeline import Pipeline
 from hybrid.online.square_root import SquareRootFilter
-from hybrid.online.start import REACH, Start, payload_sizes
 from hybrid.parameters import Parameter
 from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import build_problem
@@ -100,7 +100,7 @@ class OnlineIdentifier:
         self.robot, self.rate = robot, rate
         own = robot.chain.inertial if inertial is None else inertial
         problem = build_problem(robot.chain, effects, inertial=own)
-        start = Start(robot, problem, own, prior, shape_prior)
+        start = InitialEstimate(robot, problem, own, prior, shape_prior)
         self.problem = replace(problem, effects=start.effects)
         scales = joint_scales(robot)
         usual = np.array([[_NOISE * s.torque, _STANDING * s.speed] for s in scales]).T

@@ -12,8 +12,8 @@ from hybrid.effects import Effect, JointState
 from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
 from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
+from hybrid.plant.joint_fields import split_effects, springs
 from hybrid.plant.laws import Laws, part
-from hybrid.plant.native import split_effects, springs
 from hybrid.robot.actuators import passive_motors
 from hybrid.robot.mjcf import knee_slope, single_tendons
 from hybrid.robot.robot import Robot

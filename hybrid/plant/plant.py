@@ -12,8 +12,8 @@ from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.plant.arm import Arm, build_arm, drives, encoder_readings, overrides
+from hybrid.plant.joint_fields import falls, knees, ripples
 from hybrid.plant.lockstep import Lockstep
-from hybrid.plant.native import falls, knees, ripples
 from hybrid.plant.noise import Noise
 from hybrid.plant.reference import Reference
 from hybrid.plant.servo import Servo

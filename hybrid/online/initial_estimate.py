@@ -18,7 +18,7 @@ _LEAST_MASS, _LEAST_MOMENT, _LEAST_INERTIA = 0.1, 0.01, 0.001  # kg, kg·m, kg·
 
 
 @dataclass(frozen=True)
-class Start:
+class InitialEstimate:
     """Initial estimate of base parameters, gains and shapes.
 
     Attributes:
