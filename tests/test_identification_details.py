@@ -59,9 +59,9 @@ def test_squares_by_cross_products_are_those_of_the_residual(seed):
     waves, D = rng.standard_normal((3, 2, 40)), rng.standard_normal((4, 40))
     y, use = rng.standard_normal(40), rng.random(40) < 0.7
     theta, gains = rng.standard_normal((3, 4)), rng.standard_normal((3, 2))
-    left = [y - t @ D - g @ w for t, g, w in zip(theta, gains, waves, strict=True)]
+    residual = [y - t @ D - g @ w for t, g, w in zip(theta, gains, waves, strict=True)]
     found = _Sums.of(waves, D, y, use).squares(theta, gains)
-    np.testing.assert_allclose(found, [np.sum(x[use] ** 2) for x in left])
+    np.testing.assert_allclose(found, [np.sum(x[use] ** 2) for x in residual])
 
 
 def regression(seed=0, gain=(0.0, 0.0), joints=1):
@@ -83,19 +83,21 @@ def regression(seed=0, gain=(0.0, 0.0), joints=1):
 def test_the_gains_of_a_wave_are_those_beside_all_other_terms(joints):
     part, wave, (A, b) = regression(gain=(0.3, -0.2), joints=joints)
     X = np.vstack([part.columns, wave])
-    H, h = X @ X.T, X @ part.left
+    H, h = X @ X.T, X @ part.residual
     H[:3, :3] += A.sum(axis=0)
     h[:3] += b.sum(axis=0)
     expected = np.linalg.solve(H, h)
     gains, _, _, rest = part._fitted(wave)
     np.testing.assert_allclose(gains, expected[3:], rtol=1e-5)
-    np.testing.assert_allclose(rest, part.left - expected @ X, atol=1e-4)
+    np.testing.assert_allclose(rest, part.residual - expected @ X, atol=1e-4)
     less = part.with_wave(wave)
-    np.testing.assert_allclose(less.left, part.left - expected[3:] @ wave, atol=1e-4)
+    np.testing.assert_allclose(
+        less.residual, part.residual - expected[3:] @ wave, atol=1e-4
+    )
     # It is a term now, beside which another one has the gains of both together.
     other = np.cos(np.outer([1.0, 2.0], np.arange(400)))
     X = np.vstack([part.columns, wave, other])
-    H, h = X @ X.T, X @ part.left
+    H, h = X @ X.T, X @ part.residual
     H[:3, :3] += A.sum(axis=0)
     h[:3] += b.sum(axis=0)
     both = np.linalg.solve(H, h)
@@ -112,9 +114,9 @@ def test_squares_on_a_fold_are_by_terms_of_the_others():
             (part.columns, before),
             (np.vstack([part.columns, wave]), after[0]),
         ):
-            gains = np.linalg.lstsq(X[:, rest].T, part.left[rest])[0]
-            left = part.left[own] - gains @ X[:, own]
-            assert found[k] == pytest.approx(left @ left, rel=1e-4)
+            gains = np.linalg.lstsq(X[:, rest].T, part.residual[rest])[0]
+            residual = part.residual[own] - gains @ X[:, own]
+            assert found[k] == pytest.approx(residual @ residual, rel=1e-4)
     assert after.sum() < before.sum()
 
 
@@ -147,8 +149,8 @@ def test_samples_at_rest_count_for_nothing():
         replace(m, q=m.q * [1, 0], v=m.v * [1, 0], a=m.a * [1, 0]) for m in motions
     ]
     known = prepare(still, 10.0)
-    left = [np.ones_like(m.q) for m in known.motions]
-    squares = known.squares(left).sum(axis=0)
+    residual = [np.ones_like(m.q) for m in known.motions]
+    squares = known.squares(residual).sum(axis=0)
     moving = sum(np.count_nonzero(known.moves(m)[:, 0]) for m in known.motions)
     assert squares.tolist() == [moving, 0.0]
     assert known.moving.tolist() == [moving, 1.0]  # the mean over none is zero
@@ -229,12 +231,12 @@ def test_a_joint_is_offered_its_own_state_and_that_of_its_neighbours():
 )
 def test_the_inputs_of_a_remainder_are_those_it_depends_on(law, inputs):
     known, rng = data(seconds=8.0), np.random.default_rng(0)
-    left = []
+    residual = []
     for m in known.motions:
         x = np.zeros_like(m.q)
         x[:, 1] = law(m.q, m.v) + 0.05 * rng.standard_normal(len(x))
-        left.append(x)
-    assert _best_inputs(known.decimated(left), 1, _candidates(1, 2)) == inputs
+        residual.append(x)
+    assert _best_inputs(known.decimated(residual), 1, _candidates(1, 2)) == inputs
 
 
 def test_links_do_not_depend_on_the_units_that_data_are_weighed_in():

@@ -147,7 +147,7 @@ class Data:
         """
         found = []
         for motion, fold in zip(self.motions, self.folds, strict=True):
-            left = np.empty_like(motion.tau)
+            residual = np.empty_like(motion.tau)
             factor = Sampler.for_rate(motion.rate, self.cutoff).factor
             for first, _, D in self.chunks(problem, motion):
                 here = slice(first * factor, first * factor + D.shape[1])
@@ -155,19 +155,19 @@ class Data:
                     own = D[problem.offsets[i] : problem.offsets[i + 1]]
                     known = theta[:, support] @ own[:-1]
                     known = np.take_along_axis(known, fold[None, here], axis=0)[0]
-                    left[here, i] = own[-1] - known
-            found.append(left)
+                    residual[here, i] = own[-1] - known
+            found.append(residual)
         return found
 
-    def squares(self, left: Sequence[Array]) -> Array:
+    def squares(self, residual: Sequence[Array]) -> Array:
         """Squares of the moving joints in each block, shape (B, n), [N²·m²].
 
         Args:
-            left: Residual at the rate of the motions, shape (N, n) for each, [N·m].
+            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
         """
         label = np.concatenate(self.blocks)
         moves = np.concatenate([self.moves(m) for m in self.motions])
-        squares = np.where(moves, np.concatenate(left), 0.0) ** 2
+        squares = np.where(moves, np.concatenate(residual), 0.0) ** 2
         return np.stack([np.bincount(label, x) for x in squares.T], axis=1)
 
     @cached_property
@@ -201,14 +201,14 @@ class Data:
         moves = np.abs(motion.v) > self.standing
         return np.asarray(moves & motion.mask[:, None])
 
-    def decimated(self, left: Sequence[Array]) -> Residual:
+    def decimated(self, residual: Sequence[Array]) -> Residual:
         """A residual filtered and decimated, all motions concatenated.
 
         Args:
-            left: Residual at the rate of the motions, shape (N, n) for each, [N·m].
+            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
         """
         parts = []
-        for motion, tau, fold in zip(self.motions, left, self.folds, strict=True):
+        for motion, tau, fold in zip(self.motions, residual, self.folds, strict=True):
             sampler = Sampler.for_rate(motion.rate, self.cutoff)
             few = slice(None, None, sampler.factor)
             moves = self.moves(motion)

@@ -31,13 +31,13 @@ class PartialRegression:
             (F, p, p) and (F, p), in units of this joint's variance.
         support: Unknowns that change this joint's torque, shape (d,).
         columns: Their columns, shape (d, M).
-        left: Residual of the present values, shape (M,), [N·m].
+        residual: Residual of the present values, shape (M,), [N·m].
     """
 
     others: tuple[Array, Array]
     support: NDArray[np.intp]
     columns: Array
-    left: Array
+    residual: Array
 
     @classmethod
     def of(cls, solution: Solution, joint: int, rows: Array) -> PartialRegression:
@@ -72,7 +72,7 @@ class PartialRegression:
             ),
             support=np.append(self.support, [size, size + 1]),
             columns=np.concatenate([self.columns, wave]),
-            left=self.left - self._fitted(wave)[0] @ wave,
+            residual=self.residual - self._fitted(wave)[0] @ wave,
         )
 
     def _fitted(self, wave: Array) -> tuple[Array, Array, Array, Array]:
@@ -83,12 +83,12 @@ class PartialRegression:
             (2, M), the normal matrix of the gains, and the residual, shape (M,).
         """
         S, theta, coupling = self._inverse(
-            np.ones(len(self.others[0]), dtype=bool), self.columns, self.left
+            np.ones(len(self.others[0]), dtype=bool), self.columns, self.residual
         )
         projection = wave @ self.columns.T @ S
         orthogonal = wave - projection @ self.columns
         H = orthogonal @ wave.T + _ridge(wave @ wave.T)
-        before = self.left - theta @ self.columns
+        before = self.residual - theta @ self.columns
         gains: Array = np.asarray(
             np.linalg.solve(H, orthogonal @ before - projection @ coupling)
         )
@@ -133,13 +133,14 @@ class PartialRegression:
         """
         folds = len(self.others[0])
         parts = [
-            _Sums.of(waves, self.columns, self.left, fold == k) for k in range(folds)
+            _Sums.of(waves, self.columns, self.residual, fold == k)
+            for k in range(folds)
         ]
         before, after = [], []
         for k, held in enumerate(parts):
             rest = fold != k
             S, theta, _ = self._inverse(
-                np.arange(folds) != k, self.columns[:, rest], self.left[rest]
+                np.arange(folds) != k, self.columns[:, rest], self.residual[rest]
             )
             B, G, c = (
                 sum(getattr(x, name) for x in parts) - getattr(held, name)
@@ -195,12 +196,12 @@ class _Sums:
     def squares(self, theta: Array, gains: Array) -> Array:
         """Squared residuals of terms (K or 1, d) and gains (K or 1, 2)."""
         theta, gains = np.atleast_2d(theta), np.atleast_2d(gains)
-        left = (
+        residual = (
             self.power - 2 * (theta @ self.h) + ((theta @ self.P) * theta).sum(axis=1)
         )
         wave = -2 * self.c + 2 * (self.B @ theta[:, :, None])[..., 0]
         wave = wave + (self.G @ gains[:, :, None])[..., 0]
-        return np.asarray(left + (wave * gains).sum(axis=1))
+        return np.asarray(residual + (wave * gains).sum(axis=1))
 
 
 def _ridge(G: Array) -> Array:

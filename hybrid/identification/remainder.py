@@ -42,7 +42,7 @@ class Learned:
 
 def fit_remainder(
     data: Data,
-    left: Sequence[Array],
+    held_out: Sequence[Array],
     *,
     among: ArmRemainder | None = None,
     bound: Array | float = np.inf,
@@ -56,17 +56,17 @@ def fit_remainder(
 
     Args:
         data: Motions with folds.
-        left: Held-out residual of the physical terms, shape (N, n) for each motion,
+        held_out: Held-out residual of the physical terms, shape (N, n) for each motion,
             [N·m].
         among: Use only the joints and inputs of this remainder.
         bound: Largest learned torque, shape (n,), [N·m]. It is never larger than the
             largest residual.
         seed: Seed of the mixtures' initial values.
     """
-    n = left[0].shape[1]
-    residual, parts = data.decimated(left), []
-    cross = [np.zeros_like(x) for x in left]
-    before = data.squares(left)
+    n = held_out[0].shape[1]
+    residual, parts = data.decimated(held_out), []
+    cross = [np.zeros_like(x) for x in held_out]
+    before = data.squares(held_out)
     offered = {j: _candidates(j, n) for j in range(n)}
     if among is not None:
         offered = {p.joint: [(p.positions, p.speeds)] for p in among.parts}
@@ -79,14 +79,14 @@ def fit_remainder(
         predicted = fitting.cross_validated(data)
         if predicted is None:
             continue
-        corrected = [x.copy() for x in left]
+        corrected = [x.copy() for x in held_out]
         for x, known in zip(corrected, predicted, strict=True):
             x[:, joint] -= known
         if lowers(before, data.squares(corrected), tried=len(candidates))[joint]:
             parts.append(fitting.part(None))
             for x, known in zip(cross, predicted, strict=True):
                 x[:, joint] = known
-    after = data.squares([x - y for x, y in zip(left, cross, strict=True)])
+    after = data.squares([x - y for x, y in zip(held_out, cross, strict=True)])
     return Learned(ArmRemainder(n, tuple(parts)), cross, after)
 
 

@@ -59,8 +59,10 @@ def _ripples(
     chance = _FALSE_ALARMS / _MOST_PERIODS
     found: list[Effect] = []
     while len(found) < _MOST_RIPPLES:
-        left = np.split(terms.left, np.cumsum([p.rows.shape[1] for p in pieces])[:-1])
-        periods = _best_orders(pieces, left, cutoff)
+        residual = np.split(
+            terms.residual, np.cumsum([p.rows.shape[1] for p in pieces])[:-1]
+        )
+        periods = _best_orders(pieces, residual, cutoff)
         if not len(periods):
             break
         ripples = [_ripple(joint, int(k), pieces, cutoff) for k in periods]
@@ -131,11 +133,11 @@ class _Piece:
             self.cache.update(zip(new, made, strict=True))
         return np.stack([self.cache[k] for k in keys])
 
-    def refiltered(self, left: Array) -> Array:
+    def refiltered(self, residual: Array) -> Array:
         """A residual at the rate of the motion, filtered again, shape (N,)."""
         full = np.zeros(len(self.q))
         few = full[:: self.sampler.factor]
-        few[self.use] = left
+        few[self.use] = residual
         return replace(self.sampler, factor=1)(full)
 
 
@@ -185,13 +187,13 @@ def _ripple(
 
 
 def _best_orders(
-    pieces: Sequence[_Piece], left: Sequence[Array], cutoff: float
+    pieces: Sequence[_Piece], residual: Sequence[Array], cutoff: float
 ) -> NDArray[np.intp]:
     """Orders that explain most alone, of those in band, and the slow ones in band."""
     periods = np.arange(1, _MOST_PERIODS + 1)
     spectrum, seen, samples = np.zeros(_MOST_PERIODS), np.zeros(_MOST_PERIODS), 0
     total = np.zeros(_BINS)
-    for piece, x in zip(pieces, left, strict=True):
+    for piece, x in zip(pieces, residual, strict=True):
         at = np.floor(piece.q / (2 * np.pi) * _BINS).astype(int) % _BINS
         total += np.bincount(at, weights=piece.refiltered(x), minlength=_BINS)
         speed = np.abs(piece.v[:: piece.sampler.factor][piece.use])

@@ -121,8 +121,8 @@ def validate(
     moving = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
     count = np.sum([x.sum(axis=0) for x in moving], axis=0)
 
-    def rms(left: Sequence[Array]) -> Array:
-        pairs = zip(moving, left, strict=True)
+    def rms(residual: Sequence[Array]) -> Array:
+        pairs = zip(moving, residual, strict=True)
         squares = np.sum([(np.where(x, y, 0.0) ** 2).sum(0) for x, y in pairs], axis=0)
         return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
 
