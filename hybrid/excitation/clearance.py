@@ -109,8 +109,8 @@ class Clearance:
     def distance(self, q: Array) -> Array:
         """Least distance of each pair, negative where capsules overlap, (N, K), [m]."""
         pair = self._rows[2]
-        all_pairs = self._distances(q)
-        own = [all_pairs[:, pair == k].min(axis=1) for k in range(len(self.pairs))]
+        distances = self._distances(q)
+        own = [distances[:, pair == k].min(axis=1) for k in range(len(self.pairs))]
         return np.stack(own, axis=1) if own else np.zeros((len(q), 0))
 
     def excess(self, path: Path) -> Array:

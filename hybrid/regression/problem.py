@@ -76,7 +76,7 @@ class Problem:
         lower = np.full(self.size, -np.inf)
         for unknown, e, g in self.gains:
             if self.effects[e].gains[g].lower >= 0:
-                lower[unknown] = -self._expansion_point(e, g)
+                lower[unknown] = 0.0 - self._expansion_point(e, g)
         return lower
 
     def _expansion_point(self, e: int, g: int) -> float:
