@@ -10,7 +10,6 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects.effect import Body, Effect, Port, Quantity
-from hybrid.errors import EffectError
 from hybrid.signals import Motion
 
 if TYPE_CHECKING:
@@ -85,24 +84,13 @@ class Backlash(Effect):
         return tuple(out)
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
-        """Add a free joint between stops after the motor joint, on the same axis.
-
-        Raises:
-            EffectError: The joint has no armature: the rotor would be massless.
-        """
+        """Add a free joint between stops after the motor joint, on the same axis."""
         half = self.values["half_width"]
         if half <= 0:
             return
         name = names[self.joints[0]]
-        motor = spec.joint(name)
-        if motor.armature <= 0:
-            raise EffectError(
-                f"backlash at {name!r} needs a rotor: add the armature effect first"
-            )
-        play = spec.body(name).add_joint(
-            name=f"{name}/{self.behind}", type=motor.type, axis=motor.axis
-        )
-        play.armature = _GEAR_INERTIA * motor.armature
+        play = self.added_joint(spec, name)
+        play.armature = _GEAR_INERTIA * spec.joint(name).armature
         play.limited, play.range = True, np.array([-half, half])
         play.solref_limit = np.array([_CONTACT_TIME, 1.0])
         play.solimp_limit[:3] = 0.99, 0.999, 0.1 * half

@@ -77,8 +77,6 @@ class Effect(InPlant, Instant, ABC):
     differentiates: ClassVar[bool] = False
     # Whether it shifts torque in time. A fit scans the time, as noise biases it.
     shifts: ClassVar[bool] = False
-    # Name of the joint that it adds between motor and link, if it does.
-    behind: ClassVar[str] = ""
     # Relative standard deviation of values fitted to an exact plant without noise,
     # because the law is an approximation.
     inexact: ClassVar[Mapping[str, float]] = {}

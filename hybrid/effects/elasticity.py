@@ -11,7 +11,6 @@ from scipy.linalg.lapack import dtbtrs
 
 from hybrid.arrays import Array
 from hybrid.effects.effect import Body, Effect, Port, Quantity
-from hybrid.errors import EffectError
 from hybrid.signals import Motion
 
 if TYPE_CHECKING:
@@ -114,22 +113,10 @@ class Elasticity(Effect):
         return tuple(out)
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
-        """Add a deflection joint after the motor joint, on the same axis.
-
-        Raises:
-            EffectError: The joint has no armature: the rotor would be massless.
-        """
+        """Add a deflection joint after the motor joint, on the same axis."""
         if self.values["compliance"] <= 0:
             return
-        name = names[self.joints[0]]
-        motor = spec.joint(name)
-        if motor.armature <= 0:
-            raise EffectError(
-                f"elasticity at {name!r} needs a rotor: add the armature effect first"
-            )
-        spring = spec.body(name).add_joint(
-            name=f"{name}/{self.behind}", type=motor.type, axis=motor.axis
-        )
+        spring = self.added_joint(spec, names[self.joints[0]])
         spring.stiffness = np.array([1.0 / self.values["compliance"], 0.0, 0.0])
         spring.damping = np.array([self.values["damping"], 0.0, 0.0])
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects.state import JointState
+from hybrid.errors import EffectError
 
 if TYPE_CHECKING:
     import mujoco
@@ -20,6 +21,10 @@ class InPlant:
     B trajectories run together; k is the number of the effect's joints.
     """
 
+    id: ClassVar[str]
+    # Name of the joint that it adds between motor and link, if it does.
+    behind: ClassVar[str] = ""
+
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Add to a MuJoCo spec what MuJoCo itself can simulate.
 
@@ -28,6 +33,21 @@ class InPlant:
             names: Joint names of the arm, base to tip.
         """
         return  # by default nothing
+
+    def added_joint(self, spec: mujoco.MjSpec, name: str) -> mujoco.MjsJoint:
+        """A new joint after a motor joint, on the same axis, called ``behind``.
+
+        Raises:
+            EffectError: The motor joint has no armature: the rotor would be massless.
+        """
+        motor = spec.joint(name)
+        if motor.armature <= 0:
+            raise EffectError(
+                f"{self.id} at {name!r} needs a rotor: add the armature effect first"
+            )
+        return spec.body(name).add_joint(
+            name=f"{name}/{self.behind}", type=motor.type, axis=motor.axis
+        )
 
     def command(self, t: Array, signal: Array) -> Array:
         """A commanded signal as the controller receives it, shape (N, k)."""
